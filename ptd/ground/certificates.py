@@ -193,8 +193,8 @@ class UncertifiedRegion:
     known : Window
         Window in which all candidates and their states are known.
     seed_window : Window
-        Window within `known`. Outside the raster everything in it is certified: no real or virtual seed can appear or
-        vanish there.
+        Window within `known`. The part of this window outside the raster is certified, because no real or virtual seed
+        can appear or vanish there.
     box : (int, int, int, int)
         West, south, east, north of the raster in local counts.
     scale : Scale

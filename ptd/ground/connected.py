@@ -30,9 +30,9 @@ def connected_surfaces(
     ----------
     heights : int32 [rows, columns]
         Heights in counts; `EMPTY` where there is none.
-    straight, diagonal : float or float64 [rows, columns of blocks]
-        Height difference below which neighbours along a row or column, and across corners, belong to one surface. The
-        larger limit of the neighbours' blocks counts.
+    straight, diagonal : float or float64 [block rows, block columns]
+        Height difference below which neighbours along a row or column, and across corners, belong to one surface. If
+        two neighbours lie in different blocks (`block`), the larger limit applies.
     gap : int
         Largest distance of neighbours in cells, with empty cells between them.
     tilts : (int64, int64), optional

@@ -150,7 +150,7 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
 def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> int:
     """Return the triangle across the edge of t on which (x, y) lies, or t if it lies on no edge or on a corner.
 
-    Both triangles decide which of them owns the position, so a result at this position depends on both.
+    Which of the two triangles owns the position depends on both, so a result there depends on both.
     """
     row = 8 * t
     if is_ghost(triangles, t):

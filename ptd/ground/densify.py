@@ -22,7 +22,7 @@ from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
 WAITING, VERTEX, REFUSED = 0, 1, 2
-"""States of a candidate: to be tested, in the TIN, never to be tested (outlier)."""
+"""States of a candidate: to be tested, in the TIN, never to be tested (such as an outlier or a roof)."""
 
 
 class _Candidates(NamedTuple):
@@ -110,8 +110,8 @@ def densify(
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Densify a TIN in rounds until no candidate passes any more, or for `rounds` rounds.
 
-    The rounds continue while the uncertified region grows, even if no candidate passes, because the rounds beyond the
-    window may continue.
+    The rounds continue while the uncertified region grows, even if no candidate passes, because outside the window
+    candidates may still pass.
 
     Parameters
     ----------
@@ -125,12 +125,12 @@ def densify(
     rounds : int
         Largest number of rounds; 0: until no candidate passes.
     region : UncertifiedRegion
-        Uncertified region, which grows by the candidates whose decision points outside the window could change.
+        Uncertified region. Candidates are added to it if points outside the window could change their results.
 
     Returns
     -------
     uncertified_points : bool [n]
-        Mask of the candidates whose decision points outside the window could change.
+        Mask of the candidates whose results could be changed by points outside the window.
     rounds : int
         Number of rounds that were run.
     """

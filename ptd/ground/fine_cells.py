@@ -169,7 +169,10 @@ def _counted(
 
 @kernel
 def pages_of_blocks(wanted: Bool, neighbours: Int32) -> tuple[Int32, int]:
-    """Number the chosen blocks and their neighbours. Return the page of each block or -1 (int32 [m]), and how many."""
+    """Assign page numbers to the chosen blocks and their neighbours.
+
+    Returns each block's page (its index in `ptd.ground.fine_planes.Planes`) or -1, int32 [m], and the number of pages.
+    """
     pages, n = np.full(wanted.size, -1, np.int32), 0
     for k in range(wanted.size):
         for i in neighbours[k]:

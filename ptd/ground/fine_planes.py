@@ -162,7 +162,7 @@ def _fill_patch(
 
 @inlined
 def _add_up(sums: _Sums) -> None:
-    """Compute the sums around each cell of the block, first of successive cells of columns, then of adjacent sums."""
+    """Add up the moments around each cell of the block, first along columns and then along rows."""
     patch, three_rows, five_rows, three, five = sums
     for row in range(BLOCK_SIZE):
         south = row * PATCH_ROW

@@ -143,7 +143,8 @@ def fine_ground(
     close : uint8 [n]
         Closeness of each point to the TIN (`Closeness`).
     ground, uncertified : bool [n]
-        Masks of the points that are ground by the TIN, and of those for which this or ``close`` is uncertified.
+        Mask of the points that are ground according to the TIN, and mask of the points for which ``ground`` or
+        ``close`` is uncertified.
     scale : Scale
 
     Returns
@@ -179,7 +180,7 @@ def fine_ground(
 
 
 def with_fine_surface(rule: LabelRule, scale: Scale) -> LabelRule:
-    """Return a rule of ``heights_only`` with the limits of closeness for a fine surface."""
+    """Return a copy of a rule (with ``heights_only`` set) with the closeness limits of the fine surface."""
     lengths = (ABOVE_M, ABOVE_SLOPE_M, NEAR_M, NEAR_SLOPE_M, HIGHER_M)
     return rule._replace(close=Closeness(*(scale.counts(metres) for metres in lengths)))
 

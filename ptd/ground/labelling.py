@@ -199,7 +199,10 @@ def _fits(f: _Facet, distance: float, x: int, y: int, bands: Bands) -> bool:
 
 @inlined
 def _surely(f: _Facet, distance: float, limits: _Limits) -> tuple[bool, bool]:
-    """Return whether a point at a distance from a facet is ground by the limits of all places, and whether by none."""
+    """Return whether a point at a distance from a facet is ground under the limits of every place.
+
+    The second result is whether it is ground under the limits of no place.
+    """
     least = CLEAR * (limits.floor * f.cos + limits.per_slope * f.sin)
     most = (limits.max_floor * f.cos + limits.max_per_slope * f.sin) * (1.0 / CLEAR)
     return distance <= least, distance > most
@@ -319,8 +322,8 @@ def label_points(
     """Label points as ground or not by the finished TIN.
 
     This step is not in the papers, which lose points in facets that take no more vertices (type I errors). The rule is
-    that of densification. In addition, a point within ``floor`` of its facet is ground at any angle, since close to a
-    vertex noise alone causes any angle.
+    that of densification. In addition, a point within ``floor`` of its facet is ground at any angle, because near a
+    vertex, noise alone can cause any angle.
 
     Parameters
     ----------
@@ -333,7 +336,7 @@ def label_points(
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     rule : LabelRule
     bands : Bands, optional
-        Fields ``floor`` and ``per_slope`` of a rule of `heights_only`, if they differ by place.
+        Fields ``floor`` and ``per_slope`` of a rule with ``heights_only`` set, if they differ by place.
 
     Returns
     -------
@@ -352,7 +355,7 @@ def label_points(
 def label_by_height(
     tin: Tin, locator: Locator, points: Xyz, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
-    """Label points like `label_points` by a rule of ``heights_only``.
+    """Label points like `label_points` by a rule with ``heights_only`` set.
 
     The third result is the closeness of each point to the TIN: uint8 [n].
     """

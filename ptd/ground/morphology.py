@@ -198,7 +198,8 @@ def steepest_drops(heights: Int32, radii: Sequence[float], allowance: float) -> 
     """Open a raster with larger and larger disks and find the steepest drop of each cell from one opening to the next.
 
     Each disk opens the original raster, not the last opening. So heights farther than twice the last radius do not
-    change a cell's result, and discrete disks, which are not unions of smaller ones, cannot creep up a slope.
+    change a cell's result. Discrete disks are not unions of smaller ones, so repeated openings of the result would
+    erode a slope step by step.
 
     A cell drops by more than ``allowance + s * radius`` with some disk if its steepest drop is above s. So thresholds
     that grow with the disk can be chosen after the openings, and can differ from cell to cell.

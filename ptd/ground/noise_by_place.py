@@ -1,10 +1,10 @@
-"""Density and noise of each place (`ptd.places`), from counts of windows in it and around it.
+"""Density and noise of each place (`ptd.places`), from the counts that windows add to it and to nearby places.
 
 A single place may be a corner of the survey or may contain only wood. So it is measured together with the places up to
 two places away, and points beyond `REACH_M` do not count. Counts of noise are added up with larger weights for nearer
 places: the smooth patches of a neighbourhood give the noise of all of it, as they would in a small survey. The density
-of any part of a survey is known well. So the density of a place is nearly its own. Its neighbours, in a weighted
-logarithmic mean, matter only if the place contains hardly any points.
+of any part of a survey is known well. So the density of a place is computed almost only from its own points.
+Its neighbours, in a weighted geometric mean, matter only if the place contains hardly any points.
 """
 
 from __future__ import annotations
@@ -78,7 +78,10 @@ def _packed(partial: Partial) -> Partial:
 
 
 def _around(place: Place, held: Mapping[Place, list[Partial]]) -> Roughness:
-    """Return the figures of a place. Surroundings are added row by row, as sums of logarithms depend on the order."""
+    """Return the figures of a place.
+
+    Surroundings are added row by row, because sums of logarithms depend on the order.
+    """
     sums, weights, logarithms = Sums(), 0, 0.0
     for row in range(2 * AROUND + 1):
         for column in range(2 * AROUND + 1):

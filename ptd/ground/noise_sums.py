@@ -36,7 +36,7 @@ class Roughness:
     sigma_m : float or None
         Noise of heights in metres; None if there are no or too few planar patches.
     patches : int
-        Number of planar patches from which the noise is computed.
+        Number of planar patches from which the noise is computed. For a place it is the sum of their weights.
     smoothest_m : float or None
         Noise of the smoothest patches in metres, whether or not they are planar ground: any dense cloud has some. None
         if no quarter of a patch has enough points.

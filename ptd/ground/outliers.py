@@ -162,7 +162,7 @@ class LowNoise:
     def holds(
         self, x: Int32, y: Int32, z: Int32, among: npt.NDArray[np.bool_] | None = None
     ) -> npt.NDArray[np.bool_]:
-        """Return a mask of the points that are low noise and, if given, in another mask: bool [n]."""
+        """Return a mask of the low-noise points, restricted to the points in ``among`` if it is given: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
         is_low: npt.NDArray[np.bool_] = z <= self._heights.max()  # Most points are higher than all outliers.

@@ -45,8 +45,9 @@ ROOF_FALL_M = 1.5
 ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
 """Largest height difference of neighbours on a surface, for each search.
 
-The first searches find a hall, roofs that lean on it, and roofs that lean on those. If all steps were below the fall,
-two flat roofs whose heights differ by a value in between would keep each other as ground. Larger steps join a roof to
+The first searches find a hall, roofs that lean on it, and roofs that lean on those. If all steps were smaller
+than the fall, two flat roofs whose height difference lies between step and fall would each count as ground that is not
+below the other, so both could remain ground. Larger steps join a roof to
 terrain next to it. The last and smaller step separates them.
 """
 ROOF_GAP_M = 8.0
@@ -54,7 +55,7 @@ ROOF_GAP_M = 8.0
 ROOF_VIEW_M = 24.0
 """Length of the rays that search for other ground, beyond objects around a roof."""
 ROOF_SLOPE = 0.2
-"""Slope that a fall must exceed, as distant ground is lower on any hill."""
+"""Slope that a fall must exceed, because distant ground is lower on any hill."""
 ROOF_BELOW_SHARE = 0.9
 """Least share of the ground seen around a roof that lies below it."""
 ROOF_UNSEEN_SHARE = 0.6
@@ -64,10 +65,10 @@ CUT_SIZE = 0.6
 it."""
 
 BESIDE = 2
-"""A ray that meets no ground is not counted if a roof found before lies within this many cells of its start, because
-this roof hides the ground."""
+"""A ray that meets no ground does not count as unseen or as leaving the data, only in the total, if a roof found before
+lies within this many cells of its start. This roof hides the ground."""
 CUT = 0.02
-"""Share of rays that leave the data above which the border of the data cuts a surface."""
+"""If a larger share than this of a surface's rays leave the data, the border of the data cuts the surface."""
 THROUGH = 3
 """A surface is terrain if at least this many of its rays leave the data on each of two opposite sides, because it
 continues through a narrow survey."""
@@ -86,8 +87,9 @@ class Plateaus:
     view : int
         Length of the rays from each cell, along the eight directions, that search for ground outside the surface.
     fall, slope : float
-        Ground is below the surface if it is lower by more than `fall` plus `slope` per cell of distance, as terrain
-        slopes. It is not below if it is lower by at most `fall`. Between these limits the ray counts as unseen.
+        Ground is below the surface if it is lower by more than `fall` plus `slope` per cell of distance, because
+        terrain itself slopes. It is not below if it is lower by at most `fall`. Between these limits the ray counts as
+        unseen.
     share : float
         Least share of the ground seen around a roof that lies below it.
     unseen : float
@@ -111,7 +113,10 @@ class Plateaus:
     def of(
         cls, scale: Scale, widest_m: float, step_m: float = ROOF_FALL_M, cell_m: float = ROOF_CELL_M
     ) -> Self:
-        """Return the rule for roofs up to a width, whose neighbouring cells differ by at most a step, from metres."""
+        """Return the rule for roofs up to ``widest_m`` wide whose neighbouring cells differ by at most ``step_m``.
+
+        ``cell_m`` is the size of the cells. All three lengths are in metres.
+        """
 
         def cells(metres: float) -> int:
             return max(round(metres / cell_m), 1)
@@ -140,7 +145,7 @@ class Plateaus:
 
 
 class _Rays(NamedTuple):
-    """Fields of `Plateaus` by which the result of a ray follows, as an argument of kernels."""
+    """Fields of `Plateaus` that determine the result of a ray, as an argument of kernels."""
 
     view: int
     fall: float

@@ -1,7 +1,7 @@
 """Roofs that remain in a terrain model, found by the rule that removes roofs from a cloud (`ptd.ground.plateaus`).
 
 Between a roof and the ground next to it the model is an interpolated ramp, which would join both. So steep cells do not
-count as ground, as the cloud has no ground there.
+count as ground, because the cloud has no ground there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class RemainingRoof(NamedTuple):
     width_m : float
         Diameter of the largest circle inside, including the edge, in metres.
     row, column : float
-        Middle of the surface in cells.
+        Centre of the surface's bounding box in cells.
     """
 
     width_m: float

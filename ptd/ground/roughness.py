@@ -3,13 +3,14 @@
 The paper averages nine patches picked by hand. Here patches are the cells of a lattice of `PATCH_M` anchored at CRS
 coordinate 0. A patch counts if it passes three tests:
 
-- *Many* points: at least `MIN_POINTS`, and `MIN_QUARTER` in each quarter of the cell. At least a share of
-  `MIN_SHARE` of all cells with `MIN_POINTS` has to pass the other tests.
-- *Planar*: the root mean square of the residuals is at most `MAX_SIGMA_M`, and none is beyond `MAX_RESIDUAL` times this
-  value. The residual variance of separate planes for the quarters is at least `MIN_QUARTERS` of that of the one plane,
-  so a bend or a step is less than the noise.
+- *Many* points: at least `MIN_POINTS`, and `MIN_POINTS_PER_QUARTER` in each quarter of the cell.
+- *Planar*: the root mean square of the residuals is at most `MAX_SIGMA_M`, and no residual exceeds `MAX_RESIDUAL` times
+  the root mean square. The residual variance of separate planes for the quarters is at least `MIN_VARIANCE_SHARE` of
+  that of the one plane, so a bend or a step is less than the noise.
 - *Ground*: the plane is no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M`
   below it.
+
+There is no noise value if less than a share `MIN_SHARE` of the cells with `MIN_POINTS` pass the other tests.
 
 The noise is the lower quartile of the patches' values (`ptd.ground.noise_sums`). Lawns, fields and low plants pass all
 tests and may be most of the patches, while no patch is smoother than a hard surface. Sums are of integers, and each
@@ -34,9 +35,9 @@ from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
 MIN_POINTS = 16
-MIN_QUARTER = 4
+MIN_POINTS_PER_QUARTER = 4
 MAX_RESIDUAL = 4.5
-MIN_QUARTERS = 0.5
+MIN_VARIANCE_SHARE = 0.5
 STEEPEST = 1.0
 DROP_M = 2.0
 REACH_CELLS = 5
@@ -106,7 +107,7 @@ def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_
     planes[:, 3] = -1.0
     for k in range(low.size):
         fewest = min(min(sums[k, 0, 0], sums[k, 1, 0]), min(sums[k, 2, 0], sums[k, 3, 0]))
-        if high[k] - low[k] > tallest or fewest < MIN_QUARTER:
+        if high[k] - low[k] > tallest or fewest < MIN_POINTS_PER_QUARTER:
             continue
         n = whole[k, 0]
         if n < MIN_POINTS:
@@ -120,7 +121,7 @@ def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_
         for quarter in range(4):
             left = fit_plane(sums[k, quarter], z_ratio)[3]
             parts = parts + left if left >= 0.0 and parts >= 0.0 else -1.0
-        if parts / (n - 12 if n > 12 else 1) < MIN_QUARTERS * variance and squares > 0.0:
+        if parts / (n - 12 if n > 12 else 1) < MIN_VARIANCE_SHARE * variance and squares > 0.0:
             continue
         planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3] = a, b, c, math.sqrt(variance) * cos
     return planes

@@ -133,7 +133,10 @@ def _add_uncertified_cells(
 
 
 def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:
-    """Return west, south, east and north (local counts) of the box of all circles that can contain data (`RING`)."""
+    """Return west, south, east and north of a box that contains all empty circles through or around data (`RING`).
+
+    They are local counts.
+    """
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
     margin = RING + 1

@@ -52,7 +52,8 @@ def of_each_size(
 ) -> Model:
     """Fit the cells of each size in a window and return one model of them.
 
-    The model labels cells of the core if ``cells`` is true, else points by the size of the cells of their place.
+    If ``cells`` is true, the model labels cells, each with the model of its size. Otherwise it labels points, each with
+    the model of the cell size of its place.
     """
     present = cell_sizes(state[PLACES]) or CELL_SIZES_M[:1]
     if len(present) == 1:

@@ -11,11 +11,11 @@ Images show no ground below closed crowns. Two properties of the points distingu
   crowns. Halls are not rough. Adjacent roofs are rough, but many of their cells lie in one plane with their neighbours.
 
 The canopy is the area that wavy and tall cells cover together, with small openings filled. A square must fit into it: a
-smaller one if half of it is wavy, a larger one otherwise, as gardens and gables are rough, too. In the canopy, crowns
-that were classified as ground are not ground. Ground seen next to and between them stays as far as it continues without
-a step. Pits in crowns do not stay: they are far shallower than the trees are high. The height of trees is measured
-where the ground at their foot is visible. Every sum ends at a fixed distance, so cells farther than `reach_cells` do
-not change the result.
+smaller one if half of it is wavy, a larger one otherwise, because gardens and gables are rough, too. In the canopy,
+crowns that were classified as ground are not ground. Ground seen next to and between them stays as far as it continues
+without a step. Pits in crowns do not stay: they are far shallower than the trees are high. The height of trees is
+measured where the ground at their foot is visible. Every sum ends at a fixed distance, so cells farther than
+`reach_cells` do not change the result.
 
 Colours are not used, because a store contains them only for the few methods that need them. ``docs/filters.md`` reports
 what colours would add, and which canopies are found and missed.
@@ -54,8 +54,8 @@ The share is larger than `ROUGH_SHARE`. The standard deviation of the slopes, in
 least, is larger than `SCATTER`. The length of the mean slope is less than `ONE_WAY` times the mean length.
 """
 BOUNDED = 0.3
-"""Ratio of residuals of planes over `WAVE_WINDOW_M` to those over `AROUND_M` that crowns exceed, as they are bounded.
-On bare slopes, ridges and rocks the residuals continue to grow with the window."""
+"""Ratio of residuals of planes over `WAVE_WINDOW_M` to those over `AROUND_M` that crowns exceed, because they are
+bounded. On bare slopes, ridges and rocks the residuals continue to grow with the window."""
 OVER, TILT = 2.0, 1.1
 """Ratio of the residuals of all cells to those of the surface, and ratio of the scatter of slopes to their mean.
 
@@ -95,7 +95,7 @@ class Canopy(NamedTuple):
     covered : bool [rows, columns]
         Cells of a closed canopy and of small openings in it.
     crowns : bool [rows, columns]
-        Cells to remove: all cells of a canopy that the surface climbed, except visible ground, and pits.
+        Cells to remove: pits, and all cells of a canopy that the surface climbed except visible ground.
     """
 
     covered: Bool

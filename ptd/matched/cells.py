@@ -258,7 +258,8 @@ EMPTY = 2**31 - 1
 ALIGN = 8
 """Multiple of cells of the lattice at which rasters begin, so that all rasters have the same blocks of cells."""
 MARGIN = 4
-"""Minimum number of empty cells on each side of a raster, so that its edge is the same for any content."""
+"""Minimum number of empty cells on each side of a raster. Kernels that read neighbours of cells stay inside it, and
+every raster ends in empty cells."""
 
 
 def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:

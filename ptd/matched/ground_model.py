@@ -79,17 +79,17 @@ class Ground:
 
     def classes(self, x: Int32, y: Int32, z: Int32) -> UInt8:
         """Classify points: ground if a point and its neighbours lie near the surface. Returns ASPRS classes."""
-        metre = self.scale.counts_z(1.0)
-        unit = voting.PARTS * metre
+        counts_per_metre = self.scale.counts_z(1.0)
+        parts_per_metre = voting.PARTS * counts_per_metre
         height, sigma, narrowing = self.surface
-        above, residual = _heights_above(x, y, z, height, self.position, metre, unit)
+        above, residual = _heights_above(x, y, z, height, self.position, counts_per_metre, parts_per_metre)
         asked = np.abs(above) < CLEAR_M  # NaN, where there is no surface, gives False.
         voted = voting.votes(x, y, residual, asked, self.radius_m, self.sigma_m, self.scale)
         limits = _Limits(sigma, narrowing, GROUND_M)
-        labels = _classes(x, y, above, voted, limits, self.position, unit)
+        labels = _classes(x, y, above, voted, limits, self.position, parts_per_metre)
         if self.around is None:
             return labels
-        heights = last_look.Heights.of(x, y, above, np.where(asked, voted / unit, above), labels)
+        heights = last_look.Heights.of(x, y, above, np.where(asked, voted / parts_per_metre, above), labels)
         cell = _cell_of(x, y, self.position, *height.shape)
         return last_look.relabelled(heights, cell, self.around, self.scale, last_look_trees())
 
@@ -175,30 +175,43 @@ def _cell_of(x: Int32, y: Int32, position: RasterPosition, rows: int, columns: i
 
 @kernel
 def _heights_above(
-    x: Int32, y: Int32, z: Int32, surface: Float64, position: RasterPosition, metre: float, unit: float
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    surface: Float64,
+    position: RasterPosition,
+    counts_per_metre: float,
+    parts_per_metre: float,
 ) -> tuple[Float64, Int32]:
-    """Return the height of each point above the surface in metres and in whole units.
+    """Return the height of each point above the surface in metres, and in whole parts of a vertical count.
 
-    The first is NaN where there is no surface, the second 0 at `CLEAR_M` or more from it.
+    There are `voting.PARTS` parts in a count. The first is NaN where there is no surface, and the second is 0 at
+    `CLEAR_M` or more from it.
     """
     above, residual = np.empty(x.size, np.float64), np.zeros(x.size, np.int32)
     for k in range(x.size):
-        above[k] = z[k] / metre - _between(surface, as_int64(x[k]), as_int64(y[k]), position)
+        above[k] = z[k] / counts_per_metre - _between(surface, as_int64(x[k]), as_int64(y[k]), position)
         if abs(above[k]) < CLEAR_M:
-            residual[k] = np.int32(np.rint(above[k] * unit))
+            residual[k] = np.int32(np.rint(above[k] * parts_per_metre))
     return above, residual
 
 
 @kernel
 def _classes(
-    x: Int32, y: Int32, above: Float64, voted: Int32, limits: _Limits, position: RasterPosition, unit: float
+    x: Int32,
+    y: Int32,
+    above: Float64,
+    voted: Int32,
+    limits: _Limits,
+    position: RasterPosition,
+    parts_per_metre: float,
 ) -> UInt8:
     """Return ASPRS classes of points from their heights above the surface, or from the vote for points near it."""
     sigma, narrowing, ground_m = limits
     classes = np.full(x.size, UNCLASSIFIED, np.uint8)
     for k in range(x.size):
         near = abs(above[k]) < CLEAR_M
-        height = voted[k] / unit if near else above[k]
+        height = voted[k] / parts_per_metre if near else above[k]
         if not (near or height < 0.0):
             continue
         noise = _between(sigma, as_int64(x[k]), as_int64(y[k]), position)

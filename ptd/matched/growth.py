@@ -62,19 +62,19 @@ def reach_cells(cell_m: float) -> int:
 
 @kernel
 def _above_level(height: Float64, ground: Bool, row: int, column: int) -> float:
-    """Return how far the adjacent ground cells lie above a cell on average, or NaN if there are too few."""
+    """Return how far a cell lies above the mean of the adjacent ground cells, or NaN if there are too few."""
     n, total = 0, 0.0
     for r in range(row - 1, row + 2):
         for c in range(column - 1, column + 2):
             if ground[r, c]:
                 n += 1
-                total += height[r, c] - height[row, column]
+                total += height[row, column] - height[r, c]
     return total / n if n >= BESIDE else np.nan
 
 
 @kernel
 def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
-    """Return how far the plane through the ground cells around a cell lies above it, or NaN if there are too few."""
+    """Return how far a cell lies above the plane through the ground cells around it, or NaN if there are too few."""
     n, s, sx, sy, sz = 0, 0.0, 0.0, 0.0, 0.0
     sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0
     for dy in range(-PLANE_CELLS, PLANE_CELLS + 1):

@@ -58,7 +58,7 @@ def reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which cells do not change the result of `without_islands`.
 
     Rays begin at the last cell of an island and may end at the first cell of another surface. A surface that continues
-    beyond this distance is too wide for an island, as the part within the distance is wider than `MAX_WIDTH_M`.
+    beyond this distance is too wide for an island, because the part within the distance is wider than `MAX_WIDTH_M`.
     """
     roof_rule, around = _roof_rule(Scale(), cell_m), _around_cells(cell_m)
     return 2 * roof_rule.widest + roof_rule.view + max(roof_rule.gap, around) + around + 1
@@ -100,7 +100,7 @@ def _on_level_objects(
     heights: Int32, ground: Bool, levels: Int32, roof_rule: Plateaus, scale: Scale, cell_m: float
 ) -> Bool:
     """Find the cells of narrow surfaces of ground between objects of the same height: bool [rows, columns]."""
-    limit = math.floor(roof_rule.step) + 1  # The next whole number, as heights are whole numbers.
+    limit = math.floor(roof_rule.step) + 1  # The next whole number, because heights are whole numbers.
     surface, n = connected_surfaces(levels, limit, limit, roof_rule.gap)
     above = round(scale.counts_z(LEVEL_ABOVE_M))
     below = round(scale.counts_z(LEVEL_BELOW_M))

@@ -45,7 +45,7 @@ MAX_DISTANCE_M = 0.5
 CHANGE_ODDS = 1.5
 """Minimum odds against a label for a change of the label."""
 CLEAR_MM = 2000
-"""Limit at which heights above and below the surface are cut off, as trees and roofs need not be distinguished."""
+"""Limit at which heights above and below the surface are cut off, because trees and roofs need not be distinguished."""
 LOW_MM, HIGH_MM = 200, 1000
 """Heights between which low plants stand above the surface; higher plants are not confused with ground."""
 
@@ -218,7 +218,7 @@ STEEPEST = 5.0
 
 
 def reach_cells(cell_m: float) -> int:
-    """Return the distance in cells beyond which the surface does not change a point's label, own cell included."""
+    """Return the distance in cells, including a point's own, beyond which the surface does not change its label."""
     return math.ceil(CELL_REACH_M / cell_m) + 1
 
 

@@ -34,19 +34,19 @@ FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
 `FALL_CELLS` cells."""
 ALL_FALLS, FALL_LEAST = 0.9, 0.4
 """The rim falls nearly everywhere if the falling cells exceed both `ALL_FALLS` of the rim cells that are not close to
-objects found before, and `FALL_LEAST` of all rim cells. Such a surface may lie near the hull, as halls may be too wide
-for it."""
+objects found before, and `FALL_LEAST` of all rim cells. Such a surface may be an object even if it lies near the hull,
+because the hull climbs onto wide halls."""
 CUT_NEAR = 0.5
-"""A surface whose rim falls nearly everywhere, but is partly the border of the data, is not an object from this share
-of cells near the hull on: the fall may be a quay or a bank."""
+"""A surface whose rim falls nearly everywhere, but which partly ends at the border of the data, is not an object if at
+least this share of its cells lies near the hull: the fall may be a quay or a bank."""
 AREA_M2 = 40.0
 """Area of the smallest object that is classified as a whole; less stiff hulls pass below smaller ones."""
 MAX_WIDTH_M = 200.0
 """Width above which a surface is terrain."""
 TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
 """Limits of wide terrain, for example ridges and crests, even if the hull touches little of it. It is wider than
-`TERRAIN_M`, and at most `TERRAIN_FALLS` of its rim falls. At most `TERRAIN_RIM` of its cells may be rim, as the top of
-a wood is full of gaps."""
+`TERRAIN_M`, and at most `TERRAIN_FALLS` of its rim falls. At most `TERRAIN_RIM` of its cells may be rim, because the
+top of a wood is full of gaps."""
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
 """Limits of the ground of a small survey: it is wider than this in both directions, this share of it is near the hull,
 and its rim falls as little as that of wide terrain. In a strip or a garden, plants next to the border are

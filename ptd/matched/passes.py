@@ -75,7 +75,7 @@ class PlaceCellPass(MatchedPass):
 
 
 def _widened(core: Window, scale: Scale) -> Window:
-    """Return the core extended by half a metre, as bounds of buckets may be rounded differently."""
+    """Return the core extended by half a metre, because bounds of buckets may be rounded differently."""
     more = round(scale.counts(0.5))
     return Window(core.west - more, core.south - more, core.east + more, core.north + more)
 
@@ -87,7 +87,7 @@ class CellModel(Model):
         self._xyz, self.stats = xyz, {"cells": int(xyz.shape[1])}
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Raise NotImplementedError, as the pass gives no labels."""
+        """Raise NotImplementedError, because the pass gives no labels."""
         raise NotImplementedError("the pass gives no labels")
 
     def elect(self, bounds: Window) -> Int32:
@@ -127,7 +127,8 @@ class ObjectPass(MatchedPass):
             return Codes(None, codes, cells)
         raster = raster_of(points.xyz, cells)
         if (known > 0).all() and not (known == OBJECT).any():
-            return Codes(raster, known, cells)  # Without objects found before, the result stays.
+            # The first search found no objects, so the second would give the same codes.
+            return Codes(raster, known, cells)
         is_object = np.zeros(raster.heights.size, np.bool_)
         is_object[raster.keys[codes == OBJECT]] = True
         removed = is_object.reshape(raster.heights.shape)

@@ -12,7 +12,7 @@ with its lowest point, so the counts of tiles add up. There are three kinds of c
   points below plants lie among the points of the plants, and points below a wall or a cliff lie next to them. A wide
   cell is *mixed*
   if it has a gap of `GAP_M` in height, and no line in the plan separates the points below the gap from those above it.
-  At least `BELOW` points must lie below, as blunders are fewer. A wide cell is seen through if it and at least
+  At least `BELOW` points must lie below, because blunders are fewer. A wide cell is seen through if it and at least
   `MIN_MIXED` of the 3 x 3 cells around it are mixed. It has `MIN_POINTS` to `MAX_POINTS` points: fewer show nothing,
   and with more points cells of `CELL_M` suffice.
 - Cells with *overhangs* are counted in an eighth of the area. Lattices of all sizes in `OVERHANG_CELLS_M` are tried,
@@ -183,14 +183,14 @@ def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
 
 def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:
     """Count the cells of all sizes in a core, and those with an overhang."""
-    looks = overhangs = 0
+    n_cells = n_overhangs = 0
     for size_m in OVERHANG_CELLS_M if x.size else ():
         raster = _Raster.of(size_m, x, y, z, scale)
         asked, hanging = _hanging(z, *by_cell(raster.slot, raster.keys.size), scale.counts_z(HANGING_GAP_M))
         is_in_core = core.contains(x[raster.lowest], y[raster.lowest])
-        looks += int((is_in_core & asked).sum())
-        overhangs += int((is_in_core & hanging).sum())
-    return {"overhang_looks": looks, "overhangs": overhangs}
+        n_cells += int((is_in_core & asked).sum())
+        n_overhangs += int((is_in_core & hanging).sum())
+    return {"overhang_looks": n_cells, "overhangs": n_overhangs}
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ passes on cells."""
 
 
 def known(figures: Figures, figure: int) -> float:
-    """Return a figure of a place that is always a number."""
+    """Return a figure of a place as a number, for figures that are never None."""
     return float(figures[figure] or 0.0)
 
 

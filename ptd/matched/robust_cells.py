@@ -82,7 +82,7 @@ class MethodSurveyPass(SurveyPass):
             return after
         line = (
             f"decided: starts from one robust height per cell of {cell_m(after):g} m, not the lowest point. After a "
-            f"vote of neighbours, ground is up to {GROUND_M:g} m and twice the local noise from the surface "
+            f"vote of neighbours, ground is up to {GROUND_M:g} m plus twice the local noise from the surface "
             "(--set robust_cells=no: as in the paper)"
         )
         return {**after, "notes": add_notes(after, line, *self.notes)}

@@ -36,7 +36,7 @@ def _keep_lowest(lowest: Int32, values: Int32, first: int) -> None:
 
 @kernel
 def _tilted(out: Int32, values: Int32, fall: int, tilt: Int32, step: int) -> None:
-    """Add to values the fall of a paraboloid ``step`` cells from its centre, with its block's tilt, into ``out``."""
+    """Write to ``out`` values plus the fall of a paraboloid ``step`` cells from its centre, minus its block's tilt."""
     more, steps = np.int32(fall), np.int32(step)
     for c in range(out.size):
         out[c] = np.int32(values[c] + more) - np.int32(tilt[c] * steps)

@@ -42,10 +42,10 @@ are terrain as a whole (`ptd.matched.objects`), because they would follow cars."
 CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
 """Mean slopes of the surroundings (`TERRAIN_M`) at which hulls of more curvature than `OPEN_GROUND` begin to be used,
 and are used fully. On level ground they are used only for features that are at least `CREST_M` wide, for example dams.
-Cars are terrain as a whole as well if a single cell connects them to the ground."""
+A car that a single cell connects to the ground belongs to the surface of the ground, so it is terrain as a whole."""
 STEEP = (0.3, 0.6)
-"""Mean slopes at which terrain just above a ridge's hull begins to count less as plants, and does not count at all,
-because hulls cut crests."""
+"""Mean slopes up to which terrain just above a ridge's hull counts fully as plants, and from which on it does not
+count, because hulls cut off crests."""
 BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
 """Largest distance of cells on a hull: the sum of metres, a multiple of the noise, and metres per unit of slope."""
 CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
@@ -81,20 +81,21 @@ FINE_ROUNDS, FINE_M, FINE_CELLS, FINE_BESIDE = 2, 1.0, 1.0, 0.1
 
 They are the number of rounds, the standard deviation (in metres, and its minimum in cells) of the surroundings whose
 mean residual is added, and the weight of cells that rise next to objects. Where the ground bends, at the foot of a
-bank, a cell's own height is more accurate than a wide mean, as it is the median of many points. The weight is less than
-`BESIDE`, as fewer cells are averaged.
+bank, a cell's own height is more accurate than a wide mean, because it is the median of many points. The weight is less
+than `BESIDE`, because fewer cells are averaged.
 """
 EDGE_ROUNDS = 2
 """Number of times that the mean residual is added, at the smaller scale, where ground grew to an edge."""
 ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
 """Largest distances of cells near the surface, above and below it: metres, plus a multiple of the local noise."""
 ABOUT_SLOPE = 0.15
-"""Addition to these distances in metres per unit of slope. It counts twice below, where slopes are lost."""
+"""Addition to these distances in metres per unit of slope. It counts twice below the surface, because ground on
+slopes would be lost there."""
 GAP, NARROWEST, GAP_TERRAIN = (0.1, 0.55), 0.25, 0.5
 """Settings of the band of ground among low plants.
 
 - `GAP`: contrasts up to which the band above the surface is whole, and at which it becomes narrowest.
-- `NARROWEST`: narrowest part of the band.
+- `NARROWEST`: smallest factor by which the band is multiplied.
 - `GAP_TERRAIN`: weight of cells that are terrain as a whole, which is less because they may be banks.
 """
 NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02

@@ -18,7 +18,7 @@ from ptd.places import Field, as_field, values_at
 Float64 = npt.NDArray[np.float64]
 
 PARTS = 16
-"""Number of parts of a vertical count in which residuals are whole numbers, so that sums do not depend on an order."""
+"""Residuals are whole numbers of 1 / `PARTS` of a vertical count, so sums do not depend on the order of points."""
 
 NEIGHBOURS = 10.0
 """Average number of points within the radius of the neighbourhood."""
@@ -37,8 +37,8 @@ ROUNDED = 1e-9
 FAR = 2**30
 """Residual that is not alike any other."""
 FINEST = 2**13
-"""Positions are rounded so that the largest radius has at most this many units. Counts that are coarser do not
-change."""
+"""Positions are rounded so that the largest radius has at most this many units. If counts are coarser than
+these units, positions stay in counts."""
 
 
 def radius_m(density_m2: float) -> float:

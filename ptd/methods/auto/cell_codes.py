@@ -1,4 +1,4 @@
-"""Results of the passes of `auto` for the next pass: a code per cell, which all points in the cell get."""
+"""Results of the passes of `auto` for the next pass: each cell has a code that applies to all its points."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ class CellCodes(Model):
         Window outside which all cells are uncertified.
     stats : dict
     uncertified : bool [m], optional
-        Mask of the codes that points outside the window could change; by default none within `certain`.
+        Mask of the codes that points outside the window could change. By default all codes within `certain` are
+        certified.
     """
 
     def __init__(

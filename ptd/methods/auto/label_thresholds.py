@@ -22,13 +22,13 @@ from ptd.places import PLACES, Figures, field, span
 SPARSE_M2 = 1.0
 """Density in points per square metre up to which the last pass uses the parameters unchanged."""
 DENSE_M2 = 2.0
-"""Density in points per square metre at and above which the last pass is as narrow as noise allows."""
+"""Density in points per square metre from which on the last pass is as narrow as noise allows."""
 DENSE_FLOOR_M = 0.12
 """Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider floor from the measured
 noise would classify low plants as ground, because meadows and fields look planar too."""
 GIVEN_BASE_M = 0.05
-"""Floor of the last pass for a noise of 0, if the user gives the noise. The result is at least
-`DENSE_FLOOR_M`, and at most `AutoParameters.label_floor_m`."""
+"""Constant part of the floor for dense clouds if the user gives the noise. The floor is this plus `GIVEN_SIGMAS` times
+the noise, but at least `DENSE_FLOOR_M` and at most `AutoParameters.label_floor_m`."""
 GIVEN_SIGMAS = 3.0
 """Multiple of the noise given by the user that is added to `GIVEN_BASE_M`."""
 DENSE_SLOPE = 0.5
@@ -104,8 +104,8 @@ def decided(
             span([known(figures, figure) for figures in held], 2) for figure in (CELL_SIGMA, CELL_SIZE)
         )
         line = (
-            f"decided: ground is up to {GROUND_M:g} m and twice the local noise from the surface, "
-            f"after a vote of neighbours; noise of the place {noise} m, cells of {size_m} m"
+            f"decided: ground is up to {GROUND_M:g} m plus twice the local noise from the surface, "
+            f"after neighbours voted; noise of the place {noise} m, cells of {size_m} m"
         )
         return survey, [note, line]
     densities = sorted(known(figures, DENSITY) for figures in held)

@@ -1,8 +1,9 @@
 """``auto``: decides the source of the cloud, and finds the ground of LiDAR and photogrammetric clouds differently.
 
 This is our own method and the default. The same settings serve all clouds, and the method derives all differences from
-the cloud itself. In photogrammetric clouds heights scatter to both sides and blunders lie below. So a robust height per
-cell, large objects classified as a whole, and a surface of limited curvature find the ground (`ptd.matched`).
+the cloud itself. In photogrammetric clouds heights scatter to both sides and blunders lie below. So ground is found
+from a robust height per cell, by classifying large objects as a whole, and by a surface of limited curvature
+(`ptd.matched`).
 
 The passes below are for LiDAR clouds and work on the lowest point of each cell of 1 m. They find morphological seeds,
 densify in a few rounds, and remove what still rises like an object. ``docs/filters.md`` has figures, the reasons for
@@ -10,18 +11,19 @@ the passes, and their radii.
 
 survey
     Decide between laser scanning and image matching by returns and penetration (`ptd.matched.survey`). Measure density
-    and noise of each place (`ptd.ground.noise_by_place`), which give the thresholds (`label_thresholds`).
+    and noise of each place (`ptd.ground.noise_by_place`). The thresholds follow from the density (`label_thresholds`).
 seeds
     Remove low outliers. Cells that drop steeply in openings of growing radius (`objects`) are objects, and all other
     cells are seeds.
 densify
-    Add cells of objects that fit to the TIN of the seeds (`ptd.ground.densify`): edges and tops that the openings cut.
+    Add object cells to the TIN of the seeds if they fit it (`ptd.ground.densify`). They are edges and tops that the
+    openings cut.
 refine
-    Subtract the mean of the ground and remove cells that rise from it: walls, cars, shrubs on slopes, and roofs that
-    were climbed. Do this again among the remaining ground.
+    Subtract the mean of the ground and remove cells that rise from it: walls, cars, shrubs on slopes, and roofs onto
+    which densification climbed. Do this again among the remaining ground.
 roofs
     Remove roofs: connected ground of at most 200 m width that lies above nearly all ground around it
-    (`ptd.ground.plateaus`). Do this four times, as lower roofs lean on higher ones.
+    (`ptd.ground.plateaus`). Do this four times, because lower roofs lean on higher ones.
 label
     Add cells within half the distance and half the angle of `densify` to the TIN of the remaining ground, once. Then
     classify each point by its height above the TIN, or above a finer surface where points are dense.
@@ -29,24 +31,27 @@ label
 ====================  ==========================  ========  ============================================================
 parameter             origin                      default   reason
 ====================  ==========================  ========  ============================================================
-max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for halls of towns; wider openings cut hill tops
-thin_cell             as `classic`                1 m       the terrain's detail; the lowest of many points lies at the
-                                                            lower side of the noise everywhere
+max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for most large buildings in towns; wider
+                                                            openings cut hill tops
+thin_cell             as `classic`                1 m       fine enough for terrain detail; in every cell the lowest of
+                                                            many points lies at the lower edge of the noise, so the
+                                                            surface stays smooth
 low_radius, _depth,   as `classic`                5 m, 4 m, larger groups are not noise of a laser
 low_group                                         5
 seed_rise, _slope     Pingel 2013 (slope, scale)  0.06, 0.2 keeps ground that rises by 0.06 m per m next to flat
                                                             ground, and by a fifth of the slope more on slopes
 rounds                ours                        4         more rounds change little and need wider halos
-iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
-_angle, edge_length_                              28 deg,
+iteration_distance,   as `classic`                1.4 m,    the seeds are dense already, and `edge_length_reduce`
+_angle, edge_length_                              28 deg,   (L1) keeps the angle small there
 reduce                                            5 m
-object_size, _rise    ours                        12 m, 0.1 wider objects were found before; lower ones are within the
-                                                            floor of the last pass
+object_size, _rise    ours                        12 m, 0.1 wider objects were found before; in clouds up to 1 point/m2
+                                                            lower ones are within the floor of the last pass
 roof_size             ours                        200 m     the largest halls, except those of industry
-label_floor           as `classic`                0.24 m    below 1 point/m2, a compromise between rough ground between
-                                                            sparse points and low plants; from 2 points/m2 on
-                                                            0.12 m, or 0.05 m plus three times the user's noise if
-                                                            that is more, but at most this value
+label_floor           as `classic`                0.24 m    up to 1 point/m2, a compromise: higher values keep rough
+                                                            ground between sparse points, lower ones remove low
+                                                            plants; from 2 points/m2 on the floor is 0.12 m, or
+                                                            0.05 m plus three times the user's noise if that is
+                                                            more, but at most this value
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
 refine                ours                        yes       photogrammetric clouds: `ptd.matched.last_look`
@@ -143,7 +148,7 @@ class LidarPass(Pass):
     kind = "lidar"
 
     def applies(self, state: State) -> bool:
-        """Return whether the survey did not classify the run as image matching."""
+        """Return whether the run is LiDAR, or was not surveyed."""
         return "survey" not in state or not is_matched(state)
 
 
@@ -174,7 +179,7 @@ class SeedPass(LidarPass):
 
 @dataclass(frozen=True)
 class DensifyPass(LidarPass):
-    """Pass that adds cells of objects that fit to the TIN of the seeds."""
+    """Pass that adds object cells to the TIN of the seeds if they fit it."""
 
     params: Auto
     name: str = "densify"
@@ -200,7 +205,7 @@ class DensifyPass(LidarPass):
 
 @dataclass(frozen=True)
 class RefinePass(LidarPass):
-    """Pass that removes ground cells that rise from the ground found."""
+    """Pass that removes ground cells that rise from the mean of the ground."""
 
     params: Auto
     name: str = "refine"
@@ -251,7 +256,7 @@ class RoofPass(LidarPass):
         ground, earlier_roofs = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):
             if self.again and not earlier_roofs[index].any():
-                continue  # Without roofs found before, the result stays.
+                continue  # No roof was found before, so the result is the same.
             raster = CellRaster(x[index], y[index], wide)
             roofs = on_plateaus(z[index], ground[index], earlier_roofs[index], raster, roof_rule)
             codes[index[roofs & inner]] = ROOF
@@ -271,7 +276,7 @@ class LabelPass(LidarPass):
     by_place: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
-        """Build the TIN, and add edges that were cut with objects again."""
+        """Build the TIN and restore edges that were removed together with objects."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)

@@ -6,7 +6,8 @@ no more than its slope gives. So a cell belongs to an object if for some radius 
     drop(r) - allowance > (per_metre + per_slope * slope) * r
 
 Here drop(r) is the fall from the opening with r - 1 to that with r, both of the original raster, and slope is that of
-the surface after the last opening. Heights beyond a fixed distance do not change any of these results.
+the surface after the last opening (for seeds) or of the ground (for residuals). For residuals the threshold also
+grows where there are few objects around. Heights beyond a fixed distance do not change any of these results.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Shape:
 
     @property
     def reach(self) -> int:
-        """Distance in cells beyond which heights do not change `steep_objects`, by openings and their slopes."""
+        """Distance in cells beyond which heights do not change `steep_objects`."""
         return 2 * self.radius + 2 * self.slope
 
 
@@ -64,7 +65,7 @@ class Residuals:
     lack : float
         Addition to the threshold where there are no objects around, in metres per metre.
     enough : float
-        Share of objects at and above which the threshold does not grow.
+        Share of objects from which on the threshold does not grow.
     """
 
     drop: Drop
@@ -97,16 +98,16 @@ class Lowest:
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice, cell_m: float, scale: Scale) -> None:
         self.raster, self.z, self.scale = CellRaster(x, y, cells), z, scale
         self.unit = scale.counts_z(cell_m)
-        """Vertical counts per cell of a slope of 1."""
+        """Rise in vertical counts over one cell at a slope of 1."""
 
-    def heights(self, which: Bool) -> Int32:
-        """Return the raster of the heights of chosen points: int32 [rows, columns]."""
-        return self.raster.lowest(self.z, which)
+    def heights(self, mask: Bool) -> Int32:
+        """Return the raster of the heights of the points in a mask: int32 [rows, columns]."""
+        return self.raster.lowest(self.z, mask)
 
-    def steep_objects(self, which: Bool, drop: Drop, shape: Shape) -> Bool:
+    def steep_objects(self, mask: Bool, drop: Drop, shape: Shape) -> Bool:
         """Return a mask of the points where the surface of the chosen points drops like an object: bool [n]."""
         steepest, opened = steepest_drops(
-            self.heights(which), range(1, shape.radius + 1), self.scale.counts_z(drop.allowance_m)
+            self.heights(mask), range(1, shape.radius + 1), self.scale.counts_z(drop.allowance_m)
         )
         keys = self.raster.keys
         allowed = drop.per_metre * self.unit + drop.per_slope * Boxes(opened).slopes(shape.slope, keys)
@@ -116,8 +117,8 @@ class Lowest:
     def residual_objects(self, ground: Bool, present: Bool, limits: Residuals) -> Bool:
         """Return a mask of the points that rise like objects after subtracting the mean of the ground: bool [n].
 
-        Without this trend slopes do not hide low objects, so small radii and thresholds suffice. Where there are no
-        objects around, a rise is more likely a bump of the terrain, so the threshold grows (`lack`).
+        Once the mean is subtracted, slopes do not hide low objects, so small radii and thresholds suffice. Where there
+        are no objects around, a rise is more likely a bump of the terrain, so the threshold grows (`lack`).
         """
         boxes, drop, keys = Boxes(self.heights(ground)), limits.drop, self.raster.keys
         means = boxes.means(limits.trend, keys)
@@ -132,7 +133,7 @@ class Lowest:
         return is_object
 
     def lack_of_objects(self, ground: Bool, limits: Residuals) -> Float64:
-        """Return 1 where all cells around are ground, down to 0 where a share `enough` is not: float64 [n]."""
+        """Return 1 where all cells around are ground, falling to 0 where a share `enough` is not: float64 [n]."""
         objects = self.raster.lowest((~ground).astype(np.int32), np.ones(ground.size, np.bool_))
         share = Boxes(objects).means(
             limits.around, self.raster.keys

@@ -65,7 +65,7 @@ class Rise:
     per_slope : float
         Extra drop allowed per unit of slope.
     enough : float
-        Share of objects around at and above which `LACK` does not matter.
+        Share of objects around from which on `LACK` has no effect.
     """
 
     drop_m: float
@@ -74,10 +74,9 @@ class Rise:
 
 
 LACK = 2.0
-"""Extra rise allowed where no objects are around, as a bump is more likely terrain there."""
+"""Extra rise allowed where no objects are around, because a bump is more likely terrain there."""
 OBJECTS = Rise(drop_m=0.2, per_slope=0.2, enough=0.3)
-"""Limits among all cells. A drop below 0.2 m is less than the largest distance of ground from the TIN in the
-last pass."""
+"""Limits among all cells. In clouds up to 1 point/m2 a drop below 0.2 m is within the floor of the last pass."""
 BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
 """Limits among the remaining cells of ground. Their mean no longer contains removed objects, so a smaller drop is
 allowed, but more per unit of slope."""
@@ -88,8 +87,8 @@ class AutoParameters:
     """Settings of `auto`, to which `ptd.methods.auto.method.Auto` adds the passes."""
 
     max_building_size_m: float = parameter(
-        36.0, "widest object that the seeds are cleared of; wider buildings are looked for as roofs. Raise it if halls "
-        "stay in the terrain, lower it if hill tops are cut off", unit="m", minimum=2.0, maximum=1000.0,
+        36.0, "widest object removed from the seeds; wider buildings are removed as roofs. Raise it if halls stay in "
+        "the terrain, lower it if hill tops are cut off", unit="m", minimum=2.0, maximum=1000.0,
     )  # fmt: skip
     thin_cell_m: float = parameter(
         1.0, "the lowest point of a cell of this size decides for the cell; choose about the size of the smallest "
@@ -107,32 +106,36 @@ class AutoParameters:
         maximum=100.0,
     )  # fmt: skip
     rounds: int = parameter(
-        4, "rounds in which ground grows from the seeds; more follow steeper terrain and need a wider halo", minimum=1,
-        maximum=1000,
+        4, "rounds in which ground grows from the seeds; with more rounds it follows steeper terrain, but the halo "
+        "must be wider", minimum=1, maximum=1000,
     )  # fmt: skip
     iteration_distance_m: float = like(Progressive, "iteration_distance_m")
     iteration_angle_deg: float = like(Progressive, "iteration_angle_deg", 28.0)
     edge_length_reduce_m: float = like(Progressive, "edge_length_reduce_m")
     object_size_m: float = parameter(
-        12.0, "widest object (car, shrub, wall) that is taken out of the ground found", 2.0, 1000.0, "m"
+        12.0, "widest object (car, shrub, wall) that is removed from the ground", 2.0, 1000.0, "m"
     )
     object_rise: float = parameter(
         0.1, "steepest rise of ground above the mean around it, metres per metre. Lower it if low objects stay, raise "
         "it if banks and bumps are lost", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     roof_size_m: float = parameter(
-        200.0, "widest roof that is told from terrain by its edges, which fall on all sides", 2.0, 1000.0, "m"
+        200.0,
+        "widest roof; a roof differs from terrain in its edges, which fall on all sides",
+        2.0,
+        1000.0,
+        "m",
     )
     label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
     label_slope_m: float = parameter(1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m")
     refine: bool = parameter(
-        True, "photogrammetric clouds: decision trees fitted to scenes with reference classes classify each point near "
-        "the edge of the ground once more; no: only the height above the surface decides",
+        True, "photogrammetric clouds: reclassify points near the edge of the ground with decision trees that were "
+        "trained on scenes with reference classes; no: classify by the height above the surface only",
     )  # fmt: skip
 
     fine_surface: bool = parameter(
-        True, "last pass: where 3 points/m2 or more lie near the ground, a surface of cells of 0.4 m judges them. "
-        "No: the TIN of the lowest point of each metre, as elsewhere"
+        True, "last pass: where 3 points/m2 or more lie near the ground, compare points with a surface of cells of "
+        "0.4 m; no: compare all points with the TIN of the lowest point of each metre"
     )  # fmt: skip
 
     reaches: ClassVar[Reaches] = Reaches()
@@ -152,7 +155,7 @@ class AutoParameters:
 
     @property
     def seed_drop(self) -> Drop:
-        """Rule by which a cell is not a seed."""
+        """Rule that excludes a cell from the seeds."""
         return Drop(SEED_DROP_M, self.seed_rise, self.seed_slope)
 
     @property
@@ -194,7 +197,7 @@ class AutoParameters:
 
     @property
     def halo_m(self) -> float:
-        """Halo in metres: two cells of the ring for the circles of the first TIN, and 8 m per round."""
+        """Halo in metres: two cells of the ring for circles of the first TIN, and 8 m for each of at most 30 rounds."""
         return 2.0 * RING_M + ROUND_HALO_M * min(self.rounds, 30)
 
     @property
@@ -204,7 +207,7 @@ class AutoParameters:
 
     @property
     def margin_m(self) -> float:
-        """Margin of one thinning cell, so that windows contain whole ones even if the ring's cells do not."""
+        """Margin of one thinning cell, so that windows contain whole ones even if cells of the ring do not."""
         return self.thin_cell_m
 
     @property

@@ -105,7 +105,7 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
     assert notes == [
         "decided: image matching (88 % sure: no pulses passed through plants; "
         "returns, GPS times, angles and flight lines show no sensor); 8 points/m2, noise 0.07 m",
-        "decided: ground is up to 0.15 m and twice the local noise from the surface, after a vote of neighbours; "
+        "decided: ground is up to 0.15 m plus twice the local noise from the surface, after neighbours voted; "
         "noise of the place 0.07 m, cells of 1 m",
     ]
     assert (
