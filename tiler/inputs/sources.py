@@ -317,5 +317,5 @@ def _whole_chunks(counts: Sequence[int], size: int, largest: int) -> list[tuple[
     for start, count in ranges:
         step = size if count > largest else count
         for first in range(0, count, step):
-            divided_ranges.append((start + first, min(size, count - first)))
+            divided_ranges.append((start + first, min(step, count - first)))
     return divided_ranges

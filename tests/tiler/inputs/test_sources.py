@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +9,14 @@ import laspy
 import numpy as np
 import psutil
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.inputs.common_crs import resolve_common_crs
 from tiler.inputs.search import find_inputs
-from tiler.inputs.sources import inspect, pieces
+from tiler.inputs.sources import SourceInfo, inspect, pieces
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, PointReader
 
@@ -141,6 +144,33 @@ def test_pieces_cover_each_point_once_and_consist_of_whole_chunks(
     assert starts[-1] == 130_001
     if suffix == "laz":
         assert all(s % 50_000 == 0 for s, _ in ranges)
+
+
+@pytest.fixture(scope="module")
+def laz_info(tmp_path_factory: pytest.TempPathFactory) -> SourceInfo:
+    cloud = laspy.create(point_format=6)
+    cloud.x = cloud.y = cloud.z = np.arange(3.0)
+    path = tmp_path_factory.mktemp("laz") / "small.laz"
+    cloud.write(path)
+    return inspect(path)
+
+
+@given(
+    counts=st.lists(st.integers(0, 6_000_000), max_size=20),
+    size=st.integers(1_000, 1_000_000),
+    record_length=st.sampled_from([20, 34, 67, 3_000]),
+)
+@example(counts=[2_000_000, 500], size=1_000_000, record_length=34)
+def test_pieces_of_chunks_of_any_length_cover_each_point_once(
+    laz_info: SourceInfo, counts: list[int], size: int, record_length: int
+) -> None:
+    """Chunks of a LAZ file may have more points than a piece, and fewer than make it worth to divide them."""
+    info = replace(laz_info, chunks=tuple(counts), points=sum(counts), record_length=record_length)
+    ranges = pieces(info, size)
+    ends = np.cumsum([n for _, n in ranges], dtype=np.int64).tolist()
+    assert [start for start, _ in ranges] == [0, *ends][: len(ranges)]
+    assert sum(n for _, n in ranges) == sum(counts)
+    assert all(n > 0 for _, n in ranges)
 
 
 def test_inputs_of_files_folders_and_globs(make_cloud: Any, tmp_path: Path) -> None:
