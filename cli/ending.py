@@ -18,7 +18,10 @@ from cli import exit_codes
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_SECONDS = 4.0
-"""Time after a signal for closing files and for the last line. A batch system kills the process soon after it."""
+"""Time after a signal for closing files and for the last line.
+
+A batch system kills the process soon after the signal.
+"""
 FORCED = b"tiler: interrupted; the work did not stop, so the process was ended\n"
 
 

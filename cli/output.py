@@ -20,8 +20,8 @@ SHARES = (0.3, 0.75, 1.5)
 def write_line(line: str, error: bool = False) -> None:
     """Write one line to stdout or stderr.
 
-    All output passes through this function, because it may contain names and texts from files. It escapes control
-    sequences of the terminal, and hides passwords and tokens in URLs.
+    All output except tables on a terminal passes through this function, because it may contain names and texts from
+    files. It escapes control sequences of the terminal, and hides passwords and tokens in URLs.
     """
     encoding = (sys.stderr if error else sys.stdout).encoding or "utf-8"
     click.echo(shown(line).encode(encoding, "backslashreplace").decode(encoding), err=error)

@@ -149,7 +149,10 @@ def sigma_lines(found: Mapping[str, Any], unit: str) -> list[str]:
             where = f"slope {row['from_deg']} to {row['to_deg']} degrees"
             lines.append(f"        {where}: expected {expected}, actual {true} over {row['pixels']:,} pixels")
     if found["area"] is not None:
-        first = f"{percent_text(found['in_first_tenth'])} of the squared error in a tenth of the area"
-        curve = f"area under the curve {found['area']:.3f}, at best {found['area_at_best']:.3f}"
-        lines.append(f"        largest sigma first: {first}; {curve}")
+        share = percent_text(found["in_first_tenth"])
+        lines.append(
+            f"        the tenth of the pixels with the largest sigma has {share} of the squared error"
+        )
+        rank = f"{found['area']:.3f} (0.5: random; best possible: {found['area_at_best']:.3f})"
+        lines.append(f"        ranking of the pixels by sigma: {rank}")
     return lines

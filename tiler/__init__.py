@@ -1,4 +1,7 @@
-"""Terrain of cities to countries from point clouds: `run`, `classify`, `check`, `open_store` (docs/python.md)."""
+"""Terrain models from point clouds, for areas from a city to a country.
+
+The functions are `run`, `classify`, `check` and `open_store` (docs/python.md).
+"""
 
 from __future__ import annotations
 

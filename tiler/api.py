@@ -131,7 +131,7 @@ class ClassifyResult:
     summary : dict
         Output of ``tiler classify --json``: points, changed, classes, method, parameters, seconds and more.
     path : Path
-        Path of the classified cloud.
+        Path of the classified cloud, or of the folder for several clouds.
     notes : tuple of str
         Decisions and findings, one line per item.
     """
@@ -158,15 +158,16 @@ def classify(
     progress: ShowProgress = None,
     **settings: Any,
 ) -> ClassifyResult:
-    """Classify LAS or LAZ files, like ``tiler classify``. The points keep their order and get new classes.
+    """Classify LAS or LAZ files, like ``tiler classify``. The points get new classes.
 
     Parameters
     ----------
     source : path or URL, or several of them
         Cloud, or several clouds, folders and globs.
     target : path
-        Path of the classified cloud, whose suffix selects LAZ or LAS. The file appears when it is complete. For
-        several clouds, the path of a folder that gets one LAZ file per cloud.
+        Path of the classified cloud, whose suffix selects LAZ, LAS or COPC (``.copc.laz``, in spatial order; LAZ and
+        LAS keep the order of the points). The file appears when it is complete. For several clouds, the path of a
+        folder that gets one LAZ file per cloud.
     config, progress, **settings
         Settings and progress, see `run`.
 

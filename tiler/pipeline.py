@@ -73,7 +73,7 @@ def run(
         Files, folders, globs or URLs of clouds.
     out : path
         Folder of the results, which is made if it does not exist, or a URL. For a URL, run.json, the log and the report
-        are in a local folder with the last name of the URL, and are copied to the URL at the end.
+        are in a local folder named after the last part of the URL, and are copied to the URL at the end.
     config : RunConfig
     listener : callable
         Listener of events, see `tiler.observe.events`.
@@ -268,7 +268,7 @@ def _make_folder(out: Path) -> None:
 
 
 def _with_store(plan: Plan, url: str) -> tuple[Plan, TileStore]:
-    """Return the plan and its store, which is new or settles the plan."""
+    """Return the plan and its store. The lattices and decisions of an existing store replace those of the plan."""
     if plan.config.overwrite or not store_exists(url):
         return plan, create_store(url, plan.grid.meta, settled(plan), anew=plan.config.overwrite)
     store = open_store(url)

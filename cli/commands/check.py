@@ -139,7 +139,7 @@ def _print_seams(seams: Mapping[str, Any]) -> None:
         for name in ("tiles", "beside_tiles", "blocks", "beside_blocks", "interior")
         if name in seams
     ]
-    columns = ("pixels across", "pairs", "mean step", "largest step", "mean jump", "largest jump")
+    columns = ("position", "pairs", "mean step", "largest step", "mean jump", "largest jump")
     edges = f"across edges of tiles of {seams['tile']:g} (unit of x and y)"
     print_table(f"steps between pixels, {seams['unit']}, {edges}", columns, rows)
 

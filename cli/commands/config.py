@@ -15,7 +15,9 @@ from tiler.config.presets import preset_text
 from tiler.errors import ConfigError
 from tiler.redaction import without_secrets
 
-HEAD = "# Settings of tiler for --config; options override them. A setting in a comment has no value."
+HEAD = (
+    "# Settings of tiler for --config; options override them. A setting that is commented out has no value."
+)
 LAST = "parameters"  # a table, which must follow the plain values in TOML
 
 

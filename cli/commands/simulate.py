@@ -104,7 +104,7 @@ def command(
     OUT.laz gets the points of a simulated place with their ASPRS classes. Class 1 is cars and garden walls, 2 ground, 6
     buildings and facades, 9 water, 14 wires, 15 towers and 17 bridges. Classes 3, 4 and 5 are plants below 1 m, below
     3 m and higher. Classes 7 and 18 are blunders below the ground and in the air. OUT_dtm.tif next to OUT.laz gets the
-    reference terrain, also below objects. The cloud is simulated patch by patch, so only the disk limits its size.
+    reference terrain, also below objects. The cloud is simulated patch by patch, so memory does not limit its size.
     """
     from tiler.core.units import parse_length
     from tiler.simulate.files import describe_scene, write_scene

@@ -77,7 +77,7 @@ def test_a_window_over_http_reads_the_nodes_near_it(
 @pytest.mark.parametrize(
     ("file", "content", "reason"),
     [
-        ("ept.json", {"dataType": "binary"}, "of the type 'binary', laszip can be read"),
+        ("ept.json", {"dataType": "binary"}, "of the type 'binary', but only laszip can be read"),
         ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0]}, "no cube"),
         ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0, 10**400, 1, 1]}, "no cube"),
         ("ept.json", {"dataType": "laszip", "bounds": [-1.7e308, 0, 0, 1.7e308, 1, 1]}, "no cube"),

@@ -80,7 +80,7 @@ KEEP = {"method": "keep", "crs": "EPSG:25832", "resolution": "1"}
     [
         (1e9, 1e9, "outside the coordinates of any CRS"),
         (0.0, 0.0, "km from the other files: too far for one run"),
-        (0.0, 4_000_000.0, "nearly all of them empty; use --sheets"),
+        (0.0, 4_000_000.0, "most of them empty; use --sheets"),
     ],
 )
 def test_a_file_with_absurd_coordinates_is_left_out(

@@ -68,7 +68,9 @@ def describe(path: str) -> dict[str, Any]:
             is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
             is_folder = not missing and not is_cloud and location.is_dir()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); give what can be") from error
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error}); give a readable file or folder"
+        ) from error
     if missing and is_url(path):
         if read_run(path) is not None:
             return describe_result(location)
@@ -150,7 +152,9 @@ def describe_result(folder: Path) -> dict[str, Any]:
             f"{folder / RUN}: cannot be read ({error.strerror}); check its permissions"
         ) from error
     except ValueError as error:
-        raise InputError(f"{folder / RUN}: not valid JSON ({error}); run the same command again") from error
+        raise InputError(
+            f"{folder / RUN}: not valid JSON ({error}); run `tiler run` into this folder again"
+        ) from error
     description: dict[str, Any] = {
         "kind": "result",
         "path": str(folder),

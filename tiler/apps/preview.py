@@ -94,7 +94,7 @@ def make_preview(
         PNG with a column for each window, in which the surface (highest returns) is above the terrain.
     config : RunConfig
     listener : callable
-        Function that receives the notes of the plan and each warning once.
+        Function that receives the notes of the plan, a note per window, and each warning once.
     number : int
         Maximum number of windows, which do not overlap.
     side_m : float, optional

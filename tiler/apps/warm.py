@@ -1,4 +1,4 @@
-"""Compilation of all kernels of methods before their first run, for example in images and CI."""
+"""Compilation of all kernels of methods before their first run, for example in container images and CI."""
 
 from __future__ import annotations
 

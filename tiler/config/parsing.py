@@ -104,8 +104,9 @@ def _named(name: str, parse: Callable[[Any], Value], value: Any) -> Value:
 
 def _positive_length(name: str, value: Any) -> Fraction:
     length = _named(name, parse_length, value)
-    if length < 0 or (length == 0 and name not in ("halo", "erode", "contour_smooth")):
-        raise ConfigError(f"{name} {value}: must be above 0")
+    may_be_zero = name in ("halo", "erode", "contour_smooth")
+    if length < 0 or (length == 0 and not may_be_zero):
+        raise ConfigError(f"{name} {value}: must be {'0 or above' if may_be_zero else 'above 0'}")
     return length
 
 

@@ -60,7 +60,7 @@ files = partial(setting, kind="files")
 
 @dataclass(frozen=True)
 class RunConfig:
-    """All settings of a run. ``None`` means that tiler decides from the data, and reports the decision."""
+    """All settings of a run. ``None`` is the default of the help: often tiler decides from the data and reports it."""
 
     preset: str | None = setting(
         None,
@@ -200,8 +200,8 @@ class RunConfig:
     )
     spike: Fraction = length(
         Fraction(5),
-        "height above all returns in the neighbouring pixels (at least within 1 m) from which a pixel's highest return "
-        "is left out of the DSM",
+        "leave a pixel's highest return out of the DSM if it is at least this much higher than all returns in the "
+        "neighbouring pixels (at least within 1 m)",
     )
     memory: int | None = setting(
         None,

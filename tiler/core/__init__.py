@@ -1,4 +1,4 @@
 """Basic types: units, frames, lattices, points, rasters, classes, products.
 
-They need only numpy, and pyproj for CRS.
+They need only numpy, pyproj for CRS, and shapely for indices and lines.
 """

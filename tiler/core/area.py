@@ -17,7 +17,7 @@ from tiler.core.lattice import Bounds, Lattice
 Counts = npt.NDArray[np.int64]
 
 MAX_BOXES = 1 << 14
-"""Maximum number of rectangles of cells that `Area.cells` examines, which takes some seconds."""
+"""Number of rectangles of cells after which `Area.cells` divides no more, which takes some seconds."""
 
 FEW_SIDES = 1 << 14
 """Maximum number of pairs of a position and an edge that are compared in one array."""

@@ -70,7 +70,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Sortable, readable name, like ``+12-03``."""
+        """Readable name, like ``+12-03``."""
         return f"{self.ix:+03d}{self.iy:+03d}"
 
 

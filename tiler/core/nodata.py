@@ -9,7 +9,7 @@ from typing import Any
 from tiler.errors import ConfigError
 
 NODATA = -9999.0
-"""Nodata value of every float32 raster that has pixels without a value."""
+"""Nodata value of rasters in the store, and the default of files."""
 
 LOWEST_HEIGHT = -2000.0
 """Lowest value that could be a height, in metres or feet."""

@@ -17,7 +17,7 @@ from tiler.core.nodata import NODATA as NODATA  # Modules that work with rasters
 BLOCK_PIXELS = 512
 """Side of a block of a raster, in pixels. One task makes a block, which is a chunk in the store and a tile in files."""
 MIN_PART = 32
-"""Side of the largest block that is not divided further, in pixels."""
+"""Side up to which a block is not divided further, in pixels."""
 
 FEW_PIXELS = 4096
 """Maximum number of pixels that are tested one by one, since testing the outline of the area would take as long."""

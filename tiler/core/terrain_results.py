@@ -235,8 +235,8 @@ class VoidsResult(Record):
     Attributes
     ----------
     surveyed_pixels, pixels, asked_pixels : int
-        Number of pixels inside the survey, of those without a height, and of those without a height because an edit
-        asks for that.
+        Number of pixels that have a height or should have one, of pixels that should have one and do not, and of pixels
+        without a height because an edit asks for that.
     number : int
         Number of voids.
     largest : list of VoidResult

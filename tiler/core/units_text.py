@@ -1,4 +1,4 @@
-"""Printed lengths: in the unit of the CRS, followed by metres if the number of metres is rounder."""
+"""Printed lengths: in the unit of the CRS, followed by metres if the number of feet is not round."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ def _nearest_along(segments: Floats, x: Floats, y: Floats) -> Floats:
 def _from_segment(segment: Floats, x: Any, y: Any) -> tuple[Floats, Floats]:
     """Return the distance of points from a segment, and the share of the segment before the nearest position.
 
-    Either the points or the segments are many.
+    Pass many points and one segment, or one point and many segments.
     """
     x0, y0, dx, dy, square, _ = segment
     from_x, from_y = x - x0, y - y0

@@ -29,7 +29,7 @@ class BucketOrder:
         Indices of the points: candidates in the order of their fine cells, then the others by fine cell, z, x, y.
     n_candidates : int
     duplicates_within, duplicates_between : int
-        Number of points at the position of another point of the same source, and of another source.
+        Number of points that repeat the position of a point of the same source, and of another source.
     """
 
     order: npt.NDArray[np.intp]
@@ -89,11 +89,8 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> AssembledRecord:
 
     Returns
     -------
-    dict
-        ``buckets`` is a list with a dict per bucket: ``cell`` [ix, iy], ``n``, ``n_candidates``, ``n_participating``,
-        ``duplicates`` {within, between}, ``z`` and ``bounds`` (without strays, see `spool.extent`), ``strays``
-        ([source, row, x, y, z] each), ``z_participating`` ([lowest, highest] in counts, or None), ``classes``
-        {class: points}.
+    AssembledRecord
+        Records of the buckets.
     """
     store = open_store(store_url)
     meta = store.meta
@@ -105,16 +102,16 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> AssembledRecord:
         strays = stray_mask(block, dict(bucket.rules), meta.frame.origin)
         if strays.any() and block.flags is not None:
             block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
-        taking = _taking_part(block, work.keep_classes, work.skip_flags)
-        ordering = bucket_order(block, taking, meta.frame, meta.bucket, meta.fine, cell)
+        participating = _participating(block, work.keep_classes, work.skip_flags)
+        ordering = bucket_order(block, participating, meta.frame, meta.bucket, meta.fine, cell)
         store.write_bucket(cell, block.take(ordering.order), ordering.n_candidates)
-        records.append(_record(cell, block, taking, strays, ordering, meta.frame))
+        records.append(_record(cell, block, participating, strays, ordering, meta.frame))
     return AssembledRecord(records)
 
 
-def _taking_part(block: PointBlock, keep: Sequence[int] | None, skip_flags: int) -> npt.NDArray[np.bool_]:
+def _participating(block: PointBlock, keep: Sequence[int] | None, skip_flags: int) -> npt.NDArray[np.bool_]:
     if block.classification is None or block.flags is None:
-        raise ValueError("fragments of the spool have classes and flags")
+        raise ValueError("fragments of the spool must have classes and flags")
     if keep is None:
         return participates(block.classification, block.flags, skip_flags=skip_flags)
     return participates(block.classification, block.flags, keep, skip_flags)
@@ -122,7 +119,7 @@ def _taking_part(block: PointBlock, keep: Sequence[int] | None, skip_flags: int)
 
 def bucket_order(
     block: PointBlock,
-    taking: npt.NDArray[np.bool_],
+    participating: npt.NDArray[np.bool_],
     frame: CoordFrame,
     bucket: Lattice,
     fine: Lattice,
@@ -137,13 +134,13 @@ def bucket_order(
     keys, fine_of = _sort_keys(block.xyz, frame, bucket, fine, cell)
     # A stable sort would take three times as long. So `_by_origin` sorts equal points.
     order = np.lexsort(keys[::-1]) if len(keys) > 1 else np.argsort(keys[0])
-    again = np.ones(len(order), dtype=np.bool_)
-    again[:1] = False
+    is_repeat = np.ones(len(order), dtype=np.bool_)
+    is_repeat[:1] = False
     for key in keys:
-        again[1:] &= key[order[1:]] == key[order[:-1]]
-    order = _by_origin(order, again, origin)
-    within, between = _duplicates(order, again, origin)
-    ranked = order[taking[order]]
+        is_repeat[1:] &= key[order[1:]] == key[order[:-1]]
+    order = _by_origin(order, is_repeat, origin)
+    within, between = _duplicates(order, is_repeat, origin)
+    ranked = order[participating[order]]
     cells = fine_of[ranked]
     first = np.ones(len(ranked), dtype=np.bool_)
     first[1:] = cells[1:] != cells[:-1]
@@ -172,7 +169,8 @@ def _sort_keys(
     fine_x = fine.index(x + bounds.x0)
     fine_y = fine.index(y + bounds.y0)
     fine_of = (fine_y - south) * across + (fine_x - west)
-    # A coordinate relative to its fine cell needs few bits. Cell i of p / q counts starts at count -((-i * p) // q).
+    # A coordinate relative to its fine cell needs few bits. If a cell has a size of
+    # p / q counts, cell i starts at count ceil(i * p / q).
     parts = [
         fine_of,
         z,
@@ -189,17 +187,17 @@ def _sort_keys(
 
 
 def _by_origin(
-    order: npt.NDArray[np.intp], again: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
+    order: npt.NDArray[np.intp], is_repeat: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.intp]:
     """Return the order with equal points sorted by source and row.
 
-    ``again`` is a mask, in the order, of the points that equal the point before them.
+    ``is_repeat`` is a mask, in the order, of the points that equal the point before them.
     """
-    if not again.any():
+    if not is_repeat.any():
         return order
-    runs = np.cumsum(~again)
-    tied = again.copy()
-    tied[:-1] |= again[1:]
+    runs = np.cumsum(~is_repeat)
+    tied = is_repeat.copy()
+    tied[:-1] |= is_repeat[1:]
     tied_positions = np.flatnonzero(tied)
     sorted_places = tied_positions[np.lexsort((origin[order[tied_positions]], runs[tied_positions]))]
     result = order.copy()
@@ -208,25 +206,25 @@ def _by_origin(
 
 
 def _duplicates(
-    order: npt.NDArray[np.intp], again: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
+    order: npt.NDArray[np.intp], is_repeat: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
 ) -> tuple[int, int]:
     """Count the points that repeat a point of the same source, and of another source."""
     sources = (origin >> SOURCE_SHIFT)[order]
     other = np.zeros(len(order), dtype=np.bool_)
     other[1:] = sources[1:] != sources[:-1]
-    between = int(np.count_nonzero(again & other))
-    return int(np.count_nonzero(again)) - between, between
+    between = int(np.count_nonzero(is_repeat & other))
+    return int(np.count_nonzero(is_repeat)) - between, between
 
 
 def _record(
     cell: Cell,
     block: PointBlock,
-    taking: npt.NDArray[np.bool_],
+    participating: npt.NDArray[np.bool_],
     strays: npt.NDArray[np.bool_],
     found: BucketOrder,
     frame: CoordFrame,
 ) -> BucketRecord:
-    z = block.xyz[2][taking]
+    z = block.xyz[2][participating]
     classes = {}
     if block.classification is not None:
         counts = np.bincount(block.classification).tolist()
@@ -236,7 +234,7 @@ def _record(
         cell=[cell.ix, cell.iy],
         n=len(block),
         n_candidates=found.n_candidates,
-        n_participating=int(np.count_nonzero(taking)),
+        n_participating=int(np.count_nonzero(participating)),
         duplicates={"within": found.duplicates_within, "between": found.duplicates_between},
         z_participating=[int(z.min()), int(z.max())] if z.size else None,
         classes=classes,

@@ -26,7 +26,7 @@ from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import as_path
-from tiler.store import MAX_NAME_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
+from tiler.store import MAX_RECORD_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
 
 NOT_FINITE = "not finite"
 BEYOND_FRAME = "beyond the frame"
@@ -97,8 +97,8 @@ def spool_piece(store_url: str, work: SpoolPiece) -> SpoolRecord:
 
     Returns
     -------
-    dict
-        JSON of a `tiler.core.records.SpoolRecord`.
+    SpoolRecord
+        Record of the piece.
 
     Raises
     ------
@@ -162,9 +162,9 @@ class _Step:
 def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
     """Return a keeper for the records of a piece, or None if they are not kept.
 
-    The records of ranges, of uncompressed sources, and records longer than `MAX_NAME_BYTES` are not kept.
+    The records of ranges, of uncompressed sources, and records longer than `MAX_RECORD_BYTES` are not kept.
     """
-    if not work.keep or work.ranges or header.laz is None or header.record_length > MAX_NAME_BYTES:
+    if not work.keep or work.ranges or header.laz is None or header.record_length > MAX_RECORD_BYTES:
         return None
     return store.keep_records(work.piece, work.identity, header.record_length)
 
@@ -181,7 +181,7 @@ def _read_step(
     records = reader.read(start, count)
     if keeper is not None:
         keeper.add(records)
-    local, keep, dropped, rounding = place(records, reader.header, meta.frame)
+    local, keep, dropped, rounding = to_local_counts(records, reader.header, meta.frame)
     rows = np.arange(start, start + count, dtype=np.int64)
     block = columns(records, reader.header, local, work.source, rows, meta.has_rgb)
     block, left_out = _selected(block, records, reader.header, work.selection)
@@ -214,7 +214,7 @@ def _selected(
     return replace(block, flags=flags), {**masks, WITHHELD: withheld}
 
 
-def place(
+def to_local_counts(
     records: Records, header: LasHeader, frame: CoordFrame
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], dict[str, int], float]:
     """Convert the coordinates of records to local counts.

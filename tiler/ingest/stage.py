@@ -64,7 +64,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     """
     spooled = run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
     failed = [task for task in job.record.failed if task.stage == "spool"]
-    _validate_inputs_read(failed)
+    _raise_system_faults(failed)
     bad = {source_of(task.key): task.error for task in failed}
     job.record.failed = [task for task in job.record.failed if task.stage != "spool"]
     bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
@@ -123,7 +123,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     return spooled, good
 
 
-def _validate_inputs_read(failed: Sequence[TaskFailed]) -> None:
+def _raise_system_faults(failed: Sequence[TaskFailed]) -> None:
     """Raise ProcessingError if a task failed because of the store or the system."""
     for task in failed:
         if task.kind in OWN_FAULTS:
@@ -168,12 +168,12 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
     The result is empty if the raster is not too large.
     """
     records, lattice = by_source(spooled), plan.buckets
-    told = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
+    expected = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
     doubtful = [
         s
         for s in sources
         if any(
-            r.bounds and told[s.name].union(Bounds.from_json(r.bounds)) != told[s.name]
+            r.bounds and expected[s.name].union(Bounds.from_json(r.bounds)) != expected[s.name]
             for r in records[s.name]
         )
     ]
@@ -182,9 +182,9 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
     for source in doubtful:
         source_strays = strays.get(source.number, Strays())
         cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets} - source_strays.alone
-        hull = lattice.hull(cells) if cells else told[source.name]
+        hull = lattice.hull(cells) if cells else expected[source.name]
         hull = hull if source_strays.extent is None else hull.intersection(source_strays.extent)
-        if told[source.name].union(hull) != told[source.name]:
+        if expected[source.name].union(hull) != expected[source.name]:
             extents[source.name] = hull
     extent = reduce(Bounds.union, extents.values(), plan.inputs.extent)
     if plan.inputs.area is not None:
@@ -254,8 +254,8 @@ def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
         if n > MANY * points:
             other_classes = ",".join(str(c) for c in config.keep_classes if c != int(code)) or "none"
             job.note(
-                f"{n / points:.1%} of the points ({n:,}) are of class {code}, which takes no part in the filter and is "
-                f"kept; where these clouds mean something else by it, --keep-classes {other_classes} lets it take part"
+                f"{n / points:.1%} of the points ({n:,}) are of class {code} and are not filtered, so they keep it; if "
+                f"the class has another meaning in these clouds, use --keep-classes {other_classes} to filter them"
             )
 
 

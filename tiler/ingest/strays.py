@@ -1,8 +1,8 @@
 """Stray points: a few points far from the others of their file, or outside its header's bounds.
 
 A stray is not filtered and does not extend rasters. It keeps its class in the classified cloud. Each file is judged as
-a whole and separately, so the result does not depend on tiles. Another file, or a group of more than a few points, is
-data wherever it lies.
+a whole and separately, so the result does not depend on tiles. Whole files, and groups
+of more than a few points, are never strays, however far away they lie.
 """
 
 from __future__ import annotations

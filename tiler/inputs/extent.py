@@ -29,7 +29,7 @@ _SCAN = 1 << 19
 _BLOCK_BYTES = 1 << 19
 """Bytes of an object that are read at a time, about the size of a chunk's coordinates."""
 _WIDEST = 1e6
-"""Longest credible extent in units of the CRS. int32 counts from any position in it reach all others."""
+"""Longest credible extent in units of the CRS. Within it, the distance of any two positions fits int32 counts."""
 
 FEW = 10
 """Maximum number of strays of a file."""
@@ -64,7 +64,7 @@ class Extent:
     returns : int
         Largest number of returns of a pulse in the sample; 0 or 1 for clouds without pulses.
     evidence : Evidence
-        Evidence in the fields of the sample on the source of the cloud.
+        Evidence on the source of the cloud, found in the fields of the sample.
     """
 
     bounds: tuple[float, ...] | None

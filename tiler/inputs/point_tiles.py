@@ -100,7 +100,7 @@ def read_point_tiles(text: str) -> EptDataset:
     if kind != "laszip":
         _refuse(
             text,
-            f"its points are of the type {excerpt(str(kind))}, laszip can be read",
+            f"its points are of the type {excerpt(str(kind))}, but only laszip can be read",
             "convert it to laszip",
         )
     if not _is_cube(bounds):

@@ -21,7 +21,7 @@ IN_USE_SECONDS = 5.0
 """Time for retries after an error of `IN_USE`, since virus scanners open each new file for a moment."""
 
 SCRATCH_PREFIX = ".tiler-"
-"""Prefix of the names of all temporary files and folders of tiler."""
+"""Prefix of the names of temporary files and folders outside of a store."""
 
 
 def name_bytes(path: str | Path) -> int:

@@ -65,7 +65,7 @@ def without_query(text: str) -> str:
 
 
 def _is_on_server(url: str) -> bool:
-    """Return whether a URL contains a host and perhaps a user (see `tiler.io.server_paths`)."""
+    """Return whether a URL is on an FTP, SSH or SMB server (see `tiler.io.server_paths`)."""
     return url.startswith(("ftp://", "sftp://", "ssh://", "smb://"))
 
 

@@ -1,6 +1,7 @@
 """Checks that no output overwrites an input, even if it has another name.
 
-Every command calls `check_targets` with the output files that the user gives, before it writes any of them.
+Every command that reads files calls `check_targets` with the output files that the user gives, before it writes any of
+them.
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
     if pixels.largest <= MAX_PIXELS and not fits_without_empty:
         return None
     return (
-        f"a single raster would have {pixels.largest:.2g} pixels, nearly all of them empty; "
+        f"a single raster would have {pixels.largest:.2g} pixels, most of them empty; "
         "use --sheets or --bounds, or check the coordinates"
     )
 

@@ -39,7 +39,7 @@ class Inputs:
     cloud_names : dict of Path to Path
         Path of the classified file of each source, relative to OUT/classified.
     evidence : Evidence
-        Evidence in the fields of the points on the source of the clouds.
+        Evidence on the source of the clouds, found in the fields of their points.
     edits : tuple of Edit
         Edits, in the order of their file.
     lines : tuple of int64 (n, 3)

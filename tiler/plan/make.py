@@ -46,7 +46,7 @@ from tiler.plan.validation import (
 from tiler.store import StoreMeta
 
 TERRAIN_HALO = Fraction(101, 100)
-"""Ratio of the halo of a block of the terrain that usually suffices to `max_edge`."""
+"""Halo of a block of the terrain that usually suffices, as a multiple of `max_edge`."""
 
 
 def make_plan(

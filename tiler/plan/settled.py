@@ -27,6 +27,8 @@ def settled(plan: Plan) -> dict[str, Any]:
 def settled_by(plan: Plan, store: TileStore) -> Plan:
     """Return the plan with the frame, buckets, tiles, pixels and thinning of an existing store.
 
+    Tiles and pixels that the user gives take precedence.
+
     Raises
     ------
     ConfigError

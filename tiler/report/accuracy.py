@@ -146,7 +146,7 @@ def _seams(found: Mapping[str, Any]) -> Node:
         if name in found
     ]
     heading = el("h3", f"Steps between pixels across the edges of tiles, {found['unit']}")
-    return el("div", heading, table(("pixels across", *keys.values()), rows, (1, 2, 3)))
+    return el("div", heading, table(("position", *keys.values()), rows, (1, 2, 3)))
 
 
 def _requirements(found: list[Mapping[str, Any]]) -> Node:

@@ -34,7 +34,8 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
     if len(stations) < 2:
         return None
     banks = [(s["along"], s[side]) for s in stations for side in ("left", "right") if s[side] is not None]
-    # Banks may be cliffs, and banks of canals lie below the water. Heights far from the water are not drawn.
+    # Banks may be cliffs, and land next to a raised canal lies below its water. So heights far from the water are not
+    # drawn.
     low, high = _span([s["level"] for s in stations], [z for _, z in banks])
     length = max(float(stations[-1]["along"]), 1e-9)
 
@@ -82,7 +83,7 @@ def _caption(body: Mapping[str, Any], stations: Sequence[Station], unit: str) ->
     return (
         f"{body['kind'].capitalize()} {body['number']}: level of the water along its flow (line), in {unit}. Lengths "
         f"are in the unit of the CRS. At {seen} of {len(stations)} stations the level comes from returns of the water "
-        "(blue), at the others from the banks (brown: the level by each bank)."
+        "(blue), at the others from the banks (brown: the level estimated from each bank)."
     )
 
 

@@ -186,7 +186,7 @@ FIGURES_IN_WORDS = {
     "places": "squares of 256 m with separate figures",
     "survey / several": "share of points from pulses with several returns",
 }
-"""Readable names of figures that passes measure. Other figures keep the names of the passes."""
+"""Readable names of figures that passes measure. Other figures keep the names that the passes give them."""
 
 
 def _measured(run: Run) -> Iterator[tuple[str, str, str]]:

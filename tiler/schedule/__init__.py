@@ -53,7 +53,7 @@ __all__ = [
 
 
 def import_dask() -> None:
-    """Import the modules that `make_executor` needs for workers, in a thread while this process waits."""
+    """Import the modules that `make_executor` needs for workers, in a background thread."""
 
     def work() -> None:
         # `make_executor` raises an ImportError again. A process that is ending refuses imports with a RuntimeError.

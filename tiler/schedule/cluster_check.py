@@ -168,7 +168,10 @@ def unreadable(sources: Sequence[tuple[str, FileState]]) -> list[tuple[str, str]
             return [(place, f"{found.size:,} bytes there, {state.size:,} here")]
         if found != state:
             return [
-                (place, "the same size, but another modification time: cp -p or rsync -t keep it in copies")
+                (
+                    place,
+                    "the same size, but another modification time; copy it with cp -p or rsync -t, which keep the time",
+                )
             ]
     return []
 

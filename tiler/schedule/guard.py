@@ -187,7 +187,7 @@ def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | 
 
 def _pipe(stream: IO[bytes] | None) -> IO[bytes]:
     if stream is None:
-        raise ValueError("the child was started with pipes")
+        raise ValueError("the child must be started with pipes")
     return stream
 
 

@@ -308,7 +308,7 @@ class DaskExecutor:
         )
 
     def close(self) -> None:
-        """End all work for this executor. A cluster keeps running."""
+        """End all work for this executor. A cluster at an address keeps running."""
         if self._client.status == "running":  # Without a connection, the children cannot be ended.
             with suppress(*_BROKEN):
                 ending = self._client._run, end_children, self._run.token

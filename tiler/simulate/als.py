@@ -206,7 +206,8 @@ def _surface(
         here = np.flatnonzero((np.abs(px - patch.x) <= patch.radius) & (np.abs(py - patch.y) <= patch.radius))
         depth = patch.inside(px[here], py[here])
         here = here[(depth > 0) & (rng.random(len(here)) < patch.cover) & (label[here] == GROUND)]
-        # Plants thin out upwards. A low plant and the ground below it give one echo between the two.
+        # Most echoes come from the middle of a plant's height. A low plant and the ground below it give one echo
+        # between the two.
         tall = 0.08 + (patch.height - 0.08) * rng.beta(1.6, 1.6, len(here))
         double = (tall > 0.7) & (rng.random(len(here)) < 0.4)
         hits.append(_hit(here[double], bare[here[double]] + tall[double], LOW_VEGETATION, False))

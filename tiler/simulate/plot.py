@@ -15,7 +15,7 @@ STEEPEST_HOUSE = 0.3
 class Plot:
     """Objects on a square block. Lengths are metres, angles degrees counter-clockwise from east.
 
-    Methods for buildings return False, and place nothing, if the ground is too uneven or not free.
+    Methods that return a bool place nothing and return False if the ground is not suitable.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ KEPT_BLOCKS = 256
 
 @dataclass(frozen=True)
 class Site:
-    """Terrain and its objects, with x and y from 0 to ``side_m`` metres.
+    """Terrain and its objects, with x from 0 to ``side_m`` and y from 0 to ``north_m`` metres.
 
     Attributes
     ----------

@@ -13,13 +13,13 @@ from tiler.store.layout import SPOOL_CHUNK, chunk_numbers
 from tiler.store.lock import LEASE_SECONDS, Lease, locked_folder
 from tiler.store.meta import StoreMeta
 from tiler.store.opening import create_store, held_store, open_store, remove_store, store_exists
-from tiler.store.records import MAX_NAME_BYTES, KeptPiece, KeptRecords, RecordKeeper
+from tiler.store.records import MAX_RECORD_BYTES, KeptPiece, KeptRecords, RecordKeeper
 from tiler.store.storage import StoreSize
 from tiler.store.store import TileStore
 
 __all__ = [
     "LEASE_SECONDS",
-    "MAX_NAME_BYTES",
+    "MAX_RECORD_BYTES",
     "SPOOL_CHUNK",
     "BucketInfo",
     "Commits",

@@ -108,5 +108,8 @@ class LabelStore(BucketStore):
 
 
 def _places(bucket: Bucket) -> list[points.Part]:
-    """Return all rows of a bucket as whole rows, since the number of elected points is not known before reading."""
+    """Return the rows that hold a bucket's points, each at full length.
+
+    The number of elected points is not known before they are read.
+    """
     return [points.Part(bucket, part.row, ROW_POINTS) for part in points.parts_of(bucket, count_of(bucket))]

@@ -54,7 +54,7 @@ class Holder:
 
 
 class Lease:
-    """Lock while it is held. Call `check` before anything that only the holder may do."""
+    """Lease that this process holds. Call `check` before anything that only the holder may do."""
 
     def __init__(self, storage: Storage, key: str) -> None:
         self._storage = storage
@@ -89,7 +89,7 @@ class Lease:
             except LockedError:
                 return  # The next `check` of the run raises the error again.
             except (TilerError, OSError):
-                continue  # The fault may be temporary, and the lease remains valid without several renewals.
+                continue  # The fault may be temporary, and the lease remains valid even if several renewals fail.
 
     def _acquire(self) -> None:
         holder = _holder(self._storage, self._key)
@@ -113,8 +113,8 @@ class Lease:
 def locked(storage: Storage, key: str = LOCK_KEY) -> Iterator[Lease]:
     """Hold a lock of a store or folder during the block.
 
-    Two kinds of lease are taken over: one whose process ran on this machine and has ended, and one that was not renewed
-    for `LEASE_SECONDS` by this clock and is not renewed during `OBSERVE_SECONDS`.
+    Three kinds of lease are taken over: one that cannot be read, one whose process ran on this machine and has ended,
+    and one that was not renewed for `LEASE_SECONDS` by this clock and is not renewed during `OBSERVE_SECONDS`.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from tiler.store.layout import SPOOL_CHUNK
 from tiler.store.part import StorePart
 from tiler.store.storage import Storage
 
-MAX_NAME_BYTES = 255
+MAX_RECORD_BYTES = 255
 """Size of the longest record that is kept, since blosc cannot shuffle longer items."""
 
 
@@ -107,7 +107,7 @@ class RecordStore(StorePart):
 
         None means that some records were not kept, or belong to another content of the source.
         """
-        if dtype.itemsize > MAX_NAME_BYTES:
+        if dtype.itemsize > MAX_RECORD_BYTES:
             return None
         piece_arrays: list[tuple[int, StoredArray]] = []
         end = 0

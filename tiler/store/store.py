@@ -53,7 +53,7 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
     def clean_up(self) -> None:
         """Remove what later runs do not need, and pack the commits (*coordinator*, while no task runs).
 
-        The spool is removed once its points are in buckets. Kept records, older indices and the temporary files of
+        The spool is removed once rows are allocated to buckets. Kept records, older indices and the temporary files of
         killed writes are removed, too.
         """
         if index.remove_older(self._storage).rows:

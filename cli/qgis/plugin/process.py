@@ -46,7 +46,7 @@ class CommandResult(NamedTuple):
     Attributes
     ----------
     code : int
-        Exit code: 0, or 5 if something was left out or a requirement is not met.
+        Exit code: 0, or 5 if something was left out or a requirement is not met, or 130 if the command was cancelled.
     text : str
         Text that the command printed to stdout.
     cancelled : bool
@@ -152,15 +152,15 @@ def run_command(
     arguments : list of str
         The command and its arguments.
     tell : callable
-        Function that gets each object of ``--progress json``, in this thread. Other lines are passed as the
-        ``message`` of an object.
+        Function that gets the objects of ``--progress json`` in this thread, except errors. Other lines are passed as
+        the ``message`` of an object.
     cancelled : callable
         Function that is called regularly. Once it returns True, the command is asked to end, and its end is awaited.
 
     Raises
     ------
     CommandError
-        The command failed. The message is its last line.
+        The command failed or could not be started. The message is its last error.
     """
     with tempfile.TemporaryFile() as output:
         try:

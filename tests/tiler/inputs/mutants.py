@@ -15,7 +15,7 @@ import numpy as np
 
 from tiler.core.frame import CoordFrame
 from tiler.errors import InputError
-from tiler.ingest.spool import columns, place
+from tiler.ingest.spool import columns, to_local_counts
 from tiler.inputs import inspect, pieces
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, PointReader
@@ -69,7 +69,7 @@ def read_whole(path: Path, salvage: bool) -> Reading:
             for start, count in pieces(info):
                 records = reader.read(start, count)
                 digest.update(records.tobytes())
-                local, keep, dropped, _ = place(records, header, CoordFrame())
+                local, keep, dropped, _ = to_local_counts(records, header, CoordFrame())
                 assert int(keep.sum()) + sum(dropped.values()) == len(records) == count
                 columns(records, header, local, 0, np.arange(points, points + count), True)
                 points, placed = points + count, placed + int(keep.sum())

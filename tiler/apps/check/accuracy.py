@@ -126,7 +126,8 @@ def _in_crs_of(
         return x, y
     if raster.crs is None:
         raise ConfigError(
-            f"the checkpoints are in {text}, the DTM has no CRS; leave out --points-crs if it is the same"
+            f"the checkpoints are in {excerpt(text)}, the DTM has no CRS; assign its CRS to the DTM, or give "
+            "checkpoints without a CRS (no --points-crs) if it is the same"
         )
     try:
         named = CRS.from_user_input(text)

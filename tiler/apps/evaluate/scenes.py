@@ -88,7 +88,7 @@ def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) ->
     if len(matches) != 1:
         raise ConfigError(
             f"{reference}: {len(matches) or 'none'} of the {len(clouds)} clouds {'are' if matches else 'is'} named "
-            f"{reference.stem}; give clouds and references alike, or in the same order"
+            f"{reference.stem}; give references the names of their clouds, or list both in the same order"
         )
     return matches[0][0]
 

@@ -1,7 +1,8 @@
 """Numbers of the inputs in the store, and digests of their bytes.
 
 The workers read all bytes of a file once for its digest. They read them again only if its size, its time or the bytes
-before its points have changed. So a file that was only touched or copied is recognized by its digest.
+before its points have changed, or with ``--verify``. So a file that was only touched or copied is recognized by its
+digest.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ def file_digests(
         job.listener(TaskDone(stage, task.key, points=task.points, seconds=round(outcome.seconds, 3)))
         record = DigestsRecord({}, {}) if outcome.record is None else DigestsRecord.of(outcome.record)
         for file_location, _ in task.arguments.files:
-            error = f"{file_location}: what reads it {outcome.error}; get the file again"
+            error = f"{file_location}: the process that reads it {outcome.error}; get the file again"
             digest = record.digests.get(file_location)
             yield file_location, FileContent(digest, record.errors.get(file_location, error))
     seconds = round(time.monotonic() - start, 3)

@@ -47,7 +47,7 @@ _DENSEST = 1000
 """Number of points per compressed byte above which a file is refused as a bomb. Real clouds have less than one."""
 
 FINEST_SCALE = 1e-9
-"""Smallest scale factor, in units of the CRS. With a smaller one all points would have the same position."""
+"""Smallest scale factor, in units of the CRS. With a smaller one all points would lie within four units."""
 COARSEST_SCALE = 1e3
 """Largest scale factor, in units of the CRS. With a larger one the points would not be on earth."""
 
@@ -85,7 +85,7 @@ class LasHeader:
     digest : str
         Digest of the bytes before the points and of the chunk table.
     notes : tuple of str
-        Harmless faults of the file.
+        Harmless faults of the file, and with salvage also damage.
     created : tuple of int
         Year and day of the year (1 to 366) on which the file was made, 0 if unknown.
     gps_times : tuple of 2 float, or None

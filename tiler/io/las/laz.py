@@ -53,7 +53,7 @@ class LazLayout:
     item_size : int
         Size of one decoded record in bytes.
     counts, sizes : int64, shape (chunks,)
-        Number of points and bytes of each chunk, empty if the file has no usable table.
+        Number of points and bytes of each chunk, empty if neither the table nor the chunks have them.
     rebuilt : bool
         Whether the file has no usable table, so that `counts` and `sizes` come from the chunks themselves.
     """

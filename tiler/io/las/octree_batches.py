@@ -138,7 +138,7 @@ class Levels:
             if not rest.size:
                 break
             starts, counts = runs(_cut(code[rest], max(below + CELLS_OF_NODE, 0)))
-            # The middle point is neither the lowest nor the highest of its cell.
+            # The middle point along the curve is seldom the lowest or highest of its cell.
             picked = starts + counts // 2
             if below + CELLS_OF_NODE <= 0 and not self._take(key, level):
                 continue

@@ -58,7 +58,7 @@ def test_one_cloud_has_all_references(folders: tuple[Path, Path]) -> None:
 def test_a_reference_without_cloud_is_refused(folders: tuple[Path, Path]) -> None:
     (folders[1] / "x" / "a.laz").rename(folders[1] / "x" / "b.laz")
     with pytest.raises(
-        ConfigError, match=r"b\.laz: none of the 2 clouds is named b; give clouds and references"
+        ConfigError, match=r"b\.laz: none of the 2 clouds is named b; give references the names"
     ):
         find_scenes([folders[0]], [folders[1]])
 
