@@ -117,17 +117,17 @@ def test_a_class_that_keeps_many_points_out_is_told(tmp_path: Path) -> None:
     cloud = written(tmp_path / "a.laz", 6, many)
     result = do(cloud, tmp_path / "out")
     n = np.count_nonzero(many == 17)
-    told = [note for note in result.notes if "takes no part" in note]
+    told = [note for note in result.notes if "are not filtered, so they keep it" in note]
     (line,) = told  # of class 9 there are few
     assert line.startswith(f"{n / len(many):.1%} of the points ({n:,}) are of class 17")
-    assert "--keep-classes 7,9,18 lets it take part" in line
+    assert "use --keep-classes 7,9,18 to filter them" in line
     taken = do(cloud, tmp_path / "out", keep_classes="7,9,18")
     assert taken.summary["filter"]["points"] - taken.summary["filter"]["kept"] == np.count_nonzero(many != 9)
-    assert not any("takes no part" in note for note in taken.notes)
+    assert not any("are not filtered, so they keep it" in note for note in taken.notes)
     only = do(cloud, tmp_path / "only", keep_classes="17")
-    assert any("--keep-classes none lets" in note for note in only.notes)
+    assert any("--keep-classes none to filter" in note for note in only.notes)
     trusted = do(cloud, tmp_path / "trusted", method="keep", ground_classes="1")
-    assert not any("takes no part" in note for note in trusted.notes)
+    assert not any("are not filtered, so they keep it" in note for note in trusted.notes)
 
 
 @pytest.mark.parametrize("left", ["store", "run.json"])

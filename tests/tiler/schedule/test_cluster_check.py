@@ -54,7 +54,7 @@ def test_a_copy_with_another_time_of_change_is_refused(tmp_path: Path) -> None:
     look = ClusterAccess("tcp://s:1", [(str(cloud), state_of(cloud))], None, None)
     os.utime(cloud, ns=(0, 1_000_000_007))
     with pytest.raises(
-        ConfigError, match=r"cloud\.laz \(the same size, but another modification time: .*cp -p"
+        ConfigError, match=r"cloud\.laz \(the same size, but another modification time; .*cp -p"
     ):
         look(here, "tcp://w:2")
 
