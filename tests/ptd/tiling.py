@@ -53,8 +53,8 @@ def classify_tiled(
         if not step.applies(state):
             continue
         last = step.gives_labels and not later_passes(params.passes, number, state)
-        sees, of_elected = _given(elected, step, codes), step.elected and not last
-        given = sees if of_elected else _given(points, step, labels)
+        sees, labels_elected = _given(elected, step, codes), step.elected and not last
+        given = sees if labels_elected else _given(points, step, labels)
         found, is_uncertified = np.zeros(len(given), np.uint8), np.zeros(len(given), bool)
         made = []
         partials = []
@@ -89,7 +89,7 @@ def classify_tiled(
             if step.gives_labels:
                 both = np.concatenate([part.known_labels() for part in made])
                 codes, uncertified_codes = both & ~MARK, both >= MARK
-        elif step.gives_labels and of_elected:
+        elif step.gives_labels and labels_elected:
             codes, uncertified_codes = found, is_uncertified
         elif step.gives_labels:
             labels, marks = found, is_uncertified

@@ -74,7 +74,7 @@ class Water:
     flow : int64 (n, 2 or 3) or None
         Line of a river in absolute counts: x, y, and the height of the water once it is known. The height never rises
         from a vertex to the next. A position in the river has the height of the nearest position on the line.
-    sure : float or None
+    confidence : float or None
         Confidence that this is water, 0 to 1, or None for water drawn by the user.
     stations : tuple of Station
         Stations from which the heights of a river were estimated, downstream. Empty if its heights were given.
@@ -85,7 +85,7 @@ class Water:
     area: Area
     level: int | None = None
     flow: Counts | None = None
-    sure: float | None = None
+    confidence: float | None = None
     stations: tuple[Station, ...] = ()
 
     @property
@@ -120,7 +120,7 @@ class Water:
         flow = None if self.flow is None else self.flow.tolist()
         return {
             "number": self.number, "kind": self.kind, "rings": self.area.to_json(), "level": self.level,
-            "flow": flow, "sure": self.sure, "stations": [list(station) for station in self.stations],
+            "flow": flow, "sure": self.confidence, "stations": [list(station) for station in self.stations],
         }  # fmt: skip
 
     @classmethod

@@ -60,7 +60,7 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
         "level": np.array([b.range[0] for b in bodies], np.float64),
         "level_end": np.array([b.range[1] for b in bodies], np.float64),
         "area_m2": np.array([shape.area * square for shape in shapes], np.float64),
-        "sure": np.array([np.nan if b.sure is None else b.sure for b in bodies], np.float64),
+        "sure": np.array([np.nan if b.confidence is None else b.confidence for b in bodies], np.float64),
     }
     rivers = [(b.number, b.flow) for b in bodies if b.flow is not None]
     crs = store.meta.frame.crs_wkt

@@ -90,7 +90,7 @@ class TileReader:
                 block = block.take(self._participating(block))
         points = self._as_points(block)
         # If the pass labels only candidates, `bucket` takes them from the window instead of reading them again.
-        self._window = (points, slices_by_cell) if slices_by_cell and self._work.of_candidates else None
+        self._window = (points, slices_by_cell) if slices_by_cell and self._work.candidates_only else None
         return points, _any_uncertified(block)
 
     def bucket(self, cell: Cell) -> Bucket:
@@ -137,16 +137,16 @@ class TileReader:
         return parts, uncertified
 
     def _read(self, cell: Cell) -> Bucket:
-        if self._work.of_elected:
+        if self._work.labels_elected:
             block = self._elected(self._store.meta.bucket.bounds(cell))
             return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_uncertified(block))
-        candidates_only = self._work.of_candidates
+        candidates_only = self._work.candidates_only
         columns = self._columns
         if not candidates_only:  # All candidates take part, so their classes and flags are not needed.
             columns = (*columns, "classification", "flags")
         block = self._store.read_bucket(cell, columns, candidates_only)
         # If only candidates have labels, a bucket with all its points is read without labels.
-        if self._labels is not None and (candidates_only or not self._work.in_of_candidates):
+        if self._labels is not None and (candidates_only or not self._work.input_candidates_only):
             labels = self._store.read_labels(self._labels, cell, candidates_only)
             block = dataclasses.replace(block, labels=labels)
         mask = np.ones(len(block), np.bool_) if candidates_only else self._participating(block)

@@ -161,13 +161,13 @@ def _write_empty_results(job: Job, task: Task, step: Pass, inputs: PassInputs) -
             job.store.write_elected(work.elected_out, cell, np.zeros((3, 0), np.int32))
             if step.gives_labels:
                 job.store.write_elected_labels(work.labels_out, cell, np.zeros(0, np.uint8))
-        elif work.of_elected:
+        elif work.labels_elected:
             labels = np.zeros(inputs.n_elected[cell], np.uint8)
             job.store.write_elected_labels(work.labels_out, cell, labels)
         else:
             bucket = buckets[cell]
-            labels = np.zeros(bucket.n_candidates if work.of_candidates else bucket.n, np.uint8)
-            job.store.write_labels(work.labels_out, cell, labels, work.of_candidates)
+            labels = np.zeros(bucket.n_candidates if work.candidates_only else bucket.n, np.uint8)
+            job.store.write_labels(work.labels_out, cell, labels, work.candidates_only)
 
 
 def _label_counts(job: Job, records: list[TileRecord], tiles: int) -> LabelCounts:

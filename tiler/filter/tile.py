@@ -91,10 +91,10 @@ def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
         n_uncertified = sum(int(np.count_nonzero(cell_labels)) for cell_labels in labels.values())
     elected, elected_points = _elect(store, work.cells, model, work.elected_out)
     for cell, cell_labels in labels.items():
-        if work.of_elected or step.elects:
+        if work.labels_elected or step.elects:
             store.write_elected_labels(work.labels_out, cell, cell_labels)
         else:
-            store.write_labels(work.labels_out, cell, cell_labels, work.of_candidates)
+            store.write_labels(work.labels_out, cell, cell_labels, work.candidates_only)
     counts = np.zeros(256, np.int64)
     for cell_labels in labels.values():
         counts += np.bincount(cell_labels & ~np.uint8(UNCERTIFIED_BIT), minlength=256)

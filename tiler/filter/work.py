@@ -40,11 +40,11 @@ class FilterTile:
         Name in the store of the labels of these elected points.
     elected_out : str or None
         Name in the store of the points that this pass elects.
-    of_elected : bool
+    labels_elected : bool
         Whether this pass labels the elected points that it reads, instead of points of the cloud.
-    of_candidates : bool
+    candidates_only : bool
         Whether this pass labels only candidates, because later passes do not read other labels.
-    in_of_candidates : bool
+    input_candidates_only : bool
         Whether ``labels_in`` has labels only of candidates.
     held_bytes : int
         Limit of the bytes of buckets that are kept in memory because they are also read as margins of other buckets.
@@ -64,9 +64,9 @@ class FilterTile:
     elected_in: str | None
     elected_labels_in: str | None
     elected_out: str | None
-    of_elected: bool
-    of_candidates: bool
-    in_of_candidates: bool
+    labels_elected: bool
+    candidates_only: bool
+    input_candidates_only: bool
     held_bytes: int = field(metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:

@@ -46,13 +46,13 @@ class CloseBlock(BlockWork):
     ----------
     occupancy : str
         Name of the raster of occupied cells.
-    gap, most_gap : float
+    gap, max_gap : float
         Widest gap in cells where points are dense, and where they are sparse.
     """
 
     occupancy: str
     gap: float
-    most_gap: float
+    max_gap: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,10 +117,10 @@ def close_block(store_url: str, work: CloseBlock) -> OpenAreasRecord:
         Record of the block.
     """
     store, block = open_store(store_url), work.block
-    pad = max(WINDOW, 2 * int(np.ceil(work.most_gap / 2)) + 2)
+    pad = max(WINDOW, 2 * int(np.ceil(work.max_gap / 2)) + 2)
     occupied = read_cells(store, work.occupancy, work.spec, padded(block, pad)) != 0
     gaps = gaps_of(occupied[pad - WINDOW : pad + block.height + WINDOW, pad - WINDOW : pad + block.width + WINDOW],
-                   work.gap, work.most_gap)  # fmt: skip
+                   work.gap, work.max_gap)  # fmt: skip
     closed = closed_cells(occupied, gaps, pad)
     labels, sides = label_block(~closed, corners=False)
     values = labels.astype(np.float32)

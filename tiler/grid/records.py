@@ -205,14 +205,14 @@ class SizesRecord(LabelsRecord):
     sizes : list of list of int
         Counts of cells of each label: fields of `CellCounts` (candidates), fields of `Plane` (planes), or number of
         cells, number of cells with a confidence and sum of the confidences in hundredths (water).
-    times : int, optional
+    n_merged : int, optional
         Number of merged cells along a side, for candidates and planes.
     boxes : list of [row, col, last_row + 1, last_col + 1], optional
         Extent of each label, for planes.
     """
 
     sizes: list[list[int]]
-    times: int | None = None
+    n_merged: int | None = None
     boxes: list[list[int]] | None = None
 
 

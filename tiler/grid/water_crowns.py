@@ -70,7 +70,7 @@ class CrownsBlock(BlockWork):
 
     Attributes
     ----------
-    sure : tuple of str
+    confidences : tuple of str
         Rasters of the confidence that each cell is water.
     occupancy : str
         Raster of the number of points in each cell, negative in cells that are water by the input.
@@ -79,7 +79,7 @@ class CrownsBlock(BlockWork):
     rule : GroundSelection
     """
 
-    sure: tuple[str, ...]
+    confidences: tuple[str, ...]
     occupancy: str
     ground: str
     rule: GroundSelection
@@ -98,9 +98,11 @@ def crowns_block(store_url: str, work: CrownsBlock) -> BlockRecord:
     store, spec = open_store(store_url), work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     margin = crowns_margin(size_m)
-    sure = np.max([read_cells(store, name, spec, padded(work.block, margin)) for name in work.sure], axis=0)
+    confidence = np.max(
+        [read_cells(store, name, spec, padded(work.block, margin)) for name in work.confidences], axis=0
+    )
     # The window has a margin of one cell, because `plant_kinds` compares each cell with its neighbours.
-    near_water = within(sure > 0, CROWN_M / size_m)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
+    near_water = within(confidence > 0, CROWN_M / size_m)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
     window = padded(work.block, 1)
     examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
     values = np.where(examined, _crowns(store, work, window, examined), 0)[1:-1, 1:-1].astype(np.float32)

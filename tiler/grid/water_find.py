@@ -73,7 +73,7 @@ class DescribeBody:
     rule : GroundSelection
     coarse : RasterSpec
         Raster of the coarse cells.
-    sure : float
+    confidence : float
         Confidence that this is water.
     lake_m2 : float
         Least area of a lake.
@@ -89,7 +89,7 @@ class DescribeBody:
     sources: Sources
     rule: GroundSelection
     coarse: RasterSpec
-    sure: float
+    confidence: float
     lake_m2: float
     river_width_m: float
     island_m2: float
@@ -132,7 +132,7 @@ def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
             whole = _whole(store, work, bays, lower_level_m)
         # The details of the shore are added after the kind is decided, because they make the shore longer.
         detailed = _detailed(store, work, whole, lower_level_m)
-        body = Water(0, kind, _area(detailed, side), sure=work.sure).to_json()
+        body = Water(0, kind, _area(detailed, side), confidence=work.confidence).to_json()
     return BodyRecord(body)
 
 

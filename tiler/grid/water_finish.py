@@ -51,7 +51,7 @@ class FinishWater(BlockWork):
 
     Attributes
     ----------
-    sure : tuple of str
+    confidences : tuple of str
         Rasters of the confidence that each cell is water.
     crowns : str
         Raster of the plants near water.
@@ -64,7 +64,7 @@ class FinishWater(BlockWork):
         Outlines of the bridges near the block that were removed from the terrain: x, y, x, y, ... in absolute counts.
     """
 
-    sure: tuple[str, ...]
+    confidences: tuple[str, ...]
     crowns: str
     sources: Sources
     river_width_m: float
@@ -94,8 +94,10 @@ def finish_water(store_url: str, work: FinishWater) -> SizesRecord:
     store, block, spec = open_store(store_url), work.block, work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     margin = finish_margin(work, size_m)
-    sure = np.max([read_cells(store, name, spec, padded(block, margin)) for name in work.sure], axis=0)
-    water = sure > 0
+    confidence = np.max(
+        [read_cells(store, name, spec, padded(block, margin)) for name in work.confidences], axis=0
+    )
+    water = confidence > 0
     if water.any():
         rows, cols = box_around(water, math.ceil((MAX_EXTENSION_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
         near = water[rows, cols]
@@ -106,8 +108,8 @@ def finish_water(store_url: str, work: FinishWater) -> SizesRecord:
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
-    known = sure[inner] > 0
-    hundredths = np.rint(sure[inner][known].astype(np.float64) * 100)
+    known = confidence[inner] > 0
+    hundredths = np.rint(confidence[inner][known].astype(np.float64) * 100)
     counts = [
         np.bincount(labels.ravel(), minlength=count + 1)[1:],
         np.bincount(labels[known], minlength=count + 1)[1:],

@@ -129,7 +129,7 @@ def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
     Returns
     -------
     SizesRecord
-        Record of the block, with sizes as in `Plane`, ``times`` and ``boxes``.
+        Record of the block, with sizes as in `Plane`, ``n_merged`` and ``boxes``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
@@ -137,9 +137,9 @@ def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
     labels, sides = label_block(plane_cells(smoothed(cells.ground), cells.domain)[inner], corners=False)
     sparse = np.zeros_like(labels, np.bool_)
     if work.usual is not None:
-        coarser = cells.merged(work.times)
+        coarser = cells.merged(work.n_merged)
         coarse_sparse = sparse_cells(coarser, flat_cells(coarser), work.usual)
-        sparse = coarse_sparse.repeat(work.times, axis=0).repeat(work.times, axis=1)[inner]
+        sparse = coarse_sparse.repeat(work.n_merged, axis=0).repeat(work.n_merged, axis=1)[inner]
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
@@ -155,7 +155,7 @@ def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
         labels=count,
         sizes=np.stack(counts, axis=1).tolist(),
         boxes=boxes,
-        times=work.times,
+        n_merged=work.n_merged,
         filled=int(np.count_nonzero(values)),
         checksum=checksum(values),
     )

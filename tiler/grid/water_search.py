@@ -71,7 +71,7 @@ class FindAreas(BlockWork):
     Attributes
     ----------
     sources : Sources
-    times : int
+    n_merged : int
         Number of cells that are merged along a side, a power of two. A merged cell is so large that it is not
         empty by chance.
     usual : float or None
@@ -79,7 +79,7 @@ class FindAreas(BlockWork):
     """
 
     sources: Sources
-    times: int
+    n_merged: int
     usual: float | None
 
 
@@ -90,7 +90,7 @@ class AreasWork(BlockWork):
     Attributes
     ----------
     sources : Sources
-    times : int
+    n_merged : int
         See `FindAreas`.
     areas : str
         Raster of the labels of candidates.
@@ -99,7 +99,7 @@ class AreasWork(BlockWork):
     """
 
     sources: Sources
-    times: int
+    n_merged: int
     areas: str
     joins: tuple[tuple[Piece, Piece], ...]
 
@@ -128,12 +128,14 @@ def find_areas(store_url: str, work: FindAreas) -> SizesRecord:
     Returns
     -------
     SizesRecord
-        Record of the block, with sizes as in `CellCounts`, and ``times``.
+        Record of the block, with sizes as in `CellCounts`, and ``n_merged``.
     """
     store, block = open_store(store_url), work.block
-    cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
-    candidate_mask = water_candidates(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
-    fine = cells.finer(work.times).cut(inner_window(block, MARGIN))
+    cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.n_merged)
+    candidate_mask = (
+        water_candidates(cells, work.usual).repeat(work.n_merged, axis=0).repeat(work.n_merged, axis=1)
+    )
+    fine = cells.finer(work.n_merged).cut(inner_window(block, MARGIN))
     labels, sides = label_block(candidate_mask[inner_window(block, MARGIN)], corners=False)
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
@@ -143,7 +145,7 @@ def find_areas(store_url: str, work: FindAreas) -> SizesRecord:
         sides=sides,
         labels=count,
         sizes=np.stack(counts, axis=1).tolist(),
-        times=work.times,
+        n_merged=work.n_merged,
         filled=int(np.count_nonzero(values)),
         checksum=checksum(values),
     )
@@ -197,17 +199,17 @@ def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> F
 
 
 def read_search_cells(
-    store: TileStore, sources: Sources, spec: RasterSpec, window: Block, times: int
+    store: TileStore, sources: Sources, spec: RasterSpec, window: Block, n_merged: int
 ) -> WaterCells:
-    """Read returns, classes and ground in a window, and merge squares of ``times`` by ``times`` cells.
+    """Read returns, classes and ground in a window, and merge squares of ``n_merged`` by ``n_merged`` cells.
 
-    ``times`` is a power of two.
+    ``n_merged`` is a power of two.
     """
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     ground = ground_in(store, sources.ground, spec, window)
-    return WaterCells(np.abs(points), points < 0, ground, domain, size_m).merged(times)
+    return WaterCells(np.abs(points), points < 0, ground, domain, size_m).merged(n_merged)
 
 
 @dataclass(frozen=True)
@@ -297,5 +299,5 @@ def areas_around(
     )
     numbers = numbers[rows, cols]
     window = Block(whole.row + rows.start, whole.col + cols.start, *numbers.shape)
-    cells = read_search_cells(store, work.sources, work.spec, window, work.times).finer(work.times)
+    cells = read_search_cells(store, work.sources, work.spec, window, work.n_merged).finer(work.n_merged)
     return AreasAround(cells, numbers, names, window, work.block, pad)

@@ -64,7 +64,7 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     (b,) = coarse.blocks(512)
     common = {"spec": coarse, "block": b}
     occupancy_block(url, PointsBlock(name="occupancy", rule=FINAL, **common))
-    closing = CloseBlock(name="open", occupancy="occupancy", gap=gap, most_gap=gap, **common)
+    closing = CloseBlock(name="open", occupancy="occupancy", gap=gap, max_gap=gap, **common)
     outside, empty = outside_of({(0, 0): close_block(url, closing).sides})
     assert not empty
     survey_block(

@@ -38,7 +38,7 @@ class PassInputs:
         Digest of each bucket's contents and of the latest labels of its points.
     labels : str or None
         Name in the store of the latest labels of the points of the cloud.
-    of_candidates : bool
+    candidates_only : bool
         Whether ``labels`` has labels only of candidates.
     elected : str or None
         Name in the store of the points that the latest electing pass made (see `ptd.passes.Pass.elects`).
@@ -52,7 +52,7 @@ class PassInputs:
 
     digests: Mapping[Cell, str]
     labels: str | None = None
-    of_candidates: bool = False
+    candidates_only: bool = False
     elected: str | None = None
     elected_labels: str | None = None
     elected_digests: Mapping[Cell, str] = field(default_factory=dict)
@@ -91,7 +91,7 @@ class PassInputs:
         if step.elected and not is_last:  # The pass has labelled elected points, not points of the cloud.
             both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
             return replace(self, elected_labels=labels_name(number), elected_digests=both)
-        return replace(self, labels=labels_name(number), of_candidates=candidates_only, digests=digests)
+        return replace(self, labels=labels_name(number), candidates_only=candidates_only, digests=digests)
 
 
 def labels_name(number: int) -> str:
@@ -155,9 +155,9 @@ def filter_tasks(
             elected_in=inputs.elected if step.elected else None,
             elected_labels_in=inputs.elected_labels if step.elected and reads_labels else None,
             elected_out=elected_name(number) if step.elects else None,
-            of_elected=step.elected and not is_last,
-            of_candidates=candidates_only,
-            in_of_candidates=reads_labels and inputs.of_candidates,
+            labels_elected=step.elected and not is_last,
+            candidates_only=candidates_only,
+            input_candidates_only=reads_labels and inputs.candidates_only,
             held_bytes=held_bytes(plan.resources.memory),
         )
         digests = inputs.digests if reads_labels else assembled.digests

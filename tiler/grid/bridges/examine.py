@@ -60,13 +60,13 @@ class ExamineDecks:
     rule : GroundSelection
     spec : RasterSpec
         Raster of the coarse cells.
-    places : tuple of CandidateCells
+    candidates : tuple of CandidateCells
         Cells of each candidate.
     """
 
     rule: GroundSelection
     spec: RasterSpec
-    places: tuple[CandidateCells, ...]
+    candidates: tuple[CandidateCells, ...]
 
 
 def find_deck_cells(store_url: str, work: FindDeckCells) -> DeckCellsRecord:
@@ -114,11 +114,11 @@ def examine_decks(store_url: str, work: ExamineDecks) -> DecksRecord:
     store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
     metres = np.array((frame.metres_xy, frame.metres_xy, frame.metres_z), np.float64)
-    bounds = [examined_bounds(spec, cells, float(frame.metres_xy)) for cells in work.places]
+    bounds = [examined_bounds(spec, cells, float(frame.metres_xy)) for cells in work.candidates]
     xyz, ground = _voxels(store, work.rule, reduce(Bounds.union, bounds), metres)
     decks: list[DeckRecord] = []
     reasons: list[str] = []
-    for cells, window in zip(work.places, bounds, strict=True):
+    for cells, window in zip(work.candidates, bounds, strict=True):
         x, y = xyz[:, 0], xyz[:, 1]
         inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
         deck, reason = _examine(spec, cells, window, xyz[inside], ground[inside], metres)

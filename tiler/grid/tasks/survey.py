@@ -64,7 +64,7 @@ def _close_tasks(raster: RasterStep, context: GridContext, gap: float) -> Iterat
     for place in near_places(coarse, occupied, reach_blocks):
         work = CloseBlock(
             name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), occupancy=occupancy,
-            gap=min(gap, max_gap), most_gap=max_gap,
+            gap=min(gap, max_gap), max_gap=max_gap,
         )  # fmt: skip
         inputs = context.checksums(occupancy, block_names(near_places(coarse, [place], reach_blocks)))
         yield context.block_task(raster, work, [inputs])

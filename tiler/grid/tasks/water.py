@@ -110,7 +110,7 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
         # `finish_water` adds up the confidences of the cells in hundredths. Not all cells have a confidence.
         confidence = round(hundredths / 100 / max(n_known, 1), 2)
         work = DescribeBody(
-            pieces, CELLS, CROWNS, Sources(*SOURCES), context.rule, coarse, sure=confidence,
+            pieces, CELLS, CROWNS, Sources(*SOURCES), context.rule, coarse, confidence=confidence,
             lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
             island_m2=float(config.water_min_island),
         )  # fmt: skip

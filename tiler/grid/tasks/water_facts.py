@@ -51,10 +51,10 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, LevelRecord]) 
 def _doubts(body: Water, record: LevelRecord | None, unit: Fraction) -> list[Doubt]:
     """Return warnings about a body of water, each with a text and a position (x, y)."""
     doubts: list[tuple[str, tuple[float, float]]] = []
-    if body.sure is not None and body.sure < MIN_CONFIDENCE:
+    if body.confidence is not None and body.confidence < MIN_CONFIDENCE:
         text = (
-            f"{_named(body)} is water with {body.sure:.0%} certainty; check it, and if it is not water delete it from "
-            "water.gpkg and give that file with --water"
+            f"{_named(body)} is water with {body.confidence:.0%} certainty; check it, and if it is not water delete it "
+            "from water.gpkg and give that file with --water"
         )
         doubts.append((text, _first_vertex(body)))
     share, lowest = (0.0, None) if record is None else record.floating
@@ -109,7 +109,7 @@ def _result(body: Water, pixels: int, pixel_m2: float) -> WaterResult:
         level_end=low,
         pixels=pixels,
         area_m2=pixels * pixel_m2,
-        sure=body.sure,
+        sure=body.confidence,
         bounds=[v / COUNTS_PER_UNIT for v in body.area.bounds.to_json()],
         stations=_stations(body),
     )

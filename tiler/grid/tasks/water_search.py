@@ -87,7 +87,7 @@ def areas_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
         n_merged, median = usual or (1, None)
         work = FindAreas(
             name=raster.name, spec=context.coarse, block=context.coarse.block_at(*place, BLOCK_PIXELS),
-            sources=Sources(occupancy, ground, domain), times=n_merged, usual=median,
+            sources=Sources(occupancy, ground, domain), n_merged=n_merged, usual=median,
         )  # fmt: skip
         yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
 
@@ -151,7 +151,7 @@ def crowns_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             name=raster.name,
             spec=context.coarse,
             block=block,
-            sure=(sure, planes),
+            confidences=(sure, planes),
             occupancy=occupancy,
             ground=ground,
             rule=context.rule,
@@ -184,7 +184,7 @@ def cells_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             name=raster.name,
             spec=context.coarse,
             block=context.coarse.block_at(*place, BLOCK_PIXELS),
-            sure=(sure, planes),
+            confidences=(sure, planes),
             crowns=crowns,
             sources=Sources(*sources),
             river_width_m=float(config.water_min_river_width),
@@ -215,7 +215,7 @@ def _on_areas(raster: RasterStep, context: GridContext, place: Place) -> dict[st
         "spec": context.coarse,
         "block": context.coarse.block_at(*place, BLOCK_PIXELS),
         "sources": Sources(occupancy, ground, domain),
-        "times": 1 if record is None else record.times,
+        "n_merged": 1 if record is None else record.n_merged,
         "areas": areas,
         "joins": context.areas(areas).joins(around(*place)),
     }
