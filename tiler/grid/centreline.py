@@ -1,4 +1,4 @@
-"""Line along which a river flows: through the shore_distance of its polygon, from end to end."""
+"""Line along which a river flows: through the middle of its polygon, from end to end."""
 
 from __future__ import annotations
 

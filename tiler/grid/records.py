@@ -354,7 +354,7 @@ class RoofsRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class CrownsRecord(Record):
-    """Record of the search for crowns: number of examined blocks, and positions, see `ptd.matched.crowns.Crowns`."""
+    """Record of the search for crowns: number of examined blocks, and pixel at the centre of each block of crowns."""
 
     n_tested: int
     found: list[Any]

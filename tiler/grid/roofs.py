@@ -48,7 +48,7 @@ class FindRoofs:
 
 
 def find_roofs(store_url: str, work: FindRoofs) -> RoofsRecord:
-    """Search for roofs on a worker, which has loaded the kernels. Return ``advice``: a warning, or None."""
+    """Search for roofs on a worker, which has loaded the kernels. The ``advice`` is a warning, or None."""
     blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
     store = open_store(store_url)
     advice = roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m, work.waters)

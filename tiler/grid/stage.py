@@ -215,8 +215,8 @@ def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
 def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
     if job.plan.thin_ground and job.plan.config.surface_percent is None:
         job.note(
-            "decided: one ground point in each cell a quarter of a pixel wide makes the surface, as all of them would "
-            "need more memory in the densest place (--memory)"
+            "decided: one ground point per cell a quarter of a pixel wide makes the surface, because all ground points "
+            "of the densest place would need more memory (--memory)"
         )
     records = records_of(TerrainRecord, made)
     job.results.dtm = TerrainResult(

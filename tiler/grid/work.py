@@ -1,4 +1,4 @@
-"""Arguments of the tasks that make rasters: one frozen dataclass for each kind of task."""
+"""Arguments of the tasks that make the terrain, and base classes of the arguments of other rasters."""
 
 from __future__ import annotations
 

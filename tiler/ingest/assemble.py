@@ -75,7 +75,7 @@ class AssembleBuckets:
     skip_flags: int = WITHHELD_FLAG
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of all buckets."""
+        """Return the bounds of all buckets. The argument is the lattice of the buckets."""
         return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
 
 
@@ -155,8 +155,8 @@ def _sort_keys(
 ) -> tuple[list[npt.NDArray[np.uint64] | npt.NDArray[np.int64]], npt.NDArray[np.int64]]:
     """Return keys that sort by fine cell, z, x, y, major key first, and the points' fine cells.
 
-    If 64 bits suffice, the keys are packed into one, which sorts faster. They nearly always do, because a position in a
-    bucket of 100 m takes 34 bits.
+    If 64 bits suffice, the keys are packed into one key, which sorts faster. 64 bits nearly always suffice: x and y in
+    a bucket of 100 m take 34 bits, so 30 bits are left for z.
     """
     bounds = bucket.bounds(cell)
     x = xyz[0].astype(np.int64) + (frame.origin[0] - bounds.x0)

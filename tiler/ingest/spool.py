@@ -58,11 +58,11 @@ class SpoolPiece:
     salvage : bool
         Read the readable part of a damaged file.
     extent : Bounds or None
-        Bounds in the header of the source, in absolute counts.
+        Bounds in the header of the source, widened by one unit, in absolute counts. None if the header is wrong.
     identity : str or None
         Identity of the piece's content, which does not depend on ``wanted``.
     stamp : list or None
-        Stamp of the source when the plan read it.
+        `LasHeader.stamp` of the source as the plan found it, which detects changes.
     ranges : tuple of (int, int)
         First record and number of records of each part, if only some chunks of the source are read. ``count`` is then
         their sum.
@@ -181,12 +181,12 @@ def _read_step(
     records = reader.read(start, count)
     if keeper is not None:
         keeper.add(records)
-    local, keep, dropped, rounding = to_local_counts(records, reader.header, meta.frame)
+    local, usable, dropped, rounding = to_local_counts(records, reader.header, meta.frame)
     rows = np.arange(start, start + count, dtype=np.int64)
     block = columns(records, reader.header, local, work.source, rows, meta.has_rgb)
-    block, left_out = _selected(block, records, reader.header, work.selection)
-    unselected = {key: int(np.count_nonzero(mask & keep)) for key, mask in left_out.items()}
-    block = block.take(keep)
+    block, left_out = _flag_unselected(block, records, reader.header, work.selection)
+    unselected = {key: int(np.count_nonzero(mask & usable)) for key, mask in left_out.items()}
+    block = block.take(usable)
     outside = 0
     if work.extent is not None:
         inside = block.inside(work.extent, meta.frame.origin)
@@ -194,10 +194,10 @@ def _read_step(
     return _Step(block, outside, dropped, unselected, rounding)
 
 
-def _selected(
+def _flag_unselected(
     block: PointBlock, records: Records, header: LasHeader, selection: Selection
 ) -> tuple[PointBlock, dict[str, npt.NDArray[np.bool_]]]:
-    """Return the points with the flags of a selection, and masks of omitted points by option."""
+    """Return all points, with a flag if the selection excludes them, and masks of the excluded points by option."""
     if block.flags is None or block.returns is None or block.classification is None:
         raise ValueError("points were read without their flags, returns and classes")
     withheld = (block.flags & WITHHELD_FLAG) > 0
@@ -259,7 +259,7 @@ def columns(
     rows: npt.NDArray[np.int64],
     has_rgb: bool,
 ) -> PointBlock:
-    """Return all columns of the records. Colours are 0 if the store has them, but the records do not."""
+    """Return the columns that the store keeps. Colours are 0 if the store has them, but the records do not."""
     classification, flags = class_and_flags(records, header.point_format)
     rgb = None
     if has_rgb:

@@ -60,7 +60,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     InputError
         No source is left, all points were dropped, or a source is misplaced and the run stops on errors.
     ProcessingError
-        A task failed because of the store or the system.
+        A task failed because of the store or the system, or any task failed and the run stops on errors.
     """
     spooled = run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
     failed = [task for task in job.record.failed if task.stage == "spool"]
@@ -163,9 +163,9 @@ def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, s
 
 
 def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
-    """Return a reason for each source that extends the raster beyond that of the plan, by its name.
+    """Return a reason for each source with points far outside of the bounds in its header, by its name.
 
-    The result is empty if the raster is not too large.
+    The result is empty unless the raster of all points would be too large.
     """
     records, lattice = by_source(spooled), plan.buckets
     expected = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
@@ -242,15 +242,15 @@ def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
     """Count the input points per class, and report classes with many points that are not filtered."""
     config = job.plan.config
     input_counts = sum_by_class(bucket.classes for bucket in assembled.records.values())
-    kept_out = () if config.method == KEEP else config.keep_classes
-    no_part = {
+    unfiltered_classes = () if config.method == KEEP else config.keep_classes
+    unfiltered_counts = {
         code: n
         for code, n in input_counts.items()
-        if int(code) in kept_out and int(code) not in config.drop_classes
+        if int(code) in unfiltered_classes and int(code) not in config.drop_classes
     }
-    job.results.classes = ClassCounts(input=input_counts, no_part=no_part)
+    job.results.classes = ClassCounts(input=input_counts, no_part=unfiltered_counts)
     points = sum(input_counts.values())
-    for code, n in no_part.items():
+    for code, n in unfiltered_counts.items():
         if n > MANY * points:
             other_classes = ",".join(str(c) for c in config.keep_classes if c != int(code)) or "none"
             job.note(
@@ -286,7 +286,7 @@ def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> 
 
 
 def _forget_labels(job: Job, stale: Commits) -> None:
-    """Invalidate the tiles of rewritten buckets, since a bucket that moves loses its labels."""
+    """Invalidate the tiles of rewritten buckets, since a bucket that is moved to other rows loses its labels."""
     cells = {tuple(bucket.cell) for _, stored in stale.values() for bucket in buckets_in(stored)}
     for number in range(job.store.get_state("passes") or 0):
         stage = f"filter{number}"

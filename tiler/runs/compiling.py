@@ -25,6 +25,7 @@ from tiler.plan import KEEP, MIN_MATCHED_M2, Plan
 from tiler.schedule import ChildDiedError, ChildProcess
 
 Tell = Callable[[], None]
+"""Function that is called before a compilation starts."""
 
 STAGE = "compile"
 """Key of the stage in the progress while the run waits for kernels."""
@@ -94,7 +95,10 @@ class Compiler:
         self._told: set[str] = set()
 
     def begin(self, plan: Plan, until: str) -> None:
-        """Start to compile the kernels that a run will probably need, if child processes compile."""
+        """Start child processes that compile the kernels that a run will probably need.
+
+        Nothing is done if child processes do not compile.
+        """
         if not self._apart:
             return
         wanted = []
@@ -172,7 +176,7 @@ class Compiler:
 
 
 def silent() -> None:
-    """Ignore the progress of the compilation."""
+    """Ignore the start of a compilation."""
 
 
 def kinds_of(method: str) -> tuple[str | None, ...]:

@@ -1,4 +1,4 @@
-"""Executors of a run: the requested workers, or local ones for files that these cannot write."""
+"""Executors of a run: the requested workers, and local ones for files that a cluster cannot write."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tiler.schedule.cluster_check import ClusterAccess
 from tiler.schedule.worker import prepare
 from tiler.store import store_exists
 
-# A faulty worker can allocate MEMORY_TIMES times the memory of the plan plus MEMORY_MORE_BYTES, then it fails.
+# A worker fails if it needs more than MEMORY_TIMES times the planned memory plus MEMORY_MORE_BYTES: it is faulty.
 MEMORY_TIMES = 2
 MEMORY_MORE_BYTES = 512 << 20
 
@@ -41,7 +41,7 @@ class Cluster:
         found = [
             f"cluster     {workers} workers for {threads} concurrent tasks on {len(self.machines)} machines; "
             f"{least / 2**20:,.0f} MiB or more per task, {need_bytes / 2**20:,.0f} MiB needed; "
-            "all have the versions of this machine and can read the inputs"
+            "all have the same versions as this machine and can read the inputs"
         ]
         if not self.out_seen:
             found.append(
@@ -61,7 +61,7 @@ def look_at_cluster(plan: Plan, store_url: str | None, products: str | None) -> 
     ----------
     plan : Plan
     store_url, products : str or None
-        Locations of the store and the results (see `Executors`); None if unknown. Each worker writes an empty file
+        Locations of the store and the results (see `Executors`); None if unknown. Each worker writes a small file
         there and removes it.
 
     Raises

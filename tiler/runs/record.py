@@ -28,7 +28,7 @@ from tiler.version import __version__
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
 
 PLACED = ("filter", "grid-")
-"""Stages whose tasks are tiles of the map in the report."""
+"""Prefixes of the keys of stages whose tasks are tiles of the map in the report."""
 
 LISTED_TILES = 20_000
 """Maximum number of tiles of a stage whose tiles are listed. run.json is written after each stage, so it must not
@@ -42,7 +42,7 @@ class RunRecord:
     Attributes
     ----------
     computed : int
-        Number of tasks that this run did.
+        Number of tasks that this run had to do, with those that failed.
     stages : dict of str to StageResult
         Work of each stage by its key.
     quarantined : list of LeftOut
@@ -125,9 +125,9 @@ class RunRecord:
             "peak_rss_bytes": max([peak_rss_bytes(), *peaks]),
             **self.results.to_json(),
         }
-        found: dict[str, Any] = stored(content)
-        found["problems"] = [problem._asdict() for problem in problems_of(found)]
-        return found
+        redacted: dict[str, Any] = stored(content)
+        redacted["problems"] = [problem._asdict() for problem in problems_of(redacted)]
+        return redacted
 
 
 @cache
@@ -149,7 +149,7 @@ def _tile(task: Task, bounds: list[float] | None, done: Commits) -> TileResult:
 
 
 def _done(tile: TileResult, stored_record: dict[str, Any]) -> TileResult:
-    # Not all records have these entries: tasks of some rasters cannot be uncertified.
+    # Records of some rasters lack these entries, since their pixels are never uncertified.
     return replace(
         tile, state="done", tries=stored_record.get("tries", 1), marked=stored_record.get("marked", 0)
     )

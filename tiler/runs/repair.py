@@ -27,7 +27,7 @@ def repair(job: Job, keys: Iterable[str]) -> None:
     """
     for key in sorted(set(keys)):
         kind, name, chunk = [*key.split("/"), "", ""][:3]
-        remedy = "the task that wrote it is run again"
+        remedy = "the tasks that wrote it are run again"
         if kind == "records":
             remedy = "the source is decoded again"
         job.note(f"store: {key} is damaged or missing; {remedy}")
@@ -66,7 +66,7 @@ def _clear_filters(job: Job) -> None:
 
 
 def _take_back_bucket(job: Job, kind: str, row: int) -> None:
-    """Invalidate the tasks that wrote the points, labels or elected points of the bucket that owns a row of columns."""
+    """Invalidate the tasks that wrote the points, labels or elected points of a bucket, given one of its rows."""
     cell = job.store.owner_of(row)
     if cell is None:
         return

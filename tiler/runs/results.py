@@ -65,7 +65,8 @@ class Results:
     made_of : mapping of str to str
         Digest of the points, labels and settings from which each product was made.
     earlier_outputs : mapping of str to str or None
-        Files in OUT that may be of earlier runs, with the digest in `made_of`, or None if it does not hold for them.
+        Files in OUT that earlier runs may have written, each with its digest from their `made_of`, or None if that is
+        not known or outdated.
     healed : sequence of str
         Damaged objects of the store that the run repaired.
     """

@@ -55,7 +55,7 @@ def run_stage(
     Raises
     ------
     CorruptStoreError
-        Objects of the store could not be read. All other tasks are done.
+        Objects of the store could not be read. All other tasks were tried.
     ProcessingError
         A task failed and ``--on-error`` is ``stop``, or the store or OUT was removed.
     """

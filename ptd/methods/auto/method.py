@@ -301,7 +301,7 @@ def first_tin(
 ) -> tuple[Tin, UncertifiedRegion]:
     """Build the TIN of the chosen points (at least one) and a ring of virtual ones, with space for all points.
 
-    The choice is certified within the known window.
+    The mask ``chosen`` is certified only within the known window.
     """
     cells = CellLattice.of(RING_M, scale)
     region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)

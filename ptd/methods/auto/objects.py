@@ -1,13 +1,13 @@
 """Objects, distinguished from terrain by the steep drop of the lowest points of cells in morphological openings.
 
 An object drops steeply: an opening with a disk a little wider than the object removes its height, while terrain loses
-no more than its slope gives. So a cell belongs to an object if for some radius r (in cells)::
+no more than its slope gives. So a cell belongs to an object if for some radius r (in metres)::
 
     drop(r) - allowance > (per_metre + per_slope * slope) * r
 
-Here drop(r) is the fall from the opening with r - 1 to that with r, both of the original raster, and slope is that of
-the surface after the last opening (for seeds) or of the ground (for residuals). For residuals the threshold also
-grows where there are few objects around. Heights beyond a fixed distance do not change any of these results.
+Here drop(r) is the fall to the opening with r from that one cell smaller, both of the original raster. The slope is
+that of the surface after the last opening (for seeds) or of the ground (for residuals). For residuals the threshold
+also grows where there are few objects around. Heights beyond a fixed distance do not change any of these results.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ class Reaches:
     Attributes
     ----------
     slope_m, residual_slope_m : float
-        Half width of the boxes whose means give slopes. For seeds it extends past a house's wall. For objects on ground
-        whose trend is subtracted it is small.
+        Half width of the boxes whose means give slopes. ``slope_m``, for seeds, extends past the wall of a house.
+        ``residual_slope_m`` is small, because the trend of the ground is subtracted.
     around_m : float
         Distance within which objects are counted. If there are few, a bump is terrain.
     object_trend_m, bump_trend_m : float
@@ -207,7 +207,7 @@ class AutoParameters:
 
     @property
     def margin_m(self) -> float:
-        """Margin of one thinning cell, so that windows contain whole ones even if cells of the ring do not."""
+        """Margin of one thinning cell, so that windows contain whole thinning cells, whatever the ring's cells are."""
         return self.thin_cell_m
 
     @property

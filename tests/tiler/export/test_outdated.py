@@ -93,7 +93,7 @@ def test_paths_that_lead_out_of_the_folder_move_nothing(tmp_path: Path) -> None:
     assert files(tmp_path) == before
 
 
-def file_digests(job: Any, stage: str, found: Any, writes_out: bool) -> Any:
+def file_digests(job: Any, stage: str, found: Any, in_out: bool) -> Any:
     """Content of files, of which dsm.tif has changed."""
     for place, _, _ in found:
         name = Path(place).name

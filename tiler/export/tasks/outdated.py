@@ -102,7 +102,7 @@ def _damaged(job: Job, paths: Collection[str]) -> list[str]:
     path_of = {joined(job.products, path): path for path in sorted(known)}
     states = zip(path_of, states_at(list(path_of)), strict=True)
     results = file_digests(
-        job, "verify", [(location, s, 0) for location, s in states if s is not None], writes_out=True
+        job, "verify", [(location, s, 0) for location, s in states if s is not None], in_out=True
     )
     return [path_of[location] for location, result in results if result.digest != known[path_of[location]]]
 
@@ -182,7 +182,7 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
         if job.plan.config.verify or (state is not None and state != there[key].to_json()):
             doubtful[files[key]] = key
     files_of = [(location, there[key], 0) for location, key in sorted(doubtful.items())]
-    for location, result in file_digests(job, STAGE, files_of, writes_out=True):
+    for location, result in file_digests(job, STAGE, files_of, in_out=True):
         key = doubtful[location]
         digest, stored = commits[key]
         if result.digest != (records[key].digest or ""):

@@ -21,7 +21,7 @@ def skip_flags(plan: Plan) -> int:
 
 @dataclass(frozen=True)
 class IngestResult:
-    """Result of the ingest: record of each bucket, and digest of the inputs from which the bucket was assembled."""
+    """Result of the ingest: record of each bucket, and digest of the task that assembled the bucket."""
 
     records: dict[Cell, BucketRecord]
     digests: dict[Cell, str]

@@ -1,8 +1,8 @@
-"""Numbers of the inputs in the store, and digests of their bytes.
+"""Registration of the inputs in the store: a number for each source, and the digest of its bytes.
 
 The workers read all bytes of a file once for its digest. They read them again only if its size, its time or the bytes
-before its points have changed, or with ``--verify``. So a file that was only touched or copied is recognized by its
-digest.
+before its points have changed, or with ``--verify``. So a file that was only touched, or replaced by a copy of itself,
+is recognized by its digest. The state, header and octree identify a COPC file at a URL of which only a part is read.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def register_sources(job: Job) -> list[Source]:
         for file_location, info in info_by_location.items()
         if info.points and file_location not in unreadable
     ]
-    if not sources:  # The plan contains a source with points, so the sources with points cannot be read.
+    if not sources:  # The plan has at least one source with points, so none of these could be read.
         raise InputError(f"no input could be read; the first error: {min(unreadable.values())}")
     return sources
 
@@ -82,7 +82,7 @@ def register_sources(job: Job) -> list[Source]:
 def _identify(
     job: Job, known: dict[str, dict[str, Any]], todo: list[tuple[str, SourceInfo]]
 ) -> dict[str, str]:
-    """Let the workers read files and save the digests. Return the errors by location."""
+    """Have the workers read files, and add their digests to ``known``. Return the errors by location."""
     stamps, unreadable, saved = (
         {file_location: info.stamp for file_location, info in todo},
         {},
@@ -102,7 +102,7 @@ def _identify(
 
 
 def file_digests(
-    job: Job, stage: str, files: Iterable[File], writes_out: bool = False
+    job: Job, stage: str, files: Iterable[File], in_out: bool = False
 ) -> Iterator[tuple[str, FileContent]]:
     """Yield the location and content of each file. The workers read the files.
 
@@ -113,7 +113,7 @@ def file_digests(
         Key of the stage in the progress.
     files : iterable of File
         Location, state and number of points of each file, or another number that represents the work of reading it.
-    writes_out : bool
+    in_out : bool
         Whether the files are in OUT, which not all workers may be able to access.
     """
     tasks = list(_tasks(stage, files))
@@ -121,7 +121,7 @@ def file_digests(
         return
     points, start = sum(task.points for task in tasks), time.monotonic()
     job.listener(StageStarted(stage, job.plan.method.title_of(stage), tasks=len(tasks), points=points))
-    for outcome in job.executors.choose(writes_out).run(compute, job.store.url, tasks):
+    for outcome in job.executors.choose(in_out).run(compute, job.store.url, tasks):
         if outcome.again:
             continue
         task = outcome.task
