@@ -382,6 +382,6 @@ def _listening(progress: ShowProgress) -> Iterator[Listener]:
         yield log
 
 
-def _log(record: Progress) -> None:
-    if record["message"] is not None:
-        _logger.log(logging.WARNING if record["level"] == "warning" else logging.INFO, record["message"])
+def _log(progress: Progress) -> None:
+    if progress["message"] is not None:
+        _logger.log(logging.WARNING if progress["level"] == "warning" else logging.INFO, progress["message"])

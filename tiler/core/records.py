@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
-from typing import Any, Self, TypedDict, TypeVar
+from typing import Any, Generic, Self, TypedDict, TypeVar
 
 from tiler.errors import StoreError
 
@@ -45,6 +45,16 @@ class Record:
             if value is not None or field.default is MISSING:
                 values[name] = value
         return values
+
+
+Part = TypeVar("Part")
+
+
+@dataclass(frozen=True, slots=True)
+class JoinedRecord(Record, Generic[Part]):
+    """Record of a task with parts: the record of each part."""
+
+    parts: list[Part]
 
 
 AnyRecord = TypeVar("AnyRecord", bound=Record)

@@ -24,9 +24,10 @@ from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
+from tiler.core.records import JoinedRecord
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
-from tiler.grid.records import JoinedRecord, TerrainRecord
+from tiler.grid.records import TerrainRecord
 from tiler.grid.thinning import max_points_in_bucket, surface_ground
 from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
@@ -69,7 +70,7 @@ def grid_block(store_url: str, work: GridBlock) -> TerrainRecord:
     return record
 
 
-def grid_blocks(store_url: str, work: GridBlocks) -> JoinedRecord:
+def grid_blocks(store_url: str, work: GridBlocks) -> JoinedRecord[TerrainRecord]:
     """Write blocks of a raster that share a TIN. This is a `tiler.schedule.task.Work`.
 
     The pixels are those of `grid_block`. The record of each block, in ``parts``, is also the same except for the ground

@@ -55,13 +55,6 @@ class TerrainRecord(BlockRecord):
     edited: list[tuple[int, int]] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class JoinedRecord(Record):
-    """Record of blocks of the terrain that share a TIN."""
-
-    parts: list[TerrainRecord]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceRecord(BlockRecord):
     """Record of a block of the surface model.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from typing import IO, Any, TypedDict, cast
+from typing import IO, TypedDict, cast
 
 from tiler.observe.events import (
     Event,
@@ -55,20 +55,23 @@ def progress_record(
     now : float
         Current time by the clock of the job.
     """
-    record: dict[str, Any] = dict.fromkeys(("stage", "title", "done", "total", "rate", "progress", "eta"))
+    progress = Progress(
+        stage=None, title=None, done=None, total=None, rate=None,
+        progress=None, eta=None, message=message, level=level,
+    )  # fmt: skip
     if job is not None:
-        record["eta"] = _rounded(job.seconds_left())
+        progress["eta"] = _rounded(job.seconds_left())
         if job.known:
-            record["progress"] = _rounded(job.fraction(), 4)
+            progress["progress"] = _rounded(job.fraction(), 4)
     if job is not None and job.stage is not None:
         stage = job.stage
-        rate = _rounded(stage.rate(now - stage.started))
-        record |= {"stage": stage.key, "title": stage.title, "rate": rate}
+        progress["stage"], progress["title"] = stage.key, stage.title
+        progress["rate"] = _rounded(stage.rate(now - stage.started))
         if stage.points:
-            record |= {"done": stage.points_done, "total": stage.points}
+            progress["done"], progress["total"] = stage.points_done, stage.points
         else:
-            record |= {"done": stage.tasks_done, "total": stage.tasks}
-    return cast(Progress, stored({**record, "message": message, "level": level}))
+            progress["done"], progress["total"] = stage.tasks_done, stage.tasks
+    return cast(Progress, stored(progress))
 
 
 def message_of(event: Event) -> tuple[str, str] | None:

@@ -31,31 +31,31 @@ class NotebookBar:
         self._warnings: list[str] = []
         self._shown = jupyter.display(self._html(""), display_id=True)
 
-    def __call__(self, record: Progress) -> None:
-        """Update the bar with a new record."""
-        if record["level"] == "warning" and record["message"]:
-            self._warnings.append(record["message"])
-        self._shown.update(self._html(bar_markup(record, self._warnings)))
+    def __call__(self, progress: Progress) -> None:
+        """Update the bar with new progress."""
+        if progress["level"] == "warning" and progress["message"]:
+            self._warnings.append(progress["message"])
+        self._shown.update(self._html(bar_markup(progress, self._warnings)))
 
 
-def bar_markup(record: Progress, warnings: list[str]) -> str:
+def bar_markup(progress: Progress, warnings: list[str]) -> str:
     """Return the HTML of a bar, of the running stage with the time left, and of warnings.
 
     Parameters
     ----------
-    record : Progress
+    progress : Progress
     warnings : list of str
         All warnings of the job so far.
     """
-    done = record["progress"]
+    done = progress["progress"]
     parts = []
     if done is not None:
         parts.append(f"{done:.0%}")
-    if record["title"]:
-        parts.append(record["title"])
-    if record["eta"] is not None:
-        parts.append(f"about {duration_text(record['eta'])} left")
-    if record["message"] == "done":
+    if progress["title"]:
+        parts.append(progress["title"])
+    if progress["eta"] is not None:
+        parts.append(f"about {duration_text(progress['eta'])} left")
+    if progress["message"] == "done":
         done, parts = 1.0, ["done"]
     bar = "<progress></progress>"
     if done is not None:

@@ -5,7 +5,7 @@ This module and `tiler.runs.results` define its entries. docs/run-json.md guaran
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -148,7 +148,7 @@ def _tile(task: Task, bounds: list[float] | None, done: Commits) -> TileResult:
     return tile
 
 
-def _done(tile: TileResult, stored_record: dict[str, Any]) -> TileResult:
+def _done(tile: TileResult, stored_record: Mapping[str, Any]) -> TileResult:
     # Records of some rasters lack these entries, since their pixels are never uncertified.
     return replace(
         tile, state="done", tries=stored_record.get("tries", 1), marked=stored_record.get("marked", 0)

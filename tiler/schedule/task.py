@@ -5,9 +5,11 @@ A task is a pure function of the store: it reads whole arrays, and writes keys t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from tiler.core.records import JoinedRecord
 
 if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
     from tiler.core.lattice import Bounds, Lattice
@@ -94,7 +96,7 @@ class Outcome:
     """
 
     task: Task
-    record: dict[str, Any] | None
+    record: Mapping[str, Any] | None
     error: str | None = None
     error_kind: str | None = None
     seconds: float = 0.0
@@ -112,9 +114,10 @@ class Outcome:
         if not parts or self.record is None:
             return [self]
         share = self.seconds / max(sum(part.points for part in parts), 1)
+        records: list[Mapping[str, Any]] = JoinedRecord.of(self.record).parts
         return [
             replace(self, task=part, record=record, seconds=share * part.points)
-            for part, record in zip(parts, self.record["parts"], strict=True)
+            for part, record in zip(parts, records, strict=True)
         ]
 
 

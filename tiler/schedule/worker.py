@@ -136,7 +136,7 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
     try:
-        record: dict[str, Any] = to_json(task.work(store_url, task.arguments))
+        record = to_json(task.work(store_url, task.arguments))
         if commit:
             store = open_store(store_url)
             for part in Outcome(task, record).of_parts():

@@ -57,19 +57,19 @@ class CloudWriter:
         """Append points. If given, ``classes`` (uint8, shape (n,)) replaces their labels."""
         if not len(points):
             return
-        record = laspy.ScaleAwarePointRecord.zeros(len(points), header=self._header)
+        las = laspy.ScaleAwarePointRecord.zeros(len(points), header=self._header)
         for name, column in zip("XYZ", points.xyz.T, strict=True):
-            record[name] = np.rint(column * 1000).astype(np.int32)
-        record["classification"] = classes if classes is not None else points.label
-        record["return_number"], record["number_of_returns"] = points.number, points.count
-        record["scan_angle"] = np.round(points.angle_deg / 0.006).astype(np.int16)
+            las[name] = np.rint(column * 1000).astype(np.int32)
+        las["classification"] = classes if classes is not None else points.label
+        las["return_number"], las["number_of_returns"] = points.number, points.count
+        las["scan_angle"] = np.round(points.angle_deg / 0.006).astype(np.int16)
         pulse = self._pulses + np.cumsum(points.number == 1)
-        record["point_source_id"] = np.ones(len(points), np.uint16)
+        las["point_source_id"] = np.ones(len(points), np.uint16)
         if points.rgb is None:
-            record["gps_time"] = pulse * PULSE_S
+            las["gps_time"] = pulse * PULSE_S
         else:  # Coloured points come from images and have no GPS time.
-            record["red"], record["green"], record["blue"] = points.rgb.T
-        self._file.write_points(record)
+            las["red"], las["green"], las["blue"] = points.rgb.T
+        self._file.write_points(las)
         self._pulses = int(pulse[-1])
         self.points += len(points)
 

@@ -10,7 +10,7 @@ from tiler.store import layout
 from tiler.store.part import StorePart
 from tiler.store.storage import parse_json
 
-Commits = dict[str, tuple[str, dict[str, Any]]]
+Commits = dict[str, tuple[str, Mapping[str, Any]]]
 """Digest and record of each finished task, by key of the task."""
 
 

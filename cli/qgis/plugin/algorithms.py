@@ -104,19 +104,19 @@ class ApplyEdits(RunAlgorithm):
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
         """Return the command of the earlier run with the edits."""
         self._place = absolute(self.parameterAsFile(parameters, "OUTPUT", context))
-        record = results.read_record(self._place)
+        run = results.read_record(self._place)
         given = [path for path in self.parameterAsFileList(parameters, "INPUT", context) if path]
         return [
             find_command(),
             "run",
-            *process.options_of_config("run", {**record["configuration"], "edits": None}),
+            *process.options_of_config("run", {**run["configuration"], "edits": None}),
             "--edits",
             self._edits(parameters, context),
             "--out",
             self._place,
             "--progress",
             "json",
-            *([absolute(path) for path in given] or results.clouds_of(self._place, record)),
+            *([absolute(path) for path in given] or results.clouds_of(self._place, run)),
         ]
 
     def _edits(self, parameters: dict[str, Any], context: QgsProcessingContext) -> str:

@@ -59,14 +59,14 @@ def read_record(folder: str) -> dict[str, Any]:
     """Return the content of run.json in a folder, or raise CommandError."""
     path = Path(folder) / "run.json"
     try:
-        record = json.loads(path.read_text("utf-8"))
-        if not isinstance(record["configuration"], dict):
+        run = json.loads(path.read_text("utf-8"))
+        if not isinstance(run["configuration"], dict):
             raise TypeError
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CommandError(
             f"{folder}: does not contain results of tiler (run.json cannot be read); give the folder of a run"
         ) from error
-    return dict(record)
+    return dict(run)
 
 
 def clouds_of(folder: str, record: dict[str, Any]) -> list[str]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from ptd.matched.canopy_pass import CanopyPass
 from ptd.matched.crowns import Crowns
 from tiler.core.digests import digest_of
 from tiler.core.raster import RasterSpec
+from tiler.core.records import AnyRecord
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.crowns import FindCrowns, crown_advice, find_crowns
@@ -59,22 +58,22 @@ def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | No
     parameters = job.plan.method.parameters
     building_m, roof_m = parameters["max_building_size_m"], parameters.get("roof_size_m")
     work = FindRoofs(spec, filled, building_m, roof_m, waters)
-    (stored,) = _run_tasks(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])
-    advice = RoofsRecord.of(stored).advice
+    task = Task("advice", "roofs", digest_of(work), find_roofs, work)
+    (record,) = _run_tasks(job, [task], RoofsRecord)
+    advice = record.advice
     return None if advice is None else Advice(*advice)
 
 
 def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
     works = [FindCrowns(spec, filled[i : i + CROWN_BLOCKS]) for i in range(0, len(filled), CROWN_BLOCKS)]
     tasks = [Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w) for i, w in enumerate(works)]
-    records = [CrownsRecord.of(stored) for stored in _run_tasks(job, tasks)]
-    parts = [Crowns(record.n_tested, record.found) for record in records]
+    parts = [Crowns(record.n_tested, record.found) for record in _run_tasks(job, tasks, CrownsRecord)]
     return crown_advice(parts, spec)
 
 
-def _run_tasks(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
+def _run_tasks(job: Job, tasks: list[Task], kind: type[AnyRecord]) -> list[AnyRecord]:
     """Run tasks on workers, and return their records in the order of the tasks."""
-    records: dict[str, dict[str, Any]] = {}
+    records = {}
     for outcome in job.executors.choose().run(compute, job.store.url, tasks):
         if outcome.again:
             continue
@@ -85,5 +84,5 @@ def _run_tasks(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
             )
         if outcome.record is None:
             raise ProcessingError(f"the search for flaws in the terrain failed: {outcome.error}")
-        records[outcome.task.key] = outcome.record
+        records[outcome.task.key] = kind.of(outcome.record)
     return [records[task.key] for task in tasks]
