@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from tiler.apps.check import PointOptions, measure, parse_requirements
+from tiler.apps.check.results import Report
 from tiler.apps.classify import classify_file, classify_files, is_one_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
@@ -219,7 +220,7 @@ class CheckResult:
     """
 
     exit_code: int
-    summary: dict[str, Any] = field(repr=False)
+    summary: Report = field(repr=False)
 
     @property
     def met(self) -> bool:

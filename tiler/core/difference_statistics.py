@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +18,34 @@ MAX_STEPS = 2_000_000
 NMAD_FACTOR = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of normally distributed errors."""
 
-NAMES = ("rmse", "bias", "median", "nmad", "p5", "p25", "p75", "p95", "p95_abs", "max_abs")
-
 Float64s = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
+
+
+class Spread(TypedDict):
+    """Statistics of differences in their unit, all None if there are no differences.
+
+    ``bias`` is the mean. ``nmad`` is 1.4826 times the median absolute deviation from the median (Hoehle and Hoehle
+    2009, ISPRS J. 64, table 2). ``p5`` to ``p95`` are percentiles, linear between order statistics, and ``p95_abs`` and
+    ``max_abs`` those of the absolute values.
+    """
+
+    rmse: float | None
+    bias: float | None
+    median: float | None
+    nmad: float | None
+    p5: float | None
+    p25: float | None
+    p75: float | None
+    p95: float | None
+    p95_abs: float | None
+    max_abs: float | None
+
+
+NOTHING = Spread(
+    rmse=None, bias=None, median=None, nmad=None, p5=None, p25=None, p75=None, p95=None, p95_abs=None, max_abs=None
+)  # fmt: skip
+"""Statistics of no differences."""
 
 
 class SpreadTally:
@@ -56,43 +81,29 @@ class SpreadTally:
         self._values, at = np.unique(values, return_inverse=True)
         self._counts = np.bincount(at.ravel(), counts, self._values.size).astype(np.int64)
 
-    def summary(self) -> dict[str, float | None]:
+    def summary(self) -> Spread:
         """Return the same figures as `spread`."""
         if self.n == 0:
-            return dict.fromkeys(NAMES)
+            return NOTHING.copy()
         values = self._values.astype(np.float64) * self.step
         return _summary(values, self._counts, self._squares / self.n, self._sum / self.n, self._largest)
 
 
-def spread(differences: Float64s) -> dict[str, float | None]:
-    """Compute statistics of differences that fit into memory.
-
-    Parameters
-    ----------
-    differences : float64, any shape
-        Finite differences, in units of the heights.
-
-    Returns
-    -------
-    dict
-        Statistics in the same unit: ``rmse``, ``bias`` (the mean), ``median``, ``nmad``, percentiles ``p5``,
-        ``p25``, ``p75``, ``p95`` (linear between order statistics), ``p95_abs`` and ``max_abs`` of the absolute
-        values. ``nmad`` is 1.4826 times the median absolute deviation from the median (Hoehle and Hoehle 2009,
-        ISPRS J. 64, table 2). All are None if there are no differences.
-    """
+def spread(differences: Float64s) -> Spread:
+    """Compute statistics of finite differences, float64 of any shape, that fit into memory."""
     values = np.sort(np.asarray(differences, np.float64), axis=None)
     if values.size == 0:
-        return dict.fromkeys(NAMES)
+        return NOTHING.copy()
     counts = np.ones(values.size, np.int64)
     largest = float(np.abs(values).max())
     return _summary(values, counts, float(np.mean(values**2)), float(np.mean(values)), largest)
 
 
-def _summary(values: Float64s, counts: Int64s, square: float, mean: float, largest: float) -> dict[str, Any]:
+def _summary(values: Float64s, counts: Int64s, square: float, mean: float, largest: float) -> Spread:
     """Return the statistics of ascending values that occur ``counts`` times each. ``square`` is their mean square."""
     p5, p25, median, p75, p95 = quantiles(values, counts, (5, 25, 50, 75, 95))
-    figures = {
-        "rmse": np.sqrt(square),
+    return {
+        "rmse": math.sqrt(square),
         "bias": mean,
         "median": median,
         "nmad": NMAD_FACTOR * _quantile_of_absolute(values - median, counts, 50),
@@ -103,7 +114,6 @@ def _summary(values: Float64s, counts: Int64s, square: float, mean: float, large
         "p95_abs": _quantile_of_absolute(values, counts, 95),
         "max_abs": largest,
     }
-    return {name: float(figures[name]) for name in NAMES}
 
 
 def _quantile_of_absolute(values: Float64s, counts: Int64s, percent: float) -> float:

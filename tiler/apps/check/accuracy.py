@@ -8,7 +8,6 @@ at least 30 checkpoints (more above 1000 km2, 120 at most). Vegetated accuracy (
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
+from tiler.apps.check.results import Accuracy, AccuracyFigures, CheckedPoint, Statement
 from tiler.apps.evaluate.heights import read_heights, vertical_unit
 from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.crs import same_horizontal, split
@@ -41,20 +41,8 @@ _ROUNDING = 1e-9
 Floats = npt.NDArray[np.float64]
 
 
-def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None = None) -> dict[str, Any]:
+def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None = None) -> Accuracy:
     """Compare a DTM, interpolated bilinearly between pixel centres, with checkpoints.
-
-    Returns
-    -------
-    dict
-        ``dtm`` (path); ``unit`` (of all heights), ``metres_per_unit``; numbers of checkpoints: ``points``, ``used``,
-        ``no_height`` (a pixel around the checkpoint has no data), ``outside`` (of the raster); ``points_rmse`` (the
-        checkpoints' own error, in ``unit``); ``all``, ``nva``, ``vva``: statistics of
-        `tiler.core.difference_statistics.spread`, ``points``, ``rmse_v`` (RMSE with the checkpoints' own error),
-        ``outliers``; ``land_cover``: the same by name of the land cover; ``asprs``: ``standard``, ``least_points``,
-        ``enough_points``, ``statement`` (None with too few checkpoints); ``differences``: for each checkpoint
-        ``name``, ``x``, ``y`` (CRS of the DTM), ``kind``, ``cover``, ``z``, ``dtm``, ``difference`` (None without a
-        height) and ``outlier``; ``notes``.
 
     Raises
     ------
@@ -76,7 +64,8 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     if not own_error:
         notes.append("the checkpoints' own error is assumed to be 0; give it with --points-rmse")
     kinds, covers = np.array(points.kinds), np.array(points.covers)
-    result: dict[str, Any] = {
+    nva, vva = (_figures(difference[kinds == kind], own_error) for kind in (NVA, VVA))
+    return {
         "dtm": str(dtm),
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
@@ -86,27 +75,37 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
         "no_height": int((np.isnan(sampled) & ~outside).sum()),
         "points_rmse": own_error,
         "all": _figures(difference, own_error),
-        "nva": _figures(difference[kinds == NVA], own_error),
-        "vva": _figures(difference[kinds == VVA], own_error),
+        "nva": nva,
+        "vva": vva,
         "land_cover": {
             n: _figures(difference[covers == n], own_error) for n in sorted(set(points.covers)) if n
         },
+        "asprs": _statement(nva, vva, area_km2, float(metres)),
+        "differences": _checked_points(points, (x, y, z), sampled, difference),
+        "notes": notes,
     }
-    result["asprs"] = _statement(result["nva"], result["vva"], area_km2, float(metres))
-    columns: dict[str, Sequence[Any]] = {
-        "name": points.names,
-        "x": x.tolist(),
-        "y": y.tolist(),
-        "kind": points.kinds,
-        "cover": points.covers,
-        "z": z.tolist(),
-        "dtm": _none_for_nan(sampled),
-        "difference": _none_for_nan(difference),
-        "outlier": outliers(difference).tolist(),
-    }
-    rows = zip(*columns.values(), strict=True)
-    result["differences"] = [dict(zip(columns, row, strict=True)) for row in rows]
-    return {**result, "notes": notes}
+
+
+def _checked_points(
+    points: Checkpoints, xyz: tuple[Floats, Floats, Floats], sampled: Floats, difference: Floats
+) -> list[CheckedPoint]:
+    x, y, z = (values.tolist() for values in xyz)
+    heights, differences = _none_for_nan(sampled), _none_for_nan(difference)
+    is_outlier = outliers(difference).tolist()
+    return [
+        {
+            "name": points.names[i],
+            "x": x[i],
+            "y": y[i],
+            "kind": points.kinds[i],
+            "cover": points.covers[i],
+            "z": z[i],
+            "dtm": heights[i],
+            "difference": differences[i],
+            "outlier": is_outlier[i],
+        }
+        for i in range(len(points))
+    ]
 
 
 def _none_for_nan(values: Floats) -> list[float | None]:
@@ -218,7 +217,7 @@ def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
     return is_outlier
 
 
-def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
+def _figures(difference: Floats, own_rmse: float) -> AccuracyFigures:
     """Return the statistics of the differences that are not NaN, and the accuracy by the standard."""
     used = difference[np.isfinite(difference)]
     figures = spread(used)
@@ -254,19 +253,17 @@ def _area_km2(raster: Any) -> float:
     return pixel * int(raster.width) * int(raster.height) / 1e6
 
 
-def _statement(
-    nva: Mapping[str, Any], vva: Mapping[str, Any], area_km2: float, metres: float
-) -> dict[str, Any]:
+def _statement(nva: AccuracyFigures, vva: AccuracyFigures, area_km2: float, metres: float) -> Statement:
     """Return the accuracy statement of the standard from the figures of NVA and VVA checkpoints."""
     needed = min_points(area_km2)
     enough = nva["points"] >= needed
     text = None
-    if enough:
+    if enough and nva["rmse_v"] is not None:
         text = (
             f"Tested by the {STANDARD} (2024): the actual NVA accuracy was found to be "
             f"RMSEV = {100 * metres * nva['rmse_v']:.1f} cm with {nva['points']} checkpoints"
         )
-        if vva["points"]:
+        if vva["rmse_v"] is not None:
             text += f", the actual VVA accuracy RMSEV = {100 * metres * vva['rmse_v']:.1f} cm with {vva['points']}"
         text += "."
     return {"standard": STANDARD, "least_points": needed, "enough_points": enough, "statement": text}

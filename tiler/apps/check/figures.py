@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
 
 from tiler.apps.check.accuracy import pixel_places
+from tiler.apps.check.results import Accuracy
 from tiler.apps.evaluate.heights import files_of_raster
 from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.errors import ConfigError
@@ -73,7 +73,7 @@ def _is_drawing(path: Path) -> bool:
         return False
 
 
-def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, Any]) -> list[str]:
+def write_figures(folder: Path | str, dtm: Path | str, accuracy: Accuracy) -> list[str]:
     """Write ``histogram.svg`` and ``map.svg`` of a result of `tiler.apps.check.check_dtm`.
 
     Parameters
@@ -81,7 +81,7 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
     folder : path
         Folder of the drawings, which is made if necessary.
     dtm : path
-    accuracy : mapping
+    accuracy : Accuracy
         Result of `tiler.apps.check.check_dtm` for this DTM.
 
     Returns
@@ -122,7 +122,7 @@ def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{_escaped(text)}</text>'
 
 
-def histogram(accuracy: Mapping[str, Any]) -> str:
+def histogram(accuracy: Accuracy) -> str:
     """Return a histogram of the differences as SVG."""
     unit = accuracy["unit"]
     title = f"DTM minus checkpoint, {unit}"
@@ -177,7 +177,7 @@ def ticks(low: float, high: float) -> list[float]:
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
-def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
+def point_map(dtm: Path, accuracy: Accuracy) -> str:
     """Return a map of the checkpoints over a hillshade, coloured by their differences, as SVG."""
     with open_raster(dtm) as raster:
         transform, shape = raster.transform, raster.shape
@@ -186,7 +186,7 @@ def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
     width, height = picture.size
     parts = [f'<image width="{width}" height="{height}" href="{picture.uri}"/>']
     points = accuracy["differences"]
-    x, y = (np.array([point[axis] for point in points]) for axis in "xy")
+    x, y = np.array([point["x"] for point in points]), np.array([point["y"] for point in points])
     columns, rows = pixel_places(transform, x, y)
     largest = accuracy["all"]["p95_abs"] or 1.0
     for point, column, row in zip(points, columns * width / shape[1], rows * height / shape[0], strict=True):

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
+from tiler.apps.check.results import Judgement, Measured
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
-
-Report = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Metric:
     """
 
     part: str
-    value: Callable[[Mapping[str, Any]], float | None]
+    value: Callable[[Any], float | None]
     is_length: bool = True
     at_least: bool = False
 
@@ -90,24 +89,18 @@ def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
     return requirements
 
 
-def judge(requirements: Sequence[Requirement], report: Report) -> list[dict[str, Any]]:
+def judge(requirements: Sequence[Requirement], report: Measured) -> list[Judgement]:
     """Compare a report with requirements.
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``limit`` and ``value`` (metres or number of points, None if not measured), ``met``. A requirement
-        without a measured value is not met.
 
     Raises
     ------
     ConfigError
         The report does not contain the part of a requirement.
     """
-    judged = []
+    judged: list[Judgement] = []
     for requirement in requirements:
         metric = METRICS[requirement.name]
-        part = report.get(metric.part)
+        part: Any = report.get(metric.part)
         if part is None:
             option = {"accuracy": "--points", "seams": "--tile-size", "strips": "--strips"}[metric.part]
             raise ConfigError(f"--require {requirement.name}: is not measured without {option}")

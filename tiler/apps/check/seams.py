@@ -15,12 +15,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
+from tiler.apps.check.results import Seams, Steps
 from tiler.apps.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
 from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.raster import BLOCK_PIXELS
@@ -90,14 +91,15 @@ class StepStatistics:
             self.total += float(known.sum())
             self.largest = max(self.largest, float(known.max()))
 
-    def facts(self, name: str) -> dict[str, float | None]:
-        """Return the mean and the largest value by key, each None if there are no values."""
+    @property
+    def summary(self) -> tuple[float | None, float | None]:
+        """Mean and largest value, both None if there are no values."""
         if not self.n:
-            return {f"mean_{name}": None, f"largest_{name}": None}
-        return {f"mean_{name}": self.total / self.n, f"largest_{name}": self.largest}
+            return None, None
+        return self.total / self.n, self.largest
 
 
-def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
+def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
     """Measure steps and jumps across edges and within tiles, block by block.
 
     Parameters
@@ -105,15 +107,6 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
     dtm : path
         Raster without rotation.
     edges : TileEdges
-
-    Returns
-    -------
-    dict
-        ``unit`` (of the heights), ``metres_per_unit``; ``tile``, ``bucket`` (units of the CRS); ``interior``, ``tiles``
-        and, if requested, ``blocks``: ``pairs`` (number), ``mean_step``, ``largest_step``, ``mean_jump``,
-        ``largest_jump`` in units of the heights, or None; ``beside_tiles``, ``beside_blocks``: the same for the lines
-        next to the edges (see `BESIDE`); ``excess``: mean jump across edges of tiles minus the mean jump next to them,
-        or within tiles if the tiles are too small for lines next to edges.
 
     Raises
     ------
@@ -136,27 +129,36 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
                 of_steps, of_jumps = tallies.setdefault(name, (StepStatistics(), StepStatistics()))
                 of_steps.add(steps[mark])
                 of_jumps.add(jumps[mark])
-    figures = {}
-    for name in KINDS:
-        if name in tallies:
-            steps_of, jumps_of = tallies[name]
-            figures[name] = {"pairs": steps_of.n, **steps_of.facts("step"), **jumps_of.facts("jump")}
-    across, near, excess = figures["tiles"]["mean_jump"], figures["beside_tiles"]["mean_jump"], None
+    found = {name: _steps(*tallies[name]) for name in KINDS if name in tallies}
+    across, near, excess = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"], None
     if near is None:
-        near = figures["interior"]["mean_jump"]
+        near = found["interior"]["mean_jump"]
     if across is not None and near is not None:
         excess = across - near
-    return {
+    seams = {
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
         "tile": edges.tile,
         "bucket": edges.bucket,
-        **figures,
+        **found,
         "excess": excess,
+    }
+    return cast(Seams, seams)
+
+
+def _steps(steps: StepStatistics, jumps: StepStatistics) -> Steps:
+    mean_step, largest_step = steps.summary
+    mean_jump, largest_jump = jumps.summary
+    return {
+        "pairs": steps.n,
+        "mean_step": mean_step,
+        "largest_step": largest_step,
+        "mean_jump": mean_jump,
+        "largest_jump": largest_jump,
     }
 
 
-def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
+def seams_of(dtm: Path | str, tile_m: Fraction | None) -> Seams | None:
     """Return `seam_steps` for tiles of a size in metres, or for the tiles of the run that made the DTM.
 
     Parameters
@@ -167,7 +169,7 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
 
     Returns
     -------
-    dict or None
+    Seams or None
         Result of `seam_steps`, or None without a size and without a ``run.json``.
 
     Raises

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.apps.cell_sums import summed
+from tiler.apps.check.results import ComparedStrips, StripPair, Strips
 from tiler.core.classes import GROUND, WITHHELD_FLAG
 from tiler.core.difference_statistics import spread
 from tiler.core.units import METRE, unit_label
@@ -37,7 +37,7 @@ Floats = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
 
 
-def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
+def strip_differences(clouds: Sequence[str | Path]) -> Strips:
     """Compare the ground heights of strips in the cells of 2 m that they share.
 
     The files are read piece by piece. Memory grows with the number of cells that contain ground.
@@ -46,15 +46,6 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     ----------
     clouds : sequence of path
         Files, folders, globs, all of one CRS, with class 2 for ground.
-
-    Returns
-    -------
-    dict
-        ``unit`` (of heights), ``metres_per_unit``; ``cell_m``; ``strips`` (number of ground points by source id);
-        ``cells`` (number of comparisons, one per cell and pair of strips), ``rough`` (number of comparisons left out,
-        because a strip has too few points or is too rough); ``all``: `tiler.core.difference_statistics.spread` of the
-        differences; ``pairs``: for each pair of strips ``first``, ``second``, ``cells`` and the spread of second minus
-        first.
 
     Raises
     ------
@@ -65,7 +56,7 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     return call_isolated(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
 
 
-def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
+def _strips_of(paths: Sequence[Path]) -> Strips:
     place = inspect(paths[0]).georeference
     horizontal = place.horizontal or METRE
     vertical = place.vertical or horizontal
@@ -104,7 +95,7 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
             yield records["point_source_id"].astype(np.int64), x, y, z
 
 
-def _compared(keys: Int64s, sums: Floats, max_rough: float) -> dict[str, Any]:
+def _compared(keys: Int64s, sums: Floats, max_rough: float) -> ComparedStrips:
     """Return the differences of all pairs of strips in the cells that they share.
 
     The rows of ``keys`` are strip, column and row, sorted by row, column and strip. The rows of ``sums`` are the number
@@ -129,7 +120,7 @@ def _compared(keys: Int64s, sums: Floats, max_rough: float) -> dict[str, Any]:
     first, second = np.concatenate(firsts), np.concatenate(seconds)
     difference = mean[second] - mean[first]
     of_first, of_second = keys[0, first], keys[0, second]
-    pairs = []
+    pairs: list[StripPair] = []
     for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True))):
         pair_differences = difference[(of_first == a) & (of_second == b)]
         pairs.append(
