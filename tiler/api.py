@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 from tiler.apps.check import PointOptions, measure, parse_requirements
 from tiler.apps.check.results import Report
-from tiler.apps.classify import classify_file, classify_files, is_one_file
+from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
@@ -138,7 +138,7 @@ class ClassifyResult:
     """
 
     exit_code: int
-    summary: dict[str, Any] = field(repr=False)
+    summary: ClassifySummary = field(repr=False)
     path: Path
     notes: tuple[str, ...] = ()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
@@ -57,17 +58,19 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
     from tiler.apps.classify import classify_file, classify_files, is_one_file
 
     session = current_session()
+    quarantined: Sequence[Mapping[str, str]] = ()
     with shown_progress() as listener:
         if is_one_file(source, target):
             summary = classify_file(source[0], target, config, listener)
         else:
-            summary = classify_files(source, target, config, listener)
+            summary = of_folder = classify_files(source, target, config, listener)
+            quarantined = of_folder["quarantined"]
     if as_json:
         print_json(summary)
     elif not session.quiet:
         print_facts({n: value for n, value in summary.items() if n not in NOT_PRINTED})
-        for file in summary.get("quarantined", ()):
+        for file in quarantined:
             write_line(f"left out    {file['path']}: {file['error']}")
         for line in failed_lines(summary["failed_tasks"]):
             write_line(line)
-    return PARTIAL if summary["failed_tasks"] or summary.get("quarantined") else DONE
+    return PARTIAL if summary["failed_tasks"] or quarantined else DONE

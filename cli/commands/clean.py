@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import click
 
 from cli.options import json_option
@@ -27,9 +29,9 @@ def command(out: str, store: str | None, as_json: bool) -> None:
     """
     from tiler.apps.clean import clean
 
-    summary = clean(out, store)
+    cleaned = clean(out, store)
     if as_json:
-        print_json(summary)
+        print_json(asdict(cleaned))
         return
-    write_line(f"removed  {summary['removed_objects']} objects, {summary['removed_bytes'] / 1e6:,.1f} MB")
-    write_line(f"store    {summary['store_bytes'] / 1e6:,.1f} MB")
+    write_line(f"removed  {cleaned.removed_objects} objects, {cleaned.removed_bytes / 1e6:,.1f} MB")
+    write_line(f"store    {cleaned.store_bytes / 1e6:,.1f} MB")

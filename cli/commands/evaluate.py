@@ -108,7 +108,7 @@ def command(
         read = [path for scene in scenes for path in (scene.cloud, scene.reference)]
         rasters = [raster for raster in (dtm, true_dtm, dtm_sigma) if raster is not None]
         evaluate.validate_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
-    scores: dict[str, Any] = {}
+    scores: Mapping[str, Any] = {}
     if clouds:
         cell = parse_length(map_cell)
         if cell <= 0:
@@ -123,9 +123,10 @@ def command(
                 scores = evaluate.filter_and_evaluate(clouds, config, ignored, request, listener)
     if dtm is not None and true_dtm is not None:
         both, sigma = (Path(dtm), Path(true_dtm)), dtm_sigma or evaluate.sigma_beside(dtm)
-        scores["dtm"] = call_isolated(
+        dtm_scores = call_isolated(
             evaluate.evaluate_dtm, *both, difference, sigma, paths=both, memory_bytes=half_of_memory()
         )
+        scores = {**scores, "dtm": dtm_scores}
     if as_json:
         print_json(scores)
         return

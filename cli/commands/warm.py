@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import click
 
 from cli.options import json_option
@@ -21,8 +23,8 @@ def command(methods: tuple[str, ...], as_json: bool) -> None:
     """
     from tiler.apps.warm import warm
 
-    summary = warm(methods or ("auto",))
+    warmed = warm(methods or ("auto",))
     if as_json:
-        print_json(summary)
+        print_json(asdict(warmed))
         return
-    write_line(f"compiled  {summary['compiled']} kernels, {summary['kernels']} are in {summary['folder']}")
+    write_line(f"compiled  {warmed.compiled} kernels, {warmed.kernels} are in {warmed.folder}")

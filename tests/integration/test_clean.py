@@ -29,12 +29,12 @@ def test_a_clean_store_is_smaller_and_everything_in_it_is_done(tmp_path: Path) -
         path.write_bytes(b"scratch")
 
     found = clean(out)
-    assert found["scratch_files"] == 1
+    assert found.scratch_files == 1
     assert not any(path.exists() for path in left)
     assert not the_store(out).pieces()
-    assert found["removed_bytes"] > 0
+    assert found.removed_bytes > 0
     assert the_store(out).usage().size_bytes < size
-    assert clean(out)["removed_objects"] == 0
+    assert clean(out).removed_objects == 0
 
     again = do([west], out)
     assert again.did_nothing
@@ -71,7 +71,7 @@ def test_files_of_others_stay_whatever_their_names(tmp_path: Path) -> None:
         (out / name).write_bytes(b"mine")
     (out / ".tiler-dtm.tif.cog.partial.ovr.tmp").write_bytes(b"killed")
     (out / "classified" / ".tiler-a.laz.partial").write_bytes(b"killed")
-    assert clean(out)["scratch_files"] == 2
+    assert clean(out).scratch_files == 2
     assert all((out / name).read_bytes() == b"mine" for name in mine)
     assert not [p for p in out.rglob(".tiler-*") if p.is_file() and p.read_bytes() == b"killed"]
 
@@ -85,5 +85,5 @@ def test_a_folder_that_is_no_result_is_left_alone(tmp_path: Path) -> None:
     (other / ".tiler-a.laz.partial").write_bytes(b"of another run")
     with pytest.raises(StoreError, match="no tile store here"):
         clean(other)
-    assert clean(other, str(out / "store.zarr"))["scratch_files"] == 0
+    assert clean(other, str(out / "store.zarr")).scratch_files == 0
     assert (other / ".tiler-a.laz.partial").exists()

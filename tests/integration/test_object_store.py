@@ -106,7 +106,7 @@ def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pyte
     bucket.rm_file(f"{BUCKET}/hill/report.html")
     assert write_report_at(out) == f"{out}/report.html"
     assert b"Terrain of hill" in bucket.cat(f"{BUCKET}/hill/report.html")
-    assert clean(out)["store_bytes"] > 0
+    assert clean(out).store_bytes > 0
     assert run([url], out, settings()).did_nothing
     for refused, line in (
         (lambda: describe(f"s3://{BUCKET}/none"), f"s3://{BUCKET}/none: no tile store here"),

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypedDict
 
 from tiler.config import RunConfig
-from tiler.core.classes import sum_by_class
+from tiler.core.classes import Counts, sum_by_class
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError, TilerError
 from tiler.export import WriteClassified, write_classified
@@ -38,6 +38,42 @@ ONE_WORKER_POINTS = 1_000_000
 """Number of points of a file below which a second worker costs more time than it saves."""
 
 
+class FilterSummary(TypedDict):
+    """What a run did before its files were written. ``marked`` is the number of uncertified labels.
+
+    ``failed_tasks`` are those of run.json. Their points keep the classes of the source.
+    """
+
+    seconds: float
+    method: str
+    parameters: Mapping[str, Any]
+    tiles: int
+    marked: int
+    failed_tasks: list[Mapping[str, Any]]
+
+
+class ClassifySummary(FilterSummary):
+    """Points of a classified file, or of all files, as ``tiler classify --json`` prints them.
+
+    ``kept`` are the points by class that were not labelled ground or noise and keep a class of the source other than 0,
+    1 and 2.
+    """
+
+    points: int
+    changed: int
+    bytes: int
+    classes: Counts
+    kept: Counts | None
+    notes: list[str]
+
+
+class FolderSummary(ClassifySummary):
+    """Number of files written, and files that were left out or could not be written, as in run.json."""
+
+    files: int
+    quarantined: list[Mapping[str, str]]
+
+
 def is_one_file(sources: Sequence[str], target: str) -> bool:
     """Return whether the target is a single classified file, not a folder of classified files."""
     if len(sources) != 1 or Path(target).is_dir() or not Path(target).suffix:
@@ -54,7 +90,7 @@ def classify_file(
     target: str | Path,
     config: RunConfig | None = None,
     listener: Listener = ignore_events,
-) -> dict[str, Any]:
+) -> ClassifySummary:
     """Classify one LAS or LAZ file: same points, same order, new classes.
 
     A file without a CRS is assumed to be in metres, which a note reports.
@@ -67,14 +103,6 @@ def classify_file(
     config : RunConfig
     listener : callable
         Receives events, see `tiler.observe.events`.
-
-    Returns
-    -------
-    dict
-        ``points``, ``changed``, ``classes`` (number of points by class), ``kept`` (number of points by class that were
-        not labelled ground or noise and keep a class of the source other than 0, 1 and 2), ``bytes``, ``notes``,
-        ``seconds``, ``method``, ``parameters``, ``tiles``, ``marked`` (number of uncertified labels), and
-        ``failed_tasks`` as in run.json. Points of failed tasks keep the classes of the source.
 
     Raises
     ------
@@ -97,7 +125,7 @@ def classify_files(
     folder: str | Path,
     config: RunConfig | None = None,
     listener: Listener = ignore_events,
-) -> dict[str, Any]:
+) -> FolderSummary:
     """Classify many LAS or LAZ files into a folder, each together with its neighbours, as in a run.
 
     Parameters
@@ -110,12 +138,6 @@ def classify_files(
     config : RunConfig
     listener : callable
         Receives events, see `tiler.observe.events`.
-
-    Returns
-    -------
-    dict
-        Result of `classify_file`, with sums over all files; ``files``: number of files written; ``quarantined``: files
-        that were left out or could not be written, as in run.json.
 
     Raises
     ------
@@ -231,7 +253,7 @@ def _scratch_beside(target: Path, config: RunConfig) -> Iterator[tuple[str, RunC
         yield scratch, config.updated(store=None)
 
 
-def _facts(summary: Mapping[str, Any], config: RunConfig) -> dict[str, Any]:
+def _facts(summary: Mapping[str, Any], config: RunConfig) -> FilterSummary:
     """Return the properties of the run that a result contains in addition to those of the files."""
     return {
         "seconds": summary["seconds"],
@@ -255,7 +277,7 @@ def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config:
 
 def _classify(
     guard: ChildProcess, source: Path, target: Path, config: RunConfig, listener: Listener
-) -> dict[str, Any]:
+) -> ClassifySummary:
     info = (
         inspect(source, config.salvage)
         if config.in_process
@@ -280,7 +302,7 @@ def _classify(
         "classes": record.classes,
         "kept": record.kept,
         "bytes": record.bytes,
-        "notes": record.notes,
+        "notes": record.notes or [],
         **_facts(result.summary, config),
     }
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import is_scratch
@@ -13,7 +13,17 @@ from tiler.io.result_folder import STORE, earlier_outputs, read_run
 from tiler.store import locked_folder, open_store
 
 
-def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Cleaned:
+    """Number of files removed from the folder, number and size of all removed objects, and size of the store."""
+
+    scratch_files: int
+    removed_objects: int
+    removed_bytes: int
+    store_bytes: int
+
+
+def clean(out: str | Path, store_url: str | None = None) -> Cleaned:
     """Remove the temporary files and the spool of a finished or broken run.
 
     The points, the labels of all passes, the rasters and the records of finished tasks stay, so the next run does not
@@ -26,12 +36,6 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
         Folder of the run.
     store_url : str, optional
         Location of the store. The default is the one in the ``run.json``, or ``store.zarr`` in the folder.
-
-    Returns
-    -------
-    dict
-        ``scratch_files`` (number of files removed from the folder), ``removed_objects`` and ``removed_bytes`` (of store
-        and folder together), ``store_bytes`` (remaining size of the store).
 
     Raises
     ------
@@ -62,12 +66,12 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
         sizes = [path.stat().st_size for path in scratch]
         for path in scratch:
             path.unlink(missing_ok=True)
-    return {
-        "scratch_files": len(scratch),
-        "removed_objects": before.objects - after.objects + len(scratch),
-        "removed_bytes": before.size_bytes - after.size_bytes + sum(sizes),
-        "store_bytes": after.size_bytes,
-    }
+    return Cleaned(
+        scratch_files=len(scratch),
+        removed_objects=before.objects - after.objects + len(scratch),
+        removed_bytes=before.size_bytes - after.size_bytes + sum(sizes),
+        store_bytes=after.size_bytes,
+    )
 
 
 def _scratch(out: Path) -> Iterator[Path]:

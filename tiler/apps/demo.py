@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from tiler.apps.evaluate import Scene, evaluate_dtm, evaluate_scenes
+from tiler.apps.evaluate.results import DtmScores, SceneReport
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, write_error
 from tiler.io.result_folder import CLASSIFIED, EVALUATION
@@ -32,17 +34,17 @@ class DemoResult:
 
     Attributes
     ----------
-    summary : dict
+    summary : mapping
         Summary of the run.
-    classes, dtm : dict
-        Results of `tiler.apps.evaluate.evaluate_scenes` and `tiler.apps.evaluate.evaluate_dtm`.
+    classes : SceneReport
+    dtm : DtmScores
     exit_code : int
         Exit code of the run.
     """
 
-    summary: dict[str, Any]
-    classes: dict[str, Any]
-    dtm: dict[str, Any]
+    summary: Mapping[str, Any]
+    classes: SceneReport
+    dtm: DtmScores
     exit_code: int
 
 

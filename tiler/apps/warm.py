@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 from ptd.kernel import cache_folder, compiled_count
 from ptd.methods import METHODS
@@ -14,13 +14,17 @@ from tiler.runs.compiling import SECONDS, Kernels, filter_kernels, grid_kernels,
 from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
 
 
-def warm(methods: Sequence[str]) -> dict[str, Any]:
-    """Compile the kernels of methods and rasters, in as many processes as there are cores.
+@dataclass(frozen=True)
+class Warmed:
+    """Folder of the machine code, number of kernels in it, and number of kernels compiled by this call."""
 
-    Returns
-    -------
-    dict
-        ``folder`` of the machine code, ``kernels`` (number in it), ``compiled`` (number compiled by this call).
+    folder: str
+    kernels: int
+    compiled: int
+
+
+def warm(methods: Sequence[str]) -> Warmed:
+    """Compile the kernels of methods and rasters, in as many processes as there are cores.
 
     Raises
     ------
@@ -50,7 +54,7 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
             f"compiling kernels: the process {died}; free some memory and try again"
         ) from died
     count = compiled_count()
-    return {"folder": str(folder), "kernels": count, "compiled": count - n_before}
+    return Warmed(str(folder), count, count - n_before)
 
 
 def _compile(guard: ChildProcess, kernels: Kernels) -> None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from tiler.apps.evaluate.labels import IGNORED, class_scores, class_table, counts_of, scores
 from tiler.apps.evaluate.maps import ErrorGrid
+from tiler.apps.evaluate.results import CloudScores, LabelScores, Pairing
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.errors import InputError
 from tiler.io.las.columns import class_and_flags, coordinate
@@ -64,7 +65,7 @@ class LabelComparison:
         if self.grid is not None:
             self.grid.add(reference.place, PER_UNIT, labels, reference.classes)
 
-    def facts(self, ignore: Sequence[int]) -> dict[str, Any]:
+    def facts(self, ignore: Sequence[int]) -> LabelScores:
         """Return the scores, overall and by class, and the numbers of points left out."""
         per_class = self.table.sum(axis=1)
         left_out: dict[str, int] = {str(code): int(per_class[code]) for code in ignore if per_class[code]}
@@ -77,21 +78,12 @@ class LabelComparison:
         }
 
 
-def evaluate_files(
-    cloud: Path | str, reference: Path | str, ignore: Sequence[int] = IGNORED
-) -> dict[str, Any]:
+def evaluate_files(cloud: Path | str, reference: Path | str, ignore: Sequence[int] = IGNORED) -> CloudScores:
     """Score the classes of a cloud against those of a reference cloud.
 
     Files with the same points in the same order are read side by side in bounded memory. Otherwise both are held in
     memory, and points are paired by their coordinates, rounded to counts of `PER_UNIT`. Points at one position are
     paired in the order of their files. Points that are withheld in the reference are not judged.
-
-    Returns
-    -------
-    dict
-        Result of `scores`; ``ignore``; ``left_out`` (number of points by class that were left out); ``withheld``
-        (number of points); ``classes`` (`tiler.apps.evaluate.labels.class_scores`); ``matched_by`` (``order`` or
-        ``coordinates``); ``unmatched_reference`` and ``unmatched_cloud`` (number of points without a partner).
 
     Raises
     ------
@@ -104,8 +96,8 @@ def evaluate_files(
 
 def compare_files(
     cloud: Path, reference: Path, grid: ErrorGrid | None = None
-) -> tuple[LabelComparison, dict[str, Any]]:
-    """Compare two files, and return the counts and how points were paired (see `evaluate_files`).
+) -> tuple[LabelComparison, Pairing]:
+    """Compare two files, and return the counts and how points were paired.
 
     An empty ``grid`` receives the errors per cell. Raise InputError as `evaluate_files` does.
     """

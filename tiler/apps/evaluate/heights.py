@@ -17,6 +17,7 @@ from pyproj import CRS
 from tiler.apps.evaluate.labels import ratio
 from tiler.apps.evaluate.maps import validate_map_files
 from tiler.apps.evaluate.rasters import open_raster, raster_named
+from tiler.apps.evaluate.results import DtmScores, SigmaScores
 from tiler.apps.evaluate.sigma import SigmaTally, slopes_of
 from tiler.core.crs import same_horizontal, split
 from tiler.core.difference_statistics import SpreadTally
@@ -47,7 +48,7 @@ def evaluate_dtm(
     truth: Path | str,
     difference: Path | str | None = None,
     sigma: Path | str | None = None,
-) -> dict[str, Any]:
+) -> DtmScores:
     """Compare a DTM with a reference over the pixels that both have, as ``dtm - truth``.
 
     The rasters are read in blocks of bounded size, whatever their extent.
@@ -61,15 +62,6 @@ def evaluate_dtm(
         GeoTIFF that receives the differences, float32, on the reference's pixels.
     sigma : path, optional
         Raster of the DTM's standard errors, which are compared with its actual errors.
-
-    Returns
-    -------
-    dict
-        ``unit`` (of the heights); ``pixels`` (number of common pixels); ``only_dtm``, ``only_truth`` (numbers of
-        pixels within the reference's extent that are valid in only one raster); ``coverage`` (share of the
-        reference's valid pixels that are valid in the DTM); statistics of `tiler.core.difference_statistics.spread`
-        in units of the heights, None without a common pixel; ``quantile_step`` (accuracy of medians and percentiles);
-        with ``sigma``: ``sigma``, the result of `tiler.apps.evaluate.sigma.SigmaTally.summary`, and ``sigma_file``.
 
     Raises
     ------
@@ -99,7 +91,9 @@ def evaluate_dtm(
                 write(dtm_heights - true, row, col)
             if judge is not None:
                 judge.add(row, col, dtm_heights, true)
-    judged = {} if judge is None else {"sigma": judge.tally.summary(), "sigma_file": str(sigma)}
+    judged: SigmaScores = {}
+    if judge is not None:
+        judged = {"sigma": judge.tally.summary(), "sigma_file": str(sigma)}
     return {
         "unit": unit,
         "pixels": both,

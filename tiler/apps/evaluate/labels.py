@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tiler.apps.evaluate.results import ClassScores, Scores
 from tiler.core.classes import GROUND
 from tiler.errors import InputError
 
@@ -73,16 +74,8 @@ def confusion(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED
     return counts_of(class_table(labels, reference), ignore)
 
 
-def scores(counts: Int64s) -> dict[str, Any]:
-    """Return errors and agreement from the five counts of `confusion`.
-
-    Returns
-    -------
-    dict
-        Numbers of points: ``points``, ``ignored``, ``ground_kept``, ``ground_lost``, ``object_taken`` (labelled
-        ground), ``object_kept``. Fractions: ``type_1``, ``type_2``, ``total``, ``kappa`` (Cohen), ``f1`` (of ground),
-        None for a division by zero.
-    """
+def scores(counts: Int64s) -> Scores:
+    """Return errors and agreement from the five counts of `confusion`."""
     a, b, c, d, ignored = (int(n) for n in counts)
     n = a + b + c + d
     chance = (a + b) * (a + c) + (c + d) * (b + d)
@@ -108,21 +101,14 @@ def ratio(part: float, whole: int) -> float | None:
     return part / whole
 
 
-def evaluate_labels(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> dict[str, Any]:
+def evaluate_labels(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> Scores:
     """Return the `scores` of labels and reference classes, with the arguments of `confusion`."""
     return scores(confusion(labels, reference, ignore))
 
 
-def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, dict[str, Any]]:
-    """Return counts and errors of each reference class of a `class_table`.
-
-    Returns
-    -------
-    dict
-        By class, as text: ``points``; ``labelled_ground``; ``wrong`` (number of points) and ``error`` (fraction), both
-        None for a class that is left out.
-    """
-    scores_by_class: dict[str, dict[str, Any]] = {}
+def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, ClassScores]:
+    """Return counts and errors of each reference class of a `class_table`, by class as text."""
+    scores_by_class: dict[str, ClassScores] = {}
     for code in np.flatnonzero(table.sum(axis=1)).tolist():
         other, ground = (int(n) for n in table[code])
         wrong: int | None = ground

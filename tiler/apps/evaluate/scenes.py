@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from tiler.apps.classify import classify_file
 from tiler.apps.evaluate.clouds import LabelComparison, compare_files
 from tiler.apps.evaluate.labels import IGNORED, mean_scores
 from tiler.apps.evaluate.maps import ErrorGrid, write_error_map
+from tiler.apps.evaluate.results import FilteredScene, FilterReport, Pairing, SceneReport, SceneScores
 from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
@@ -121,7 +121,7 @@ def evaluate_scenes(
     ignore: Sequence[int] = IGNORED,
     maps: MapRequest | None = None,
     listener: Listener = ignore_events,
-) -> dict[str, Any]:
+) -> SceneReport:
     """Score each scene, and the points of all scenes together.
 
     Parameters
@@ -134,18 +134,12 @@ def evaluate_scenes(
     listener : callable
         Receives events, see `tiler.observe.events`.
 
-    Returns
-    -------
-    dict
-        Result of `tiler.apps.evaluate.evaluate_files` for all points together, without ``matched_by``; ``mean``: mean
-        errors over scenes of equal weight; ``scenes``: for each scene ``name``, ``cloud``, ``reference``, the result of
-        `tiler.apps.evaluate.evaluate_files`, and ``maps`` (paths of the files written).
-
     Raises
     ------
     TilerError
     """
-    total, results = LabelComparison(), []
+    total = LabelComparison()
+    results: list[SceneScores] = []
     for scene in scenes:
         listener(Note(f"{scene.name}: {scene.cloud} against {scene.reference}"))
         findings, how, written = call_isolated(
@@ -165,7 +159,8 @@ def evaluate_scenes(
         )
     return {
         **total.facts(ignore),
-        **{name: sum(r[name] for r in results) for name in ("unmatched_reference", "unmatched_cloud")},
+        "unmatched_reference": sum(scene_scores["unmatched_reference"] for scene_scores in results),
+        "unmatched_cloud": sum(scene_scores["unmatched_cloud"] for scene_scores in results),
         "mean": mean_scores(results),
         "scenes": results,
     }
@@ -173,7 +168,7 @@ def evaluate_scenes(
 
 def _compare(
     scene: Scene, ignore: Sequence[int], maps: MapRequest | None
-) -> tuple[LabelComparison, dict[str, Any], list[str]]:
+) -> tuple[LabelComparison, Pairing, list[str]]:
     """Return the counts of a scene, how its points were paired, and the paths of its maps."""
     if maps is None:
         return *compare_files(scene.cloud, scene.reference), []
@@ -190,7 +185,7 @@ def filter_and_evaluate(
     ignore: Sequence[int] = IGNORED,
     maps: MapRequest | None = None,
     listener: Listener = ignore_events,
-) -> dict[str, Any]:
+) -> FilterReport:
     """Filter clouds with reference classes, which the filter does not use, and score the result.
 
     All points take part except withheld ones, which are not judged either. A run usually keeps some classes (noise,
@@ -204,11 +199,6 @@ def filter_and_evaluate(
         Settings of the filter. ``keep_classes`` is not used.
     ignore, maps, listener
         See `evaluate_scenes`.
-
-    Returns
-    -------
-    dict
-        Result of `evaluate_scenes`, with ``seconds`` for each scene, and ``method`` and ``parameters``.
 
     Raises
     ------
@@ -229,6 +219,9 @@ def filter_and_evaluate(
             filtered.append(made)
             scenes.append(Scene(scene.name, target, scene.reference))
         scores = evaluate_scenes(scenes, ignore, maps)
-    for result, made in zip(scores["scenes"], filtered, strict=True):
-        result |= {"cloud": result["reference"], "seconds": made["seconds"]}
-    return {**scores, "method": config.method, "parameters": filtered[0]["parameters"]}
+    results: list[FilteredScene] = [
+        {**result, "cloud": result["reference"], "seconds": made["seconds"]}
+        for result, made in zip(scores["scenes"], filtered, strict=True)
+    ]
+    parameters = filtered[0]["parameters"]
+    return {**scores, "scenes": results, "method": config.method, "parameters": parameters}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ptd.gridding.shape import gradients, slope_deg
 from tiler.apps.evaluate.labels import ratio
+from tiler.apps.evaluate.results import SigmaFigures, SigmaReport, SlopeFigures
 
 SLOPES_DEG = (0, 5, 15, 30, 90)
 """Edges of the classes of slope, degrees."""
@@ -57,30 +57,20 @@ class SigmaTally:
             table[:, 0] += np.bincount(class_numbers, minlength=N_CLASSES)
             table[:, 1] += np.bincount(class_numbers, squared, N_CLASSES)
 
-    def summary(self) -> dict[str, Any]:
-        """Return the statistics of all counted pixels.
-
-        Returns
-        -------
-        dict
-            ``pixels`` (number); ``within_1``, ``within_2``, ``within_3`` (share of errors within 1, 2 and 3 standard
-            errors, which is 0.683, 0.954 and 0.997 for normally distributed errors); ``rmse`` and ``predicted_rmse``
-            (root mean square of errors and of standard errors); ``by_slope``: ``pixels``, ``rmse`` and
-            ``predicted_rmse`` of each class ``from_deg`` to ``to_deg``; ``in_first_tenth``: share of the sum of squared
-            errors in the tenth of the pixels with the largest standard errors; ``area``: the same share, averaged over
-            all fractions of the pixels from 0 to 1 (0.5 in random order); ``area_at_best``: this average for pixels
-            sorted by their errors.
-        """
+    def summary(self) -> SigmaReport:
+        """Return the statistics of all counted pixels."""
         n, squared, predicted = self._by_slope.sum(axis=0)
-        shares = {f"within_{k}": ratio(int(self._within[k - 1]), int(n)) for k in (1, 2, 3)}
-        by_slope = [
+        within_1, within_2, within_3 = (ratio(within, int(n)) for within in self._within.tolist())
+        by_slope: list[SlopeFigures] = [
             {"from_deg": low, "to_deg": high, **_figures(*row)}
             for low, high, row in zip(SLOPES_DEG, SLOPES_DEG[1:], self._by_slope.tolist(), strict=False)
         ]
         curve, best = _curve(self._by_sigma), _curve(self._by_error)
         return {
             **_figures(n, squared, predicted),
-            **shares,
+            "within_1": within_1,
+            "within_2": within_2,
+            "within_3": within_3,
             "by_slope": by_slope,
             "area": _area(curve),
             "area_at_best": _area(best),
@@ -104,7 +94,7 @@ def _classes(values: Float64s) -> npt.NDArray[np.int64]:
     return class_numbers
 
 
-def _figures(n: float, squared: float, predicted: float) -> dict[str, Any]:
+def _figures(n: float, squared: float, predicted: float) -> SigmaFigures:
     if not n:
         return {"pixels": 0, "rmse": None, "predicted_rmse": None}
     return {"pixels": int(n), "rmse": sqrt(squared / n), "predicted_rmse": sqrt(predicted / n)}
