@@ -25,6 +25,7 @@ from ptd.passes import (
     Pass,
     Points,
     RunHints,
+    State,
     Stats,
     UInt8,
     later_passes,
@@ -66,8 +67,8 @@ class Result:
     """
 
     classification: npt.NDArray[np.uint8]
-    decisions: dict[str, Any]
-    stats: Stats = field(repr=False)
+    decisions: Mapping[str, Any]
+    stats: Mapping[str, Stats] = field(repr=False)
 
     @property
     def counts(self) -> dict[int, int]:
@@ -213,10 +214,10 @@ def classify(
 
 
 def do_passes(
-    params: Any, counts: Int32, columns: dict[str, Any], scale: Scale, window: Window, facts: RunHints
-) -> tuple[UInt8, dict[str, Any], dict[str, Any]]:
+    params: Any, counts: Int32, columns: Mapping[str, Any], scale: Scale, window: Window, facts: RunHints
+) -> tuple[UInt8, State, dict[str, Stats]]:
     """Run all passes that apply on one window, and return labels, state, and the statistics of each pass."""
-    state: dict[str, Any] = {"run": asdict(facts)}
+    state: State = {"run": asdict(facts)}
     stats = {}
     cell = None
     if params.candidate_cell_m:

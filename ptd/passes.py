@@ -29,7 +29,7 @@ data; `Pass.reduce` may add lines. ``places`` is the table of the figures of eac
 a task have only the part of the state that the window of the task needs (`Pass.local`).
 """
 
-Partial = dict[str, Any]
+Partial = Mapping[str, Any]
 """What the core of one window adds to the statistics of the run, as values that JSON can hold."""
 Stats = dict[str, Any]
 """Counts and rounds for the log, as values that JSON can hold."""

@@ -12,17 +12,15 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
 from ptd.frame import Scale, Window
-from ptd.ground.noise_sums import PATCH_M, Roughness, Sums
+from ptd.ground.noise_sums import PATCH_M, PlaceCounts, Roughness, Sums
 from ptd.ground.roughness import patches
 from ptd.places import PLACE_M, Int32
 
 Place = tuple[int, int]
-Partial = Mapping[str, Any]
 
 NOISE_WEIGHTS = (1, 4, 6, 4, 1)
 """Weights of counts of noise, by places along a row or column: nearly a Gaussian of 256 m."""
@@ -38,10 +36,10 @@ DIGITS = 4
 """Significant digits of a density."""
 
 
-def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[dict[str, Any]]:
+def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[PlaceCounts]:
     """Return the counts that the core of a window adds to each place that it touches.
 
-    Parameters and dicts are those of `ptd.ground.roughness.measure`. The dicts contain ``place`` (column and row) too.
+    The parameters are those of `ptd.ground.roughness.measure`.
     """
     measured_patches = patches(xyz, core, scale)
     columns, rows = measured_patches.columns // PATCHES_ACROSS, measured_patches.rows // PATCHES_ACROSS
@@ -54,15 +52,15 @@ def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[dict[str, Any
     ]
 
 
-def by_place(partials: Iterable[Partial]) -> dict[Place, Roughness]:
+def by_place(partials: Iterable[PlaceCounts]) -> dict[Place, Roughness]:
     """Return the figures of all places within `AROUND` places of one with points, by rows.
 
     Parameters
     ----------
-    partials : iterable of mapping
+    partials : iterable of PlaceCounts
         Results of `measure_places` for all cores, in any order. A place may have several.
     """
-    held: dict[Place, list[Partial]] = defaultdict(list)
+    held: dict[Place, list[PlaceCounts]] = defaultdict(list)
     for partial in partials:
         column, row = partial["place"]
         held[column, row].append(_packed(partial))
@@ -71,13 +69,13 @@ def by_place(partials: Iterable[Partial]) -> dict[Place, Roughness]:
     return {place: _around(place, held) for place in sorted(reached, key=lambda place: place[::-1])}
 
 
-def _packed(partial: Partial) -> Partial:
+def _packed(partial: PlaceCounts) -> PlaceCounts:
     """Return a partial with histograms as arrays, which need a tenth of the memory: a country has a million places."""
-    arrays = {name: np.array(partial[name], np.int32) for name in ("patches", "quarters")}
-    return {**partial, **arrays}
+    patch_noise, quarter_noise = (np.array(partial[name], np.int32) for name in ("patches", "quarters"))
+    return {**partial, "patches": patch_noise, "quarters": quarter_noise}
 
 
-def _around(place: Place, held: Mapping[Place, list[Partial]]) -> Roughness:
+def _around(place: Place, held: Mapping[Place, list[PlaceCounts]]) -> Roughness:
     """Return the figures of a place.
 
     Surroundings are added row by row, because sums of logarithms depend on the order.

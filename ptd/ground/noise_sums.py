@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,29 @@ SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
 """Quantile of the noise of all quarters of patches, and the factor by which it is multiplied to estimate the noise of
 the smoothest patches, even where no ground is visible."""
 
+Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
+
+
+class PatchCounts(TypedDict):
+    """Counts that the core of a window adds to the figures of a run.
+
+    ``points`` is the number of points, ``cells`` that of the cells of `PATCH_M` with points, and ``full`` that of the
+    cells with at least `ptd.ground.roughness.MIN_POINTS`. ``patches`` and ``quarters`` are numbers of patches and of
+    quarters by bins of `BIN_M` of their noise (`histogram`).
+    """
+
+    points: int
+    cells: int
+    full: int
+    patches: list[int] | Int32
+    quarters: list[int] | Int32
+
+
+class PlaceCounts(PatchCounts):
+    """Counts that the core of a window adds to a place, which is given by its column and row."""
+
+    place: list[int]
 
 
 @dataclass(frozen=True)
@@ -61,7 +83,7 @@ def histogram(bins: Int64) -> list[int]:
     return [first, *counts]
 
 
-def merge(partials: Iterable[Mapping[str, Any]]) -> Roughness:
+def merge(partials: Iterable[PatchCounts]) -> Roughness:
     """Return the figures of a run from the partials of all cores, in any order."""
     sums = Sums()
     for partial in partials:
@@ -76,7 +98,7 @@ class Sums:
         self.points = self.cells = self.full = 0
         self.patches, self.quarters = np.zeros((2, BINS), np.int64)
 
-    def add(self, partial: Mapping[str, Any], weight: int = 1) -> None:
+    def add(self, partial: PatchCounts, weight: int = 1) -> None:
         """Add a partial ``weight`` times."""
         self.points += weight * partial["points"]
         self.cells += weight * partial["cells"]
@@ -94,7 +116,7 @@ class Sums:
         return Roughness(density, sigma, n, smoothest)
 
 
-def _add(histogram: Int64, counts: Sequence[int] | Int64, weight: int) -> None:
+def _add(histogram: Int64, counts: list[int] | Int32, weight: int) -> None:
     if len(counts):
         first = counts[0]
         histogram[first : first + len(counts) - 1] += weight * np.asarray(counts[1:], np.int64)

@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.noise_sums import BIN_M, MAX_SIGMA_M, PATCH_M, histogram
+from ptd.ground.noise_sums import BIN_M, MAX_SIGMA_M, PATCH_M, PatchCounts, histogram
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
@@ -220,7 +220,7 @@ class Patches(NamedTuple):
     noise: Int64
     quarters: Int64
 
-    def counts(self, which: Any = slice(None)) -> dict[str, Any]:
+    def counts(self, which: Any = slice(None)) -> PatchCounts:
         """Return the counts that some cells add to the run's figures (`measure`)."""
         is_in_core = self.own[which]
         return {
@@ -271,7 +271,7 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     )
 
 
-def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str, Any]:
+def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> PatchCounts:
     """Return the counts that the core of a window adds to the run's figures.
 
     Parameters
@@ -281,13 +281,6 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     window, core : Window
         The window extends at least `REACH_M` beyond the core.
     scale : Scale
-
-    Returns
-    -------
-    dict
-        ``points``: number of points. ``cells``: number of cells of `PATCH_M` with points. ``full``: number of cells
-        with at least `MIN_POINTS`. ``patches`` and ``quarters``: number of patches and of quarters by bins of
-        `BIN_M` of their noise, as [first bin, count, count, ...].
     """
     return patches(xyz, core, scale).counts()
 

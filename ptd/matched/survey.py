@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -84,7 +84,25 @@ class ReturnStatistics(NamedTuple):
     overhangs: int = 0
 
 
-def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+class Survey(TypedDict):
+    """Figures of a whole run.
+
+    ``kind`` is `LIDAR`, or `DIM` for image matching, and ``sure`` the probability that the kind is right (None if the
+    user gives it). A ``sigma_m`` of None is unknown. ``cell_sigma_m`` is the noise from which the rules for
+    photogrammetric clouds start, ``cell_m`` the size of their cells, and ``several`` the share of the points that are
+    one of several returns.
+    """
+
+    kind: str
+    sure: float | None
+    density_m2: float
+    sigma_m: float | None
+    cell_sigma_m: float
+    cell_m: float
+    several: float
+
+
+def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> tuple[Survey, str]:
     """Return the survey of a run, and a note on it.
 
     Parameters
@@ -97,17 +115,13 @@ def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -
 
     Returns
     -------
-    survey : dict
-        Figures of the whole run: ``kind`` (`LIDAR`, or `DIM` for image matching), ``sure`` (probability that the kind
-        is right; None if the user gives it), ``density_m2``, ``sigma_m`` (None: unknown), ``cell_sigma_m`` (noise from
-        which the rules for photogrammetric clouds start), ``cell_m`` (size of the cells of photogrammetric clouds) and
-        ``several`` (share of the points that are one of several returns).
+    survey : Survey
     note : str
     """
     finding = source_of(found, seen, run)
     share = seen.several / seen.told if seen.told else 0.0
     density, sigma, cell_sigma = figures(found, run)
-    survey = {
+    survey: Survey = {
         "kind": finding.kind, "sure": finding.sure, "density_m2": density, "sigma_m": sigma,
         "cell_sigma_m": cell_sigma, "cell_m": cell_size_m(density), "several": share,
     }  # fmt: skip
@@ -247,7 +261,7 @@ class SurveyPass(Pass):
 
     def decided(
         self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], list[str]]:
+    ) -> tuple[Survey, list[str]]:
         """Return the survey of the run and notes on it. ``held`` are the figures of the places that contain points."""
         survey, note = surveyed(found, seen, run)
         return survey, [note]

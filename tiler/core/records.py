@@ -223,5 +223,5 @@ class TileRecord(Record):
     labels: str
     elected: str | None = None
     elected_points: list[int] | None = None
-    partial: dict[str, Any]
-    stats: dict[str, Any]
+    partial: Mapping[str, Any]
+    stats: Mapping[str, Any]

@@ -14,7 +14,7 @@ from ptd.ground.noise_sums import Roughness
 from ptd.matched.evidence import DIM
 from ptd.matched.ground_model import GROUND_M
 from ptd.matched.place_figures import CELL_SIGMA, CELL_SIZE, DENSITY, known
-from ptd.matched.survey import ReturnStatistics, surveyed
+from ptd.matched.survey import ReturnStatistics, Survey, surveyed
 from ptd.methods.auto.params import AutoParameters
 from ptd.passes import State
 from ptd.places import PLACES, Figures, field, span
@@ -76,7 +76,7 @@ def decided(
     seen: ReturnStatistics,
     held: Sequence[Figures],
     run: Mapping[str, Any],
-) -> tuple[dict[str, Any], list[str]]:
+) -> tuple[Survey, list[str]]:
     """Return the survey of the run and notes on it.
 
     Parameters
@@ -92,7 +92,7 @@ def decided(
 
     Returns
     -------
-    survey : dict
+    survey : Survey
         Result of `ptd.matched.survey.surveyed`.
     notes : list of str
     """

@@ -136,7 +136,7 @@ class SurveyPass(survey.SurveyPass):
 
     def decided(
         self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], list[str]]:
+    ) -> tuple[survey.Survey, list[str]]:
         """Return the survey and its notes (`label_thresholds.decided`)."""
         return decided(self.params, found, seen, held, run)
 

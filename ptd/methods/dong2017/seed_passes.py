@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,7 +45,7 @@ class ColourPass(Pass):
         counts = np.bincount(bins[is_in_core & (bins != COLOURLESS)], minlength=BINS)
         x, y, _ = points.columns()
         cells = CellLattice.of(self.params.facade_cell_m, scale)
-        partial: Partial = {
+        partial: dict[str, Any] = {
             "gli": counts.tolist(),
             "points": int(is_in_core.sum()),
             "cells": _points_by_count(x, y, cells, is_in_core),
@@ -188,7 +188,7 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
     return seeds[lowest_per_cell(x[seeds], y[seeds], z[seeds], CellLattice.of(p.seed_cell_m, scale))]
 
 
-def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
+def _sigma(state: State, patches: Sequence[noise_sums.PatchCounts]) -> tuple[float, str]:
     """The noise of heights, and its origin. An earlier survey may have measured it already."""
     given = state["run"]["sigma_m"]
     if given is not None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class NoisePass(Pass):
         MethodRefusal
             If noise matters and there is no planar patch, or if a thinning cell cannot reach DEN_thr.
         """
-        parts = list(partials)
+        parts = cast(list[noise_sums.PatchCounts], list(partials))
         measured = noise_sums.merge(parts)
         given = state["run"]["sigma_m"]
         sigma, origin = measured.sigma_m, f"from {measured.patches} planar patches"
@@ -105,7 +105,7 @@ def _thin_cell(threshold_m2: float) -> float:
     return min(max(centimetres, 1), 100) / 100
 
 
-def with_notes(state: State, figures: dict[str, Any], *lines: str) -> State:
+def with_notes(state: State, figures: Mapping[str, Any], *lines: str) -> State:
     """The state with more figures, and with notes about them."""
     return {**state, **figures, "notes": add_notes(state, *(f"dong2018: {line}" for line in lines))}
 
