@@ -52,7 +52,7 @@ class PointBlock:
         """Return the points of ``index`` (indices, a mask or a slice), in that order."""
         if not isinstance(index, slice) and index.dtype == np.bool_ and index.all():
             return self
-        taken: dict[str, Any] = {}
+        taken: dict[str, npt.NDArray[Any]] = {}
         for field in fields(PointBlock):
             column = getattr(self, field.name)
             if column is not None:
@@ -72,7 +72,7 @@ class PointBlock:
     @staticmethod
     def concatenate(blocks: Sequence[PointBlock]) -> PointBlock:
         """Return all points of ``blocks`` (at least one) in order. A column that is None in one block is None."""
-        joined: dict[str, Any] = {}
+        joined: dict[str, npt.NDArray[Any]] = {}
         for field in fields(PointBlock):
             columns = [getattr(block, field.name) for block in blocks]
             if all(column is not None for column in columns):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime, timedelta
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import shapely
@@ -154,7 +154,15 @@ def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
     return {"datetime": None, "start_datetime": start, "end_datetime": end}
 
 
-def schema(point_formats: Iterable[int]) -> list[dict[str, Any]]:
+class SchemaField(TypedDict):
+    """Field of the points of a cloud, with its size in bytes."""
+
+    name: str
+    size: int
+    type: str
+
+
+def schema(point_formats: Iterable[int]) -> list[SchemaField]:
     """Return ``pc:schemas``: the fields of points of these formats, with the names of PDAL and QGIS."""
     formats = set(point_formats)
     fields = [*((axis, 8, "floating") for axis in "XYZ"), ("Intensity", 2, "unsigned")]
@@ -179,7 +187,7 @@ def schema(point_formats: Iterable[int]) -> list[dict[str, Any]]:
 
 def statistics(
     fields: Mapping[str, Mapping[str, float]], points: int, names: Sequence[str]
-) -> list[dict[str, Any]]:
+) -> list[dict[str, str | float]]:
     """Return ``pc:statistics`` of a cloud (`tiler.export.cloud_statistics`), given the names of its schema."""
     return [
         {"name": name, "position": position, "count": points, **dict(sorted(fields[name].items()))}

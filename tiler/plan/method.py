@@ -9,6 +9,7 @@ from typing import Any
 
 from ptd.matched.evidence import Evidence
 from ptd.matched.survey import run_facts
+from ptd.passes import State
 from tiler.config import RunConfig
 from tiler.core.stage_names import stage_title
 from tiler.plan.memory import PlannedPass
@@ -30,7 +31,7 @@ class MethodPlan:
 
     Attributes
     ----------
-    parameters : dict
+    parameters : mapping
         Parameters of the method as plain values; empty for the method `keep`.
     passes : tuple of PlannedPass
         All passes of the method, by number. `steps` are the passes that the run may do.
@@ -49,11 +50,11 @@ class MethodPlan:
         tile size.
     """
 
-    parameters: dict[str, Any]
+    parameters: Mapping[str, Any]
     passes: tuple[PlannedPass, ...]
     candidate_cell_m: float
     kind: str | None
-    statistics: dict[str, Any] | None
+    statistics: Mapping[str, State] | None
     tile: Fraction
     tile_memory: int
     tile_workers: int

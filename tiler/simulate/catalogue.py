@@ -6,6 +6,7 @@ Add scenes rather than change one, and document every change.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,7 +40,7 @@ class SceneSpec:
         A name of `tiler.simulate.sites.SITES`.
     seed : int
     side_m : float
-    sensor : dict
+    sensor : mapping
         Settings of the kind's sensor that differ from its defaults.
     """
 
@@ -50,7 +51,7 @@ class SceneSpec:
     site: str
     seed: int
     side_m: float
-    sensor: dict[str, Any] = field(default_factory=dict)
+    sensor: Mapping[str, Any] = field(default_factory=dict)
 
     def make_site(self) -> Site:
         """Make the terrain and the objects of the scene."""

@@ -8,7 +8,7 @@ docs/decisions.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -47,7 +47,7 @@ class StoredArray:
     shape : tuple of int
     fill : float
         Value of every element that was never written: the `fill` of ``kind``, except for rasters.
-    attributes : dict
+    attributes : mapping
     """
 
     storage: Storage
@@ -55,7 +55,7 @@ class StoredArray:
     kind: ArrayKind
     shape: tuple[int, ...]
     fill: float
-    attributes: dict[str, Any]
+    attributes: Mapping[str, Any]
 
     @property
     def rows(self) -> int:
@@ -188,7 +188,7 @@ def write_metadata(
     path: str,
     shape: tuple[int, ...],
     kind: ArrayKind,
-    attributes: dict[str, Any] | None = None,
+    attributes: Mapping[str, Any] | None = None,
 ) -> StoredArray:
     """Write the metadata of a new or changed array. The chunks do not change.
 
@@ -206,7 +206,7 @@ def write_metadata(
         serializer=BytesCodec(),
         filters=None,
         compressors=[blosc, Crc32cCodec()],
-        attributes=attributes,
+        attributes=dict(attributes),
         chunk_key_encoding={"name": "default", "separator": layout.CHUNK_SEPARATOR},
         zarr_format=3,
     )

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import psutil
 
@@ -69,9 +68,9 @@ class Lease:
         if holder is None or holder.token != self._token:
             raise _refused(self._storage, holder)
 
-    def _body(self) -> dict[str, Any]:
+    def _mine(self) -> Holder:
         pid = os.getpid()
-        me = Holder(
+        return Holder(
             token=self._token,
             pid=pid,
             started=_start_of(pid),
@@ -79,13 +78,12 @@ class Lease:
             renewed=time.time(),
             **_here(),
         )
-        return asdict(me)
 
     def _renew(self) -> None:
         while not self._stop.wait(RENEW_SECONDS):
             try:
                 self.check()
-                self._storage.put_json(self._key, self._body())
+                self._storage.put_json(self._key, asdict(self._mine()))
             except LockedError:
                 return  # The next `check` of the run raises the error again.
             except (TilerError, OSError):
@@ -98,7 +96,7 @@ class Lease:
             if not _stale(self._storage, self._key, holder):
                 raise _refused(self._storage, holder)
             self._storage.delete(self._key)
-        exclusive = self._storage.put_json_new(self._key, self._body())
+        exclusive = self._storage.put_json_new(self._key, asdict(self._mine()))
         if taken_over or not exclusive:
             time.sleep(SETTLE_SECONDS)
         self.check()

@@ -12,7 +12,7 @@ import json
 import os
 import uuid
 import zlib
-from collections.abc import AsyncIterator, Callable, Collection, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -249,7 +249,7 @@ SEAL = "tiler_crc32"
 """Name of the attribute with a checksum of the rest of the metadata. Zarr itself does not write a checksum."""
 
 
-def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
+def sealed(metadata: Mapping[str, Any]) -> dict[str, Any]:
     """Return the metadata of an array or group with a checksum among its attributes."""
     attributes = {**metadata.get("attributes", {})}
     attributes.pop(SEAL, None)
@@ -257,7 +257,7 @@ def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
     return {**metadata, "attributes": {**attributes, SEAL: checksum}}
 
 
-def seal_holds(metadata: dict[str, Any]) -> bool:
+def seal_holds(metadata: Mapping[str, Any]) -> bool:
     """Return whether the checksum of `sealed` fits. Metadata of older versions, which have none, are accepted."""
     return SEAL not in metadata["attributes"] or sealed(metadata) == metadata
 

@@ -148,7 +148,8 @@ def _row_of(feature: Feature) -> Row:
     """Return the row of a point, whose height is its third coordinate or an attribute."""
     has_z = bool(feature.geometry.has_z)
     coordinates = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
-    return row_of(feature.attributes | dict(zip(("x", "y", "z"), coordinates, strict=False)), feature.place)
+    named = dict(zip(("x", "y", "z"), coordinates, strict=False))
+    return row_of({**feature.attributes, **named}, feature.place)
 
 
 def row_of(values: Mapping[str, Any], place: str) -> Row:

@@ -6,7 +6,6 @@ import json
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 from tiler.config import LOW_AS_NOISE
 from tiler.core.crs import vertical_name
@@ -167,7 +166,7 @@ def nodata_of(plan: Plan, name: str) -> float | None:
 def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
     config = plan.config
     datum = vertical_name(plan.frame.crs_wkt) if name in MODELS else None
-    settings: dict[str, Any] = {
+    settings: dict[str, str | float] = {
         "interpolation": config.interpolation,
         "surface": config.surface or "all",
         "erode_m": float(config.erosion),

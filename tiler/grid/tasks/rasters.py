@@ -42,9 +42,9 @@ def terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     widest = full_halo(frame.counts(plan.config.max_edge))
     share = plan.surface_cells
     thinning_cells = None if share is None else Lattice(frame.counts(plan.grid.resolution / share))
-    make = partial(
+    make = _on_tin(
         GridBlock,
-        **_tin(context),
+        context,
         max_halo=widest,
         interpolation=plan.config.interpolation,
         percent=plan.config.surface_percent,
@@ -82,17 +82,20 @@ def surface_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     reach = reach_pixels(plan.grid.resolution)
     (terrain,) = raster.inputs
     spike = plan.config.spike / frame.metres_z
-    make = partial(SurfaceBlock, **_tin(context), spike=spike, reach=reach, terrain=terrain)
+    make = _on_tin(SurfaceBlock, context, spike=spike, reach=reach, terrain=terrain)
     margin = full_halo(frame.counts(plan.config.max_edge))
     margin += math.ceil((reach + 1) * frame.counts(plan.grid.resolution))
     return _block_tasks(raster, context, make, margin)
 
 
-def _tin(context: GridContext) -> dict[str, Any]:
-    """Return the common arguments of all blocks on a TIN."""
+def _on_tin(
+    make: Callable[..., PointsBlock], context: GridContext, **more: Any
+) -> Callable[..., PointsBlock]:
+    """Return a function that makes blocks on a TIN with the arguments common to all of them."""
     plan, counts = context.plan, context.plan.frame.counts
     halo = math.ceil(counts(plan.grid.halo_m))
-    return {"data": context.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
+    max_edge = counts(plan.config.max_edge)
+    return partial(make, data=context.assembled.bounds, max_edge=max_edge, halo=halo, **more)
 
 
 def _block_tasks(

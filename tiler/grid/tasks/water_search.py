@@ -8,8 +8,8 @@ its first `Piece`. The rim of an area is the land around it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS
@@ -35,6 +35,8 @@ from tiler.grid.water_find import MIN_LENGTH
 from tiler.grid.water_ground import NEAR_CELLS
 from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
 from tiler.schedule import Task
+
+AnyWork = TypeVar("AnyWork")
 
 
 def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
@@ -96,7 +98,7 @@ def rims_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with a candidate and for its neighbours. The task counts the rims of candidates."""
     areas = raster.inputs[0]
     for place in _near_labels(context, areas):
-        work = CountRims(**_on_areas(raster, context, place))
+        work = _on_areas(CountRims, raster, context, place)
         yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
 
 
@@ -107,8 +109,11 @@ def plane_rims_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]
     evident_at = _by_place(context.areas(planes), evident)
     others_at = _by_place(context.areas(planes), others)
     for place in near_places(context.coarse, {*evident_at, *others_at}):
-        work = CountPlaneRims(
-            **_on_areas(raster, context, place),
+        work = _on_areas(
+            CountPlaneRims,
+            raster,
+            context,
+            place,
             evident=_names_near(evident_at, place),
             others=_names_near(others_at, place),
         )
@@ -122,9 +127,7 @@ def plane_sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]
     names_by_place = _by_place(context.areas(inputs[0]), kept)
     for place in near_places(context.coarse, names_by_place):
         names = _names_near(names_by_place, place)
-        work = KeepPlanes(
-            **_on_areas(raster, context, place), kept=tuple((name, kept[name]) for name in names)
-        )
+        work = _on_areas(KeepPlanes, raster, context, place, kept=tuple((name, kept[name]) for name in names))
         yield context.block_task(raster, work, _near_checksums(context, inputs, place))
 
 
@@ -134,9 +137,7 @@ def sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     areas = inputs[0]
     kept = _kept_areas(context, areas, rims)
     for place, names in _by_place(context.areas(areas), kept).items():
-        work = KeepAreas(
-            **_on_areas(raster, context, place), kept=tuple((name, kept[name]) for name in names)
-        )
+        work = _on_areas(KeepAreas, raster, context, place, kept=tuple((name, kept[name]) for name in names))
         yield context.block_task(raster, work, [context.checksums(areas, block_names([place]))])
 
 
@@ -206,19 +207,22 @@ def _decks_near(context: GridContext, place: Place) -> tuple[tuple[int, ...], ..
     return tuple(rings)
 
 
-def _on_areas(raster: RasterStep, context: GridContext, place: Place) -> dict[str, Any]:
-    """Return the arguments that all tasks on candidates or planes have."""
+def _on_areas(
+    make: Callable[..., AnyWork], raster: RasterStep, context: GridContext, place: Place, **more: Any
+) -> AnyWork:
+    """Make the arguments of a task on candidates or planes."""
     areas, occupancy, ground, domain = raster.inputs[-4:]
     record = context.records(areas, SizesRecord).get(place)
-    return {
-        "name": raster.name,
-        "spec": context.coarse,
-        "block": context.coarse.block_at(*place, BLOCK_PIXELS),
-        "sources": Sources(occupancy, ground, domain),
-        "n_merged": 1 if record is None else record.n_merged,
-        "areas": areas,
-        "joins": context.areas(areas).joins(around(*place)),
-    }
+    return make(
+        name=raster.name,
+        spec=context.coarse,
+        block=context.coarse.block_at(*place, BLOCK_PIXELS),
+        sources=Sources(occupancy, ground, domain),
+        n_merged=1 if record is None else record.n_merged,
+        areas=areas,
+        joins=context.areas(areas).joins(around(*place)),
+        **more,
+    )
 
 
 def _near_checksums(context: GridContext, rasters: Sequence[str], place: Place) -> list[Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NotRequired, TypedDict
 
 from tiler.core.digests import digest_of
 from tiler.core.results import LeftOut
@@ -39,6 +39,14 @@ class FileContent(NamedTuple):
     error: str
 
 
+class KnownFile(TypedDict):
+    """Number of a source in the store, and the stamp and the digest of its content once it was read."""
+
+    number: int
+    stamp: NotRequired[list[Any]]
+    content: NotRequired[str]
+
+
 File = tuple[str, FileState, int]
 """Location, state and number of points of a file."""
 
@@ -53,7 +61,7 @@ def register_sources(job: Job) -> list[Source]:
     InputError
         A source cannot be read, and it is the only one or ``--on-error`` is ``stop``, or no source can be read.
     """
-    known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
+    known: dict[str, KnownFile] = job.store.get_state("sources") or {}
     # Passwords and tokens are removed, because a link that is signed daily leads to the same file.
     info_by_location = {without_secrets(location(info.path)): info for info in job.plan.inputs.sources}
     todo = []
@@ -63,7 +71,7 @@ def register_sources(job: Job) -> list[Source]:
             continue
         if is_url(info.path) and chunks_of(job.plan, info) is not None:  # Most of the file is not fetched.
             content = digest_of("octree", info.state, info.digest, info.octree)
-            known[file_location] = {**entry, "stamp": info.stamp, "content": content}
+            entry["stamp"], entry["content"] = info.stamp, content
         else:
             todo.append((file_location, info))
     unreadable = _identify(job, known, todo)
@@ -79,9 +87,7 @@ def register_sources(job: Job) -> list[Source]:
     return sources
 
 
-def _identify(
-    job: Job, known: dict[str, dict[str, Any]], todo: list[tuple[str, SourceInfo]]
-) -> dict[str, str]:
+def _identify(job: Job, known: dict[str, KnownFile], todo: list[tuple[str, SourceInfo]]) -> dict[str, str]:
     """Have the workers read files, and add their digests to ``known``. Return the errors by location."""
     stamps, unreadable, saved = (
         {file_location: info.stamp for file_location, info in todo},
@@ -92,7 +98,8 @@ def _identify(
     for url, result in file_digests(job, STAGE, files):
         file_location = without_secrets(url)
         if result.digest is not None:
-            known[file_location] |= {"stamp": stamps[file_location], "content": result.digest}
+            entry = known[file_location]
+            entry["stamp"], entry["content"] = stamps[file_location], result.digest
         else:
             unreadable[file_location] = result.error
         if time.monotonic() - saved > SAVED_SECONDS:

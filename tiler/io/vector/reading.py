@@ -5,7 +5,7 @@ Callers use `tiler.schedule.call_isolated`, which reads files in a child process
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -83,7 +83,7 @@ class Feature:
 
     place: str
     geometry: BaseGeometry
-    attributes: dict[str, Any]
+    attributes: Mapping[str, object]
 
     def height(self) -> float | None:
         """Return the number in the first of the `HEIGHT_COLUMNS` with a number, or None if there is none."""
@@ -188,7 +188,7 @@ def _plain_type(shape: str) -> str:
 
 def _features(
     place: str,
-    records: list[tuple[Any, dict[str, Any]]],
+    records: Sequence[tuple[Any, Mapping[str, object]]],
     kind: Kind,
     present: list[bool] | None,
     layer: str,
