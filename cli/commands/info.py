@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 
 import click
 
@@ -28,7 +29,7 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
     if is_many(paths):
         clouds = describe_many(paths)
         if as_json:
-            print_json(clouds)
+            print_json([asdict(cloud) for cloud in clouds])
         else:
             print_table(counted(len(clouds), "cloud"), COLUMNS, rows(clouds))
         return

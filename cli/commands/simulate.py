@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import asdict
 
 import click
 
@@ -117,8 +117,8 @@ def command(
     )
     session = current_session()
     with shown_progress() as listener:
-        summary: dict[str, Any] = write_scene(out, spec, float(parse_length(resolution)), listener)
+        written = write_scene(out, spec, float(parse_length(resolution)), listener)
     if as_json:
-        print_json(summary)
+        print_json(asdict(written))
     elif not session.quiet:
-        print_facts(summary)
+        print_facts(asdict(written))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -112,7 +112,15 @@ def describe_point_tiles(path: str) -> dict[str, Any]:
     }
 
 
-def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
+class DensityMap(TypedDict):
+    """Sides of a cell, and rows of densities in points per square metre, from north to south."""
+
+    width_m: float
+    height_m: float
+    per_m2: list[list[float]]
+
+
+def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> DensityMap:
     """Return the density in cells twice as high as wide, like the characters of a terminal.
 
     Parameters
@@ -121,12 +129,6 @@ def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
         Number of points in square cells, row 0 in the south.
     cell_m : float
         Side of a cell, metres.
-
-    Returns
-    -------
-    dict
-        ``width_m`` and ``height_m`` of a cell; ``per_m2``: rows of densities in points per square metre, from north to
-        south.
     """
     filled = np.argwhere(counts)
     high, wide = 1, 1

@@ -16,7 +16,7 @@ from tiler.io.locations import as_path, is_url, joined, state_at, storage_errors
 from tiler.io.result_folder import RUN, STORE, read_run
 
 if TYPE_CHECKING:
-    from tiler.store import TileStore
+    from tiler.store import Commits, TileStore
 
 _CLOUDS = (".las", ".laz")
 
@@ -134,7 +134,7 @@ def describe_store(url: str) -> dict[str, Any]:
     }
 
 
-def _commits(store: TileStore) -> dict[str, Any]:
+def _commits(store: TileStore) -> dict[str, Commits]:
     commits = {stage: store.committed(stage) for stage in ("spool", "assemble")}
     for number in range(store.get_state("passes") or 0):  # Passes that do not apply have no commits.
         commits[f"filter{number}"] = store.committed(f"filter{number}")
@@ -195,7 +195,7 @@ def describe_raster(path: Path) -> dict[str, Any]:
         }
 
 
-def _heights(raster: Any) -> dict[str, Any]:
+def _heights(raster: Any) -> dict[str, float]:
     """Return statistics of the first band's valid pixels, with one block in memory at a time."""
     from tiler.apps.evaluate.heights import blocks_with_files
     from tiler.export.cog import Statistics

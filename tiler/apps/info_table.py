@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tiler.core.crs import crs_name
 from tiler.core.units_text import short_unit
@@ -31,19 +31,39 @@ def is_many(paths: Sequence[str]) -> bool:
     return any(sign in paths[0] for sign in "*?[")
 
 
-def describe_many(paths: Sequence[str]) -> list[dict[str, Any]]:
-    """Describe each cloud that is found in some paths.
+@dataclass(frozen=True, kw_only=True)
+class ListedCloud:
+    """Cloud in the table.
 
-    Parameters
+    Attributes
     ----------
-    paths : sequence of str
-        Files, folders, globs.
+    path : str
+    points : int
+    per_m2 : float or None
+        Mean density in its bounds.
+    bounds : tuple of float, or None
+        Lowest x, y, z, highest x, y, z in units of the CRS.
+    unit, crs : str or None
+    """
 
-    Returns
-    -------
-    list of dict
-        ``path``, ``points``, ``per_m2`` (mean density in its bounds, or None), ``bounds`` (lowest x, y, z, highest x,
-        y, z in units of the CRS), ``unit``, ``crs``. A cloud that cannot be read has ``path`` and ``error``.
+    path: str
+    points: int
+    per_m2: float | None
+    bounds: tuple[float, ...] | None
+    unit: str | None
+    crs: str | None
+
+
+@dataclass(frozen=True)
+class UnreadableCloud:
+    """Cloud that cannot be read, and why."""
+
+    path: str
+    error: str
+
+
+def describe_many(paths: Sequence[str]) -> list[ListedCloud | UnreadableCloud]:
+    """Describe each cloud that is found in some files, folders and globs.
 
     Raises
     ------
@@ -52,44 +72,50 @@ def describe_many(paths: Sequence[str]) -> list[dict[str, Any]]:
     InputError
         There is no cloud.
     """
-    descriptions, files = [], find_inputs(paths)
+    descriptions: list[ListedCloud | UnreadableCloud] = []
+    files = find_inputs(paths)
     with ChildPool(1) as guards:
         for path, look in zip(files, guards.each(inspect_in_child, files), strict=True):
             try:
-                descriptions.append(_facts(look()))
+                descriptions.append(_listed(look()))
             except InputError as error:
-                descriptions.append({"path": str(path), "error": str(error).removeprefix(f"{path}: ")})
+                descriptions.append(UnreadableCloud(str(path), str(error).removeprefix(f"{path}: ")))
     return descriptions
 
 
-def _facts(source: SourceInfo) -> dict[str, Any]:
+def _listed(source: SourceInfo) -> ListedCloud:
     georeference = source.georeference
-    metres = georeference.horizontal
-    description: dict[str, Any] = {"path": str(source.path), "points": source.points, "per_m2": None}
+    metres, per_m2 = georeference.horizontal, None
     if source.bounds is not None and metres is not None:
         x0, y0, _, x1, y1, _ = source.bounds
         area = (x1 - x0) * (y1 - y0) * float(metres) ** 2
-        description["per_m2"] = source.points / area if area > 0 else None
-    unit = None if metres is None else short_unit(metres)
-    return {**description, "bounds": source.bounds, "unit": unit, "crs": crs_name(georeference.wkt)}
+        per_m2 = source.points / area if area > 0 else None
+    return ListedCloud(
+        path=str(source.path),
+        points=source.points,
+        per_m2=per_m2,
+        bounds=source.bounds,
+        unit=None if metres is None else short_unit(metres),
+        crs=crs_name(georeference.wkt),
+    )
 
 
-def rows(clouds: Sequence[dict[str, Any]]) -> list[list[str]]:
+def rows(clouds: Sequence[ListedCloud | UnreadableCloud]) -> list[list[str]]:
     """Return the rows of the table, with cells in the order of `COLUMNS`."""
     return [_row(cloud) for cloud in clouds]
 
 
-def _row(cloud: dict[str, Any]) -> list[str]:
-    if "error" in cloud:
-        return [cloud["path"], cloud["error"], *[""] * (len(COLUMNS) - 2)]
-    density = "-" if cloud["per_m2"] is None else f"{cloud['per_m2']:.3g}"
-    bounds = cloud["bounds"]
+def _row(cloud: ListedCloud | UnreadableCloud) -> list[str]:
+    if isinstance(cloud, UnreadableCloud):
+        return [cloud.path, cloud.error, *[""] * (len(COLUMNS) - 2)]
+    density = "-" if cloud.per_m2 is None else f"{cloud.per_m2:.3g}"
+    bounds = cloud.bounds
     bounds_texts = ["-"] * 6 if bounds is None else [f"{bounds[i]:.2f}" for i in (0, 1, 3, 4, 2, 5)]
     return [
-        cloud["path"],
-        f"{cloud['points']:,}",
+        cloud.path,
+        f"{cloud.points:,}",
         density,
         *bounds_texts,
-        cloud["unit"] or "-",
-        cloud["crs"] or "-",
+        cloud.unit or "-",
+        cloud.crs or "-",
     ]

@@ -7,7 +7,6 @@ import os
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -99,9 +98,39 @@ def describe_scene(
     return dataclasses.replace(spec, seed=seed, side_m=side_m, sensor=sensor)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class WrittenScene:
+    """Files of a scene, and their content.
+
+    Attributes
+    ----------
+    cloud, dtm : str
+        Paths of the cloud and of its reference terrain.
+    scene, kind : str
+    seed : int
+    side_m, north_m : float
+        Extent from west to east, and from south to north.
+    points : int
+    points_per_m2 : float
+    classes : dict of str to int
+        Number of points by class and its description.
+    """
+
+    cloud: str
+    dtm: str
+    scene: str
+    kind: str
+    seed: int
+    side_m: float
+    north_m: float
+    points: int
+    points_per_m2: float
+    classes: dict[str, int]
+
+
 def write_scene(
     path: str | Path, spec: SceneSpec, pixel_m: float = 1.0, listener: Listener = ignore_events
-) -> dict[str, Any]:
+) -> WrittenScene:
     """Write the cloud of a scene, and its reference terrain as ``<name>_dtm.tif`` next to it.
 
     Patches are simulated one by one, so the memory holds only one patch.
@@ -117,13 +146,6 @@ def write_scene(
         Side of a pixel of the reference terrain, metres.
     listener : Listener
         Receives events.
-
-    Returns
-    -------
-    dict
-        ``cloud``, ``dtm``, ``scene``, ``kind``, ``seed``, ``side_m`` (extent from west to east), ``north_m`` (from
-        south to north), ``points``, ``points_per_m2``, and
-        ``classes`` (number of points and description by class).
 
     Raises
     ------
@@ -157,20 +179,20 @@ def write_scene(
             with suppress(OSError):
                 scratch.unlink(missing_ok=True)
     points = int(counts.sum())
-    return {
-        "cloud": str(path),
-        "dtm": str(dtm),
-        "scene": spec.name,
-        "kind": spec.kind,
-        "seed": spec.seed,
-        "side_m": site.side_m,
-        "north_m": site.north_m,
-        "points": points,
-        "points_per_m2": round(points / (site.side_m * site.north_m), 3),
-        "classes": {
+    return WrittenScene(
+        cloud=str(path),
+        dtm=str(dtm),
+        scene=spec.name,
+        kind=spec.kind,
+        seed=spec.seed,
+        side_m=site.side_m,
+        north_m=site.north_m,
+        points=points,
+        points_per_m2=round(points / (site.side_m * site.north_m), 3),
+        classes={
             f"{value} {CLASS_NAMES[value]}": int(counts[value]) for value in np.flatnonzero(counts).tolist()
         },
-    }
+    )
 
 
 def _write_cloud(path: Path, compressed: bool, site: Site, sensor: Sensor, listener: Listener) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 
 from cli.main import main
 from tests.tiler.apps.test_info import write_cloud
-from tiler.apps.info_table import COLUMNS, describe_many, is_many, rows
+from tiler.apps.info_table import COLUMNS, ListedCloud, UnreadableCloud, describe_many, is_many, rows
 
 
 @pytest.fixture
@@ -24,11 +24,15 @@ def folder(tmp_path: Path) -> Path:
 
 def test_each_cloud_has_a_row_and_a_broken_one_its_reason(folder: Path) -> None:
     found = describe_many([str(folder)])
-    assert [Path(cloud["path"]).name for cloud in found] == ["a.laz", "b.las", "c.laz"]
-    assert [cloud.get("points") for cloud in found] == [1600, 400, None]
-    assert found[0]["per_m2"] == pytest.approx(4, rel=0.1)
-    assert (found[0]["unit"], found[1]["unit"]) == ("m", "ft")
-    assert found[2]["error"]
+    assert [Path(cloud.path).name for cloud in found] == ["a.laz", "b.las", "c.laz"]
+    a, b, c = found
+    assert isinstance(a, ListedCloud)
+    assert isinstance(b, ListedCloud)
+    assert (a.points, b.points) == (1600, 400)
+    assert a.per_m2 == pytest.approx(4, rel=0.1)
+    assert (a.unit, b.unit) == ("m", "ft")
+    assert isinstance(c, UnreadableCloud)
+    assert c.error
     assert all(len(row) == len(COLUMNS) for row in rows(found))
 
 

@@ -41,13 +41,13 @@ def test_the_cloud_holds_the_survey(written):
     assert np.array_equal(counts, np.round(points.xyz * 1000))
     assert np.all(np.diff(cloud.gps_time) >= 0)
     assert cloud.header.parse_crs().to_epsg() == 32632
-    assert facts["points"] == len(points) == sum(facts["classes"].values())
-    assert facts["classes"]["2 ground"] == np.sum(points.label == 2)
+    assert facts.points == len(points) == sum(facts.classes.values())
+    assert facts.classes["2 ground"] == np.sum(points.label == 2)
 
 
 def test_the_terrain_is_the_formula(written):
     _, facts = written
-    with rasterio.open(facts["dtm"]) as raster:
+    with rasterio.open(facts.dtm) as raster:
         assert raster.transform[:6] == (0.5, 0, 500_000, 0, -0.5, 5_400_060)
         heights = raster.read(1)
     truth = make_site("suburb", 3, 60.0).terrain
@@ -62,7 +62,7 @@ def test_the_same_settings_give_the_same_bytes_and_nothing_else_is_left(written,
     assert (tmp_path / "b_dtm.tif").read_bytes() == (path.parent / "a_dtm.tif").read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["b.laz", "b_dtm.tif"]
     other = write_scene(tmp_path / "c.laz", describe_scene("suburb", seed=4, **SMALL))
-    assert other["points"] != facts["points"]
+    assert other.points != facts.points
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_a_matched_scene_has_colours(tmp_path):
     cloud = laspy.read(tmp_path / "d.las")
     assert cloud.header.point_format.id == 7
     assert cloud.red.max() > 2**14
-    assert facts["points_per_m2"] == pytest.approx(len(cloud) / 2500, abs=0.001)
+    assert facts.points_per_m2 == pytest.approx(len(cloud) / 2500, abs=0.001)
 
 
 def test_scenes_of_the_catalogue_and_what_differs():

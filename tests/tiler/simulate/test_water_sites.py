@@ -110,7 +110,7 @@ def test_a_site_has_its_extent_and_truth(kind: str):
 
 def test_the_terrain_raster_of_a_long_site_has_its_shape(tmp_path):
     facts = write_scene(tmp_path / "a.laz", describe_scene("als_meander", side_m=500.0, density=0.1))
-    with rasterio.open(facts["dtm"]) as raster:
+    with rasterio.open(facts.dtm) as raster:
         assert (raster.width, raster.height) == (500, 300)
         assert raster.transform[:6] == (1, 0, 500_000, 0, -1, 5_400_300)
-    assert facts["points_per_m2"] == pytest.approx(0.1, rel=0.1)
+    assert facts.points_per_m2 == pytest.approx(0.1, rel=0.1)
