@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -57,12 +57,12 @@ def config_options(only: Collection[str] | None = None) -> Callable[[Command], C
     return decorate
 
 
-def read_config(settings: dict[str, Any]) -> RunConfig:
+def read_config(settings: Mapping[str, Any]) -> RunConfig:
     """Return the effective settings: defaults, then the preset, then the TOML file, then the given options.
 
     Parameters
     ----------
-    settings : dict
+    settings : mapping
         Keyword arguments that the command got from `config_options`.
 
     Raises
@@ -71,7 +71,7 @@ def read_config(settings: dict[str, Any]) -> RunConfig:
         The file cannot be read, or a setting is not valid.
     """
     file = settings.get("config_file")
-    values: dict[str, Any] = load_config(file) if file is not None else {}
+    values = load_config(file) if file is not None else {}
     given = {k: v for k, v in settings.items() if k in SETTINGS and v is not None and v != ()}
     if "parameters" in given:
         # One parameter given as an option leaves the others of the file as they are.

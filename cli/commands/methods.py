@@ -30,13 +30,11 @@ def command(name: str | None, as_json: bool) -> None:
     if name is not None and name not in METHODS:
         raise ConfigError(f"no method {name!r}; there are {', '.join(METHODS)}")
     chosen = {n: m for n, m in METHODS.items() if name in (None, n)}
-    descriptions: dict[str, dict[str, Any]] = {
-        n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in chosen.items()
-    }
     if as_json:
-        print_json(descriptions)
+        methods = chosen.items()
+        print_json({n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in methods})
         return
-    for method, fact in descriptions.items():
+    for n, method in chosen.items():
         rows = [
             (
                 p["name"],
@@ -46,9 +44,9 @@ def command(name: str | None, as_json: bool) -> None:
                 p["source"],
                 p["help"],
             )
-            for p in fact["parameters"]
+            for p in parameter_facts(method.params)
         ]
-        print_table(f"{method}: {fact['summary']}", COLUMNS, rows)
+        print_table(f"{n}: {method.summary}", COLUMNS, rows)
 
 
 def parameter_facts(params: Any) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -125,7 +125,7 @@ class Edit:
         }
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> Edit:
+    def from_json(cls, data: Mapping[str, Any]) -> Edit:
         """Return the edit that `to_json` described."""
         return cls(
             number=data["number"],
@@ -243,7 +243,7 @@ class Edits:
         return {"cell": self.cell.to_json(), "edits": [edit.to_json() for edit in self.edits]}
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> Edits:
+    def from_json(cls, data: Mapping[str, Any]) -> Edits:
         """Return the edits that `to_json` described."""
         return cls(tuple(Edit.from_json(e) for e in data["edits"]), Lattice.from_json(data["cell"]))
 

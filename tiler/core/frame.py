@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -63,7 +64,7 @@ class CoordFrame:
         }
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> CoordFrame:
+    def from_json(cls, data: Mapping[str, Any]) -> CoordFrame:
         """Return the frame that `to_json` described."""
         horizontal, vertical = (Fraction(u) for u in data["units"])
         x, y = data["origin"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -206,6 +206,6 @@ class RasterSpec:
         }
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> RasterSpec:
+    def from_json(cls, data: Mapping[str, Any]) -> RasterSpec:
         """Return the raster that `to_json` described."""
         return cls(**{**data, "lattice": Lattice.from_json(data["lattice"])})

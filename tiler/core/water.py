@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -124,7 +125,7 @@ class Water:
         }  # fmt: skip
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> Water:
+    def from_json(cls, data: Mapping[str, Any]) -> Water:
         """Return the water that `to_json` described."""
         flow = None if data["flow"] is None else np.array(data["flow"], np.int64)
         area = Area.from_json(data["rings"])
@@ -293,6 +294,6 @@ class Waters:
         return [body.to_json() for body in self.bodies]
 
     @classmethod
-    def from_json(cls, data: list[dict[str, Any]]) -> Waters:
+    def from_json(cls, data: Sequence[Mapping[str, Any]]) -> Waters:
         """Return the waters that `to_json` described."""
         return cls(tuple(Water.from_json(body) for body in data))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tiler.export.records import PointStatistics
 from tiler.io.las.columns import class_and_flags, colours, returns
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records
@@ -56,13 +57,8 @@ class CloudStatistics:
                 known = [float(times.min()), float(times.max()), *self._times]
                 self._times = [min(known), max(known)]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the statistics as plain values.
-
-        ``fields`` gives ``minimum``, ``maximum``, ``average``, ``variance`` and ``stddev`` by the name of the field:
-        coordinates in units of the CRS, other fields as they are stored. ``gps`` has the first and the last adjusted
-        standard time, or is None if no time is known.
-        """
+    def to_json(self) -> PointStatistics:
+        """Return the statistics as plain values."""
         header = self._header
         scales = dict(zip(COORDINATES, zip(header.scales, header.offsets, strict=True), strict=True))
         fields = {}

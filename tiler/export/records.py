@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 from tiler.core.classes import Counts
 from tiler.core.records import Record
@@ -104,6 +104,18 @@ class WaterFileRecord(FileRecord):
     bodies: int
 
 
+class PointStatistics(TypedDict):
+    """Statistics of the points of a cloud.
+
+    ``fields`` gives ``minimum``, ``maximum``, ``average``, ``variance`` and ``stddev`` by the name of the field:
+    coordinates in units of the CRS, other fields as they are stored. ``gps`` has the first and the last adjusted
+    standard time, or is None if no time is known.
+    """
+
+    fields: dict[str, dict[str, float]]
+    gps: list[float] | None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloudRecord(FileRecord):
     """Record of a classified cloud.
@@ -117,8 +129,7 @@ class CloudRecord(FileRecord):
     kept : dict of str to int, optional
         Number of filtered points, by class, that keep the class of an object from the source (classes that are not in
         `tiler.core.classes.WITHOUT_OBJECT`). None for clouds of earlier versions, which kept no classes.
-    statistics : dict
-        See `tiler.export.cloud_statistics.CloudStatistics.to_json`.
+    statistics : PointStatistics
     fetched : int, optional
         Number of bytes that were read over the network.
     """
@@ -127,7 +138,7 @@ class CloudRecord(FileRecord):
     changed: int
     classes: Counts
     kept: Counts | None = None
-    statistics: dict[str, Any]
+    statistics: PointStatistics
     fetched: int | None = None
 
 

@@ -247,7 +247,7 @@ class SurveyRecord(BlockRecord):
 class BodyRecord(Record):
     """Record of a body of water without a level (`Water.to_json`), or None if it is too small."""
 
-    body: dict[str, Any] | None
+    body: Mapping[str, Any] | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,7 +268,7 @@ class LevelRecord(Record):
     """
 
     shore: int
-    body: dict[str, Any] | None
+    body: Mapping[str, Any] | None
     floating: tuple[float, list[int] | None]
     uneven: bool
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import unquote, urljoin, urlsplit
@@ -57,7 +58,7 @@ def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
     return list(locations)
 
 
-def _href(assets: dict[str, Any]) -> Any:
+def _href(assets: Mapping[str, Any]) -> Any:
     """Return the location of a feature's cloud, from the asset ``data`` or else the first with one."""
     href = member(assets, "data").get("href")
     if href:

@@ -135,7 +135,7 @@ def earlier_facts(out: Path, products: str) -> tuple[dict[str, str], dict[str, A
     return _mapping(run, "digests"), _mapping(run, "configuration")
 
 
-def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
+def earlier_statistics(out: Path, method: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return the state after each pass of the run in ``out``, which must have used the same method.
 
     Raises
@@ -209,6 +209,6 @@ def _existing(place: str, names: list[str]) -> list[str]:
     return existing
 
 
-def _mapping(found: dict[str, Any], name: str) -> dict[str, Any]:
+def _mapping(found: Mapping[str, Any], name: str) -> dict[str, Any]:
     value = found.get(name)
     return value if isinstance(value, dict) else {}

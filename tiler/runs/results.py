@@ -40,7 +40,7 @@ class Results:
     seconds : float
     report : str or None
         Name of the report. None if it could not be made.
-    inputs : list of dict
+    inputs : sequence of mapping
         Sources, with the digest of the bytes and the number of stored points.
     fetched : FetchedBytes or None
         None unless inputs are at URLs.
@@ -75,7 +75,7 @@ class Results:
     given: list[str]
     seconds: float
     report: str | None
-    inputs: list[dict[str, Any]]
+    inputs: Sequence[Mapping[str, Any]]
     fetched: FetchedBytes | None = None
     counts: PointCounts
     classes: ClassCounts

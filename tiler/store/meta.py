@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,7 +55,7 @@ class StoreMeta:
         }
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> StoreMeta:
+    def from_json(cls, data: Mapping[str, Any]) -> StoreMeta:
         """Read the description that `to_json` wrote. Raise StoreError if it is damaged."""
         try:
             return cls(
