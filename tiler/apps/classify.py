@@ -39,9 +39,10 @@ ONE_WORKER_POINTS = 1_000_000
 
 
 class FilterSummary(TypedDict):
-    """What a run did before its files were written. ``marked`` is the number of uncertified labels.
+    """Method, work and failures of a run up to its labels.
 
-    ``failed_tasks`` are those of run.json. Their points keep the classes of the source.
+    ``marked`` is the number of uncertified labels. ``failed_tasks`` are those of run.json. Their points keep the
+    classes of the source.
     """
 
     seconds: float

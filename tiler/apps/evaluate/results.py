@@ -9,10 +9,10 @@ from tiler.core.difference_statistics import Spread
 
 
 class Scores(TypedDict):
-    """Numbers of points, errors and agreement of labels; fractions are None for a division by zero.
+    """Numbers of points, errors and agreement of labels.
 
-    ``object_taken`` is the number of objects that are labelled ground. ``kappa`` is that of Cohen, ``f1`` that of
-    ground. `tiler.apps.evaluate.labels` defines the errors.
+    Fractions are None for a division by zero. ``object_taken`` is the number of objects that are labelled ground.
+    ``kappa`` is that of Cohen, ``f1`` that of ground. `tiler.apps.evaluate.labels` defines the errors.
     """
 
     points: int
@@ -118,8 +118,8 @@ class SigmaReport(SigmaFigures):
 
     ``within_1`` to ``within_3`` are the shares of errors within 1, 2 and 3 standard errors, which are 0.683, 0.954 and
     0.997 for normally distributed errors. ``in_first_tenth`` is the share of the sum of squared errors in the tenth of
-    the pixels with the largest standard errors, ``area`` the same share, averaged over all fractions of the pixels from
-    0 to 1 (0.5 in random order), and ``area_at_best`` this average for pixels sorted by their errors.
+    the pixels with the largest standard errors. ``area`` is the same share, averaged over all fractions of the pixels
+    from 0 to 1 (0.5 in random order). ``area_at_best`` is this average for pixels sorted by their errors.
     """
 
     within_1: float | None
@@ -141,9 +141,9 @@ class SigmaScores(TypedDict, total=False):
 class DtmScores(Spread, SigmaScores):
     """Differences of a DTM from a reference, in ``unit``.
 
-    ``pixels`` is the number of common pixels, ``only_dtm`` and ``only_truth`` those of the pixels in the reference's
-    extent that are valid in only one raster, and ``coverage`` the share of the reference's valid pixels that are valid
-    in the DTM. ``quantile_step`` is the accuracy of medians and percentiles.
+    ``pixels`` is the number of common pixels. ``only_dtm`` and ``only_truth`` are the numbers of pixels in the
+    reference's extent that are valid in only one raster. ``coverage`` is the share of the reference's valid pixels that
+    are valid in the DTM, and ``quantile_step`` the accuracy of medians and percentiles.
     """
 
     unit: str

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
-from typing import Any
 
 from tiler.core.digests import digest_of
 from tiler.core.products import CONTOURS, SPOTS
@@ -40,22 +39,12 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
     ``noise_m`` is the standard deviation of the heights of ground in metres, or 0 if it is not known.
     """
     plan, config = context.plan, context.plan.config
-    terrain, interval = final_raster("dtm", config), config.contour_interval
-    common: dict[str, Any] = {
-        "raster": terrain,
-        "spec": context.spec,
-        "out": out,
-        "area": plan.inputs.area_key,
-        "waters": context.water_key,
-        "noise": noise_m / float(plan.frame.units.vertical),
-        "interval": None if interval is None else interval / plan.frame.units.vertical,
-    }
-    smooth = config.contour_smooth
+    terrain, smooth = final_raster("dtm", config), config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.grid.resolution
     spot_reach = min(math.ceil(SPOT_REACH_M / plan.grid.resolution), MAX_REACH)
     works: dict[str, tuple[Work, VectorFile]] = {
-        CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
-        SPOTS: (write_spots, WriteSpots(**common, reach=spot_reach)),
+        CONTOURS: (write_contours, _on_terrain(WriteContours, context, out, noise_m, sigma=float(sigma))),
+        SPOTS: (write_spots, _on_terrain(WriteSpots, context, out, noise_m, reach=spot_reach)),
     }
     if config.outline == "survey":
         outline = WriteOutline(
@@ -74,3 +63,21 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
         write, work = works[name]
         digest = digest_of(__version__, work, context.checksums(terrain))
         yield Task("export", f"{name}.gpkg", digest, write, work, context.spec.height * context.spec.width)
+
+
+def _on_terrain(
+    make: Callable[..., VectorFile], context: GridContext, out: str, noise_m: float, **own: float
+) -> VectorFile:
+    """Make the arguments of a task that draws heights of the terrain."""
+    plan, interval = context.plan, context.plan.config.contour_interval
+    vertical = plan.frame.units.vertical
+    return make(
+        raster=final_raster("dtm", plan.config),
+        spec=context.spec,
+        out=out,
+        area=plan.inputs.area_key,
+        waters=context.water_key,
+        noise=noise_m / float(vertical),
+        interval=None if interval is None else interval / vertical,
+        **own,
+    )
