@@ -11,7 +11,7 @@ from tiler.grid.reach import Floats
 N_BANK_CELLS = 20
 """The bank is continued by a plane through this many of its cells with ground, the nearest ones."""
 MAX_TIES = 16
-"""At most this many more cells of the bank are used, if they are as far away as the last of the nearest cells."""
+"""Up to this many more cells are used if they are as far away as the last of the nearest cells."""
 
 
 def continued_bank(
@@ -40,7 +40,7 @@ def continued_bank(
     count = min(N_BANK_CELLS + MAX_TIES, len(bank))
     nearest = scipy.spatial.cKDTree(bank).query(cells, k=range(1, count + 1))
     distance, near = np.asarray(nearest[0]), np.asarray(nearest[1])
-    # Of cells at the same distance, all or none are used. A tree would choose some, depending on cells far away.
+    # Cells at the same distance are all used. The tree would choose some of them, depending on cells far away.
     used = distance <= distance[:, min(N_BANK_CELLS, count) - 1, None]
     offsets = (bank[near] - cells[:, None]).astype(np.float64)
     columns = np.concatenate((np.ones((len(cells), count, 1)), offsets), axis=2) * used[:, :, None]

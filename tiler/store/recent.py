@@ -19,8 +19,8 @@ MAX_CHUNKS = 32
 class RecentChunks:
     """The `MAX_CHUNKS` chunks that were used last, by key.
 
-    A chunk counts only for the packed bytes that it was unpacked from. So chunks that were written anew are never
-    returned from here, whichever process wrote them.
+    A chunk is returned only for the packed bytes that it was unpacked from. So a chunk that any process wrote anew is
+    unpacked again.
     """
 
     def __init__(self) -> None:
