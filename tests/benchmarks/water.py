@@ -37,8 +37,9 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
         ``recall`` and ``precision`` of the area, ``level_rmse`` in metres where both are water, ``shore_rmse`` in
         metres, ``floating`` (share of the pixels beside water that lie below it), ``dug`` (share of the outermost
         pixels of water that lie on land above it), ``dug_far`` (the same, but only pixels farther than a pixel's
-        diagonal from true water: nearer ones may be cut by an upright bank), ``void`` (share of the water, up to the
-        border, without a height), ``rises`` (metres that the lines of flow rise), ``bodies``.
+        diagonal from true water: nearer ones may be cut by an upright bank), ``dug_whole`` (the same, but only pixels
+        without the true shore in them), ``void`` (share of the water, up to the border, without a height), ``rises``
+        (metres that the lines of flow rise), ``bodies``.
     """
     with rasterio.open(out / "dtm.tif") as raster:
         heights, bounds = raster.read(1), raster.bounds
@@ -56,7 +57,12 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
     near = scipy.ndimage.distance_transform_edt(~found, return_distances=False, return_indices=True)
     level = heights[tuple(near)]
     edge = found & ~scipy.ndimage.binary_erosion(found, np.ones((3, 3))) & inner
-    dug = edge & (truth > heights + 3 * BEYOND_NOISE_M)
+    dug = edge & ~wet & (truth > heights + 3 * BEYOND_NOISE_M)
+    dug_whole = dug.copy()
+    offsets = np.linspace(-size / 2, size / 2, 5)
+    corners = [(x[dug] + east, y[dug] + north) for east in offsets for north in offsets]
+    lowest = np.min([site.terrain.height_at(*at) for at in corners], axis=0)
+    dug_whole[dug] = lowest > heights[dug] + 3 * BEYOND_NOISE_M
     from_water = scipy.ndimage.distance_transform_edt(~wet) if wet.any() else np.full(wet.shape, np.inf)
     return {
         "recall": _share(both, wet & inner),
@@ -67,6 +73,7 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
         "void": _share(wet & (heights == -9999), wet),
         "dug": _share(dug, edge),
         "dug_far": _share(dug & (from_water > 1.5), edge),
+        "dug_whole": _share(dug_whole, edge),
         **_profiles(out),
     }
 

@@ -127,10 +127,10 @@ def read_ground_and_objects(
     ground_parts, object_parts = [np.empty((3, 0), np.int32)], [np.empty((3, 0), np.int32)]
     for cell in store.buckets_within(bounds):
         block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
-        inside = block.inside(bounds, store.meta.frame.origin)
-        ground_parts.append(block.xyz[:, inside & is_ground & _used(block, rule, store, cell)])
-        is_object = inside & _is_object(block, classes, is_ground, rule, store, cell)
-        object_parts.append(block.xyz[:, is_object])
+        used = block.inside(bounds, store.meta.frame.origin) & _used(block, rule, store, cell)
+        ground_parts.append(block.xyz[:, used & is_ground])
+        labels = None if rule.labels is None else classes
+        object_parts.append(block.xyz[:, used & ~is_ground & ~_is_noise(block, labels, store, cell)])
     return np.concatenate(ground_parts, axis=1), np.concatenate(object_parts, axis=1)
 
 

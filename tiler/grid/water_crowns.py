@@ -21,6 +21,7 @@ import scipy
 from tiler.core.raster import Block
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
+from tiler.grid.continued_bank import continued_bank
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground_and_objects
 from tiler.grid.reach import Floats, box_around, within, within_square
@@ -53,8 +54,8 @@ MIN_GROUND_SHARE = 0.3
 """A lack of ground is a sign of water only if at least this share of the cells with crowns nearby have ground."""
 AMONG_M = 8.0
 """Hidden cells in a gap between cells with ground are land if the gap is narrower than twice this, in metres."""
-N_BANK_CELLS = 20
-"""The bank is continued by a plane through this many of its cells with ground, the nearest ones."""
+BANK_M = 24.0
+"""Cells of the bank farther from hidden cells than this are not used, in metres."""
 MAX_QUAY_SLOPE = 0.15
 """If the continued bank is at most this steep, the bank is assumed to be upright, as at a quay.
 
@@ -276,6 +277,7 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
     # Cells in narrow gaps between cells of the bank are land.
     hidden &= within(~within(bank, radius), radius)
     hidden = connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
+    bank &= within(hidden, BANK_M / cells.size_m)
     height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
     hidden[hidden] = (height <= LOW_M) | (slope <= MAX_QUAY_SLOPE * cells.size_m)
     return connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
@@ -305,38 +307,3 @@ def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
     box = box_around(whole, 0)
     is_connected[box] = scipy.ndimage.binary_dilation(wet[box], iterations=max_steps, mask=whole[box])
     return is_connected & ~wet
-
-
-def continued_bank(
-    cells: npt.NDArray[np.int64], bank: npt.NDArray[np.int64], above: Floats
-) -> tuple[Floats, Floats]:
-    """Extrapolate the bank to other cells. Each cell has its own plane through the nearest cells of the bank.
-
-    Parameters
-    ----------
-    cells : int64 (n, 2)
-        Row and column of the cells to which the bank is continued.
-    bank : int64 (m, 2)
-        Row and column of the cells of the bank.
-    above : float64 (m,)
-        Height of the cells of the bank above the water in metres.
-
-    Returns
-    -------
-    height : float64 (n,)
-        Height of the plane above the water at each cell, in metres.
-    slope : float64 (n,)
-        Slope of the plane in metres per cell.
-    """
-    if not len(cells):
-        return np.empty(0), np.empty(0)
-    count = min(N_BANK_CELLS, len(bank))
-    _, near = scipy.spatial.cKDTree(bank).query(cells, k=count)
-    near = near.reshape(len(cells), count)
-    offsets = (bank[near] - cells[:, None]).astype(np.float64)
-    columns = np.concatenate((np.ones((len(cells), count, 1)), offsets), axis=2)
-    normal = columns.transpose(0, 2, 1) @ columns + 1e-6 * np.eye(3)
-    right = columns.transpose(0, 2, 1) @ above[near][:, :, None]
-    plane = np.asarray(np.linalg.solve(normal, right), np.float64)[:, :, 0]
-    slope = np.hypot(plane[:, 1], plane[:, 2])
-    return plane[:, 0], slope

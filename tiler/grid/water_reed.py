@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.grid.coarse import Bools
+from tiler.grid.continued_bank import continued_bank
 from tiler.grid.reach import Floats, within
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import CROWN_M, LOW_M, REED, connected, continued_bank, is_hidden
+from tiler.grid.water_crowns import CROWN_M, LOW_M, REED, connected, is_hidden
 
 BESIDE = 1.5
 """Cells are next to each other if their centres are at most this far apart, in cells. Diagonal neighbours are, too."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tiler.grid.continued_bank import continued_bank
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, beneath_crowns, continued_bank, roughness
+from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, beneath_crowns, roughness
 from tiler.grid.water_extent import remove_narrow_parts, without_border_islands
 from tiler.grid.water_shore import MAX_HEIGHT_M, heights_above_water
 
@@ -53,6 +54,18 @@ def test_a_plane_is_continued_exactly() -> None:
     height, slope = continued_bank(np.array([[4, 0], [0, 2]]), bank, above)
     np.testing.assert_allclose(height, [1.7, 1.3], atol=1e-3)
     np.testing.assert_allclose(slope, 0.5, atol=1e-3)
+
+
+def test_cells_of_the_bank_far_away_do_not_change_its_continuation() -> None:
+    rng = np.random.default_rng(3)
+    near = np.argwhere(np.ones((12, 12), np.bool_))
+    far = np.argwhere(np.ones((60, 60), np.bool_)) + 40
+    cells = np.array([[6, 14], [-3, 5], [-2, -2]])
+    above = rng.normal(size=len(near) + len(far))
+    alone = continued_bank(cells, near, above[: len(near)])
+    order = rng.permutation(len(above))
+    together = continued_bank(cells, np.concatenate((near, far))[order], above[order])
+    assert np.allclose(alone, together, rtol=0, atol=1e-9)
 
 
 def crowns_over(reach: int) -> np.ndarray:
