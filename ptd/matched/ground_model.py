@@ -12,7 +12,7 @@ from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
-from ptd.matched import last_look, surface, voting
+from ptd.matched import cell_features, last_look, surface, voting
 from ptd.matched.cells import EMPTY, CellHeights
 from ptd.matched.decision_trees import last_look_trees
 from ptd.matched.place_figures import DENSITY, known
@@ -75,7 +75,7 @@ class Ground:
     scale: Scale
     sigma_m: Field
     radius_m: Field
-    around: last_look.Around | None = None
+    around: cell_features.Around | None = None
 
     def classes(self, x: Int32, y: Int32, z: Int32) -> UInt8:
         """Classify points: ground if a point and its neighbours lie near the surface. Returns ASPRS classes."""
@@ -121,7 +121,7 @@ class GroundModel(Model):
             fitted_surface.sigma,
             np.where(np.isnan(fitted_surface.narrowing), surface.NARROWEST, fitted_surface.narrowing),
         )
-        around = last_look.around_cells(
+        around = cell_features.around_cells(
             raster.heights / ground.scale.counts_z(1.0),
             there,
             fitted_surface.height,

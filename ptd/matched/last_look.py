@@ -1,7 +1,8 @@
 """The last look at each point of a photogrammetric cloud: decision trees check its label.
 
 The label by the surface compares one height with one threshold. The last look also reads the heights of the neighbours:
-how many of them are ground, how they scatter, and how many stand just above. It reads the cells of the surface up to
+how many of them are ground, how they scatter, how far the point lies above their ground, and how many stand just
+above. It reads the cells of the surface up to
 10 m away as well. Decision trees turn these features into the log-odds of ground. A script fitted them to scenes with
 known labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
 
@@ -27,8 +28,8 @@ import numpy.typing as npt
 from ptd.cells import Int32, Int64, quotient
 from ptd.frame import CellGrid, CellLattice, Scale
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
+from ptd.matched.cell_features import CELL_FEATURES, HIGH_MM, Around
 from ptd.matched.cells import by_cell
 from ptd.matched.decision_trees import UNIT, DecisionTrees, scores
 from ptd.passes import UInt8
@@ -46,18 +47,27 @@ CHANGE_ODDS = 1.5
 """Minimum odds against a label for a change of the label."""
 CLEAR_MM = 2000
 """Limit at which heights above and below the surface are cut off, because trees and roofs need not be distinguished."""
-LOW_MM, HIGH_MM = 200, 1000
-"""Heights between which low plants stand above the surface; higher plants are not confused with ground."""
+LOW_MM = 200
+"""Height above the surface from which low plants are counted, up to `HIGH_MM`."""
 
 PART, BLOCK = 16, 8
 """Cells on a side of a part, which is at least as wide as `REACH_M`, and parts on a side of a block. Only one block is
 in memory."""
-COUNT, ON_GROUND, SUM, SQUARES, LOW, HIGH = range(6)
-"""Indices of the sums per cell: points, ground points, heights, squared heights, low plants, higher points."""
+COUNT, ON_GROUND, SUM, SQUARES, GROUND_SUM, LOW, HIGH, SUMS = range(8)
+"""Indices of the sums per cell, and their number: points, ground points, heights, squared heights, heights of ground
+points, low plants, higher points."""
 POINT_FEATURES = ("height", "deviation", "in_bands")
 WINDOW_FEATURES = (
-    "ground", "mean", "spread", "low", "high", "wide_ground", "wide_mean", "wide_spread", "wide_low", "wide_high",
+    "ground", "mean", "spread", "above_ground", "wide_ground", "wide_mean", "wide_spread", "wide_above_ground",
+    "low", "high",
 )  # fmt: skip
+"""Features of the window, of the wider window, and of plants in the window. The height of the point above the mean of
+the ground points in a window is `NO_GROUND_MM` if there are none."""
+NO_GROUND_MM = 2 * CLEAR_MM
+"""Height that is larger than any difference of two heights."""
+NOT_OF_CELLS = len(POINT_FEATURES) + len(WINDOW_FEATURES)
+FEATURES = (*POINT_FEATURES, *WINDOW_FEATURES, *CELL_FEATURES)
+"""Features of a point in their order. Those of its cell are the last."""
 
 Float64 = npt.NDArray[np.float64]
 
@@ -111,22 +121,24 @@ def _millimetres(metres: Float64) -> Int32:
 
 @kernel
 def _summed(index: Int32, points: _Points, first: tuple[int, int], size: int) -> Int64:
-    """Return the sums of a block's points over all cells to the south-west: int64 [6, size + 1, size + 1].
+    """Return the sums of a block's points over all cells to the south-west: int64 [7, size + 1, size + 1].
 
     The first cell has the column and row ``first``.
     """
     column, row, _own, voted, labels = points
     west, south = first
-    sums = np.zeros((6, size + 1, size + 1), np.int64)
+    sums = np.zeros((SUMS, size + 1, size + 1), np.int64)
     for k in index:
         i, j, v = row[k] - south + 1, column[k] - west + 1, np.int64(voted[k])
         sums[COUNT, i, j] += 1
-        sums[ON_GROUND, i, j] += labels[k] == GROUND
         sums[SUM, i, j] += v
         sums[SQUARES, i, j] += v * v
+        if labels[k] == GROUND:
+            sums[ON_GROUND, i, j] += 1
+            sums[GROUND_SUM, i, j] += v
         sums[LOW, i, j] += LOW_MM < v < HIGH_MM
         sums[HIGH, i, j] += v >= HIGH_MM
-    for q in range(6):
+    for q in range(SUMS):
         for i in range(1, size + 1):
             along = 0
             for j in range(1, size + 1):
@@ -147,15 +159,16 @@ def _within(sums: Int64, q: int, i: int, j: int, r: int) -> int:
 
 
 @kernel
-def _describe(sums: Int64, i: int, j: int, r: int, found: Int32) -> None:
-    """Write the features of a window with at least one point into `found`."""
-    n = _within(sums, COUNT, i, j, r)
+def _describe(sums: Int64, i: int, j: int, r: int, voted: int, found: Int32) -> None:
+    """Write the features of a window with at least one point into `found`. The point itself has the height `voted`."""
+    n, of_ground = _within(sums, COUNT, i, j, r), _within(sums, ON_GROUND, i, j, r)
     mean = _within(sums, SUM, i, j, r) / n
-    found[0] = 1000 * _within(sums, ON_GROUND, i, j, r) // n
+    found[0] = 1000 * of_ground // n
     found[1] = math.floor(mean)
     found[2] = math.floor(math.sqrt(max(_within(sums, SQUARES, i, j, r) / n - mean * mean, 0.0)))
-    found[3] = 1000 * _within(sums, LOW, i, j, r) // n
-    found[4] = 1000 * _within(sums, HIGH, i, j, r) // n
+    found[3] = NO_GROUND_MM
+    if of_ground > 0:
+        found[3] = math.floor(voted - _within(sums, GROUND_SUM, i, j, r) / of_ground)
 
 
 @kernel
@@ -170,7 +183,7 @@ def _features(
     column, row, own, voted, labels = points
     west, south = first
     chosen, n = np.empty(index.size, np.int32), 0
-    features = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
+    features = np.empty((index.size, NOT_OF_CELLS + around.shape[1] - 1), np.int32)
     for k in index:
         ground = labels[k] == GROUND
         if not (ground or (labels[k] == UNCLASSIFIED and abs(voted[k]) < 1000 * MAX_DISTANCE_M)):
@@ -184,95 +197,14 @@ def _features(
         f, near = features[n], around[cell[k]]
         f[0], f[1] = voted[k], own[k] - voted[k]
         f[2] = math.floor(1000.0 * voted[k] / near[0])
-        _describe(sums, i, j, r, f[3:8])
-        _describe(sums, i, j, 2 * r, f[8:13])
-        f[13:] = near[1:]
+        _describe(sums, i, j, r, voted[k], f[3:7])
+        _describe(sums, i, j, 2 * r, voted[k], f[7:11])
+        f[11] = 1000 * _within(sums, LOW, i, j, r) // _within(sums, COUNT, i, j, r)
+        f[12] = 1000 * _within(sums, HIGH, i, j, r) // _within(sums, COUNT, i, j, r)
+        f[NOT_OF_CELLS:] = near[1:]
         chosen[n] = k
         n += 1
     return chosen[:n], features[:n]
-
-
-@dataclass(frozen=True)
-class Around:
-    """Features of the cells of a surface and their surroundings.
-
-    Attributes
-    ----------
-    features : int32 [cells, 1 + len(CELL_FEATURES)]
-        Features by rows of cells. The first is the largest distance of ground from the surface, in millimetres.
-    columns : int
-        Number of cells in a row.
-    """
-
-    features: Int32
-    columns: int
-
-
-CELL_FEATURES = ("noise", "slope", "bend_2", "bend_5", "low_5", "low_10", "ground_5")
-"""Features of a cell. The first four are noise and slope of the surface, and its height above its mean within 2 and
-5 m. The others are the shares of low plants among the cells within 5 and 10 m, and of ground within 5 m."""
-CELL_REACH_M = 10.0
-"""Distance beyond which cells do not change these features."""
-STEEPEST = 5.0
-"""Limit at which slopes are cut off."""
-
-
-def reach_cells(cell_m: float) -> int:
-    """Return the distance in cells, including a point's own, beyond which the surface does not change its label."""
-    return math.ceil(CELL_REACH_M / cell_m) + 1
-
-
-def around_cells(
-    heights_m: Float64, there: Bool, ground_m: Float64, sigma_m: Float64, band_m: Float64, cell_m: float
-) -> Around:
-    """Compute the features of each cell.
-
-    Parameters
-    ----------
-    heights_m : float64 [rows, columns]
-        Heights of the cells in metres.
-    there : bool [rows, columns]
-        Mask of the cells that have a height.
-    ground_m : float64 [rows, columns]
-        Height of the surface in metres, NaN where unknown.
-    sigma_m, band_m : float64 [rows, columns]
-        Noise, and largest distance of ground from the surface, in metres.
-    cell_m : float
-        Size of the cells in metres.
-    """
-    known = there & ~np.isnan(ground_m)
-    surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(np.int64)
-    residual = np.where(known, np.rint(1000 * heights_m) - surface, 0).astype(np.int64)
-    band = np.maximum(np.rint(1000 * np.nan_to_num(band_m)), 1).astype(np.int64)
-
-    def share(which: Bool, metres: float) -> Int64:
-        r = round(metres / cell_m)
-        return 1000 * _boxes(which, r) // np.maximum(_boxes(known, r), 1)
-
-    def bend(metres: float) -> Int64:
-        r = round(metres / cell_m)
-        near = np.maximum(_boxes(known, r), 1)
-        bend_mm: Int64 = np.clip(surface - _boxes(np.where(known, surface, 0), r) // near, -30_000, 30_000)
-        return bend_mm
-
-    low = known & (residual > band) & (residual < HIGH_MM)
-    ground = known & (np.abs(residual) < band)
-    north, east = np.gradient(ground_m, cell_m)
-    slope = np.where(known, np.nan_to_num(np.rint(1000 * np.minimum(np.hypot(north, east), STEEPEST))), 0)
-    features = (
-        band, np.rint(1000 * sigma_m), slope, bend(2.0), bend(5.0), share(low, 5.0), share(low, CELL_REACH_M),
-        share(ground, 5.0),
-    )  # fmt: skip
-    return Around(np.stack(features, axis=-1).reshape(-1, len(features)).astype(np.int32), there.shape[1])
-
-
-def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
-    """Return sums over the squares with 2 r + 1 cells on a side, with values of 0 beyond the raster."""
-    padded = np.pad(values.astype(np.int64), ((r + 1, r), (r + 1, r)))
-    sums = padded.cumsum(axis=0).cumsum(axis=1)
-    k = 2 * r + 1
-    box_sums: Int64 = sums[k:, k:] - sums[:-k, k:] - sums[k:, :-k] + sums[:-k, :-k]
-    return box_sums
 
 
 def features_by_block(

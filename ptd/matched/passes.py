@@ -8,7 +8,7 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
-from ptd.matched import by_size, islands, last_look, objects, surface, voting
+from ptd.matched import by_size, cell_features, islands, last_look, objects, surface, voting
 from ptd.matched.canopy_pass import CanopyPass, below_canopy
 from ptd.matched.cells import CELL_M, EMPTY, SPARSE_CELL_M, cell_heights, raster_of
 from ptd.matched.ground_model import GroundModel
@@ -152,7 +152,8 @@ class SurfacePass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (surface.reach_cells(size_m) + islands.reach_cells(size_m) + last_look.reach_cells(size_m)) * size_m
+        (surface.reach_cells(size_m) + islands.reach_cells(size_m) + cell_features.reach_cells(size_m))
+        * size_m
         for size_m in CELL_SIZES_M
     )
     label_margin_m: float = voting.REACH_M + last_look.REACH_M

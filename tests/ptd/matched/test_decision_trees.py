@@ -47,6 +47,5 @@ def test_trees_of_the_last_look_are_small_and_know_its_features() -> None:
     found = last_look_trees()
     assert last_look_trees() is found
     assert Path(decision_trees.__file__).with_name("last_look.npz").stat().st_size < 20_000
-    many = len(last_look.POINT_FEATURES) + len(last_look.WINDOW_FEATURES) + len(last_look.CELL_FEATURES)
-    assert 0 <= found.feature.min() <= found.feature.max() < many
+    assert 0 <= found.feature.min() <= found.feature.max() < len(last_look.FEATURES)
     assert found.leaf.size * NODES == found.feature.size * LEAVES

@@ -10,8 +10,9 @@ import pytest
 import ptd
 from ptd.frame import CellLattice, Scale
 from ptd.matched import last_look
+from ptd.matched.cell_features import CELL_FEATURES, Around
 from ptd.matched.decision_trees import DecisionTrees
-from ptd.matched.last_look import CELL_FEATURES, POINT_FEATURES, REACH_M, WINDOW_FEATURES, Around, Heights
+from ptd.matched.last_look import FEATURES, NO_GROUND_MM, REACH_M, Heights
 from ptd.methods.auto.method import Auto
 from tests.scenes.village import village
 
@@ -34,12 +35,16 @@ def surroundings(seed: int, cells: int) -> Around:
     return Around(rng.integers(1, 900, (cells, COLUMNS)).astype(np.int32), cells)
 
 
-def slow_window(heights: Heights, near: np.ndarray) -> list[int]:
+def thousandths(which: np.ndarray) -> int:
+    return 1000 * int(which.sum()) // which.size
+
+
+def slow_window(heights: Heights, near: np.ndarray, voted: int) -> list[int]:
     v = heights.voted[near].astype(np.int64)
     spread = np.sqrt(max((v**2).sum() / v.size - (v.sum() / v.size) ** 2, 0.0))
-    shares = (heights.labels[near] == GROUND, (v > 200) & (v < 1000), v >= 1000)
-    ground, low, high = (1000 * int(which.sum()) // v.size for which in shares)
-    return [ground, int(np.floor(v.sum() / v.size)), int(np.floor(spread)), low, high]
+    ground = heights.labels[near] == GROUND
+    above = int(np.floor(voted - v[ground].sum() / ground.sum())) if ground.any() else NO_GROUND_MM
+    return [thousandths(ground), int(np.floor(v.sum() / v.size)), int(np.floor(spread)), above]
 
 
 def slow_features(heights: Heights, cell: np.ndarray, around: Around, scale: Scale) -> dict[int, list[int]]:
@@ -51,12 +56,22 @@ def slow_features(heights: Heights, cell: np.ndarray, around: Around, scale: Sca
             continue
         away = np.maximum(abs(columns - columns[k]), abs(rows - rows[k]))
         r = next((r for r in range(1, 5) if (away <= r).sum() >= 20), 5)
-        narrow, wide = slow_window(heights, away <= r), slow_window(heights, away <= 2 * r)
+        narrow, wide = slow_window(heights, away <= r, v), slow_window(heights, away <= 2 * r, v)
+        near = heights.voted[away <= r]
+        plants = [thousandths((near > 200) & (near < 1000)), thousandths(near >= 1000)]
         of_ground = heights.labels[away <= 2 * r] == GROUND
         if of_ground.all() if ground else not of_ground.any():
             continue
         band, *rest = around.features[cell[k]].tolist()
-        found[k] = [v, int(heights.own[k]) - v, int(np.floor(1000.0 * v / band)), *narrow, *wide, *rest]
+        found[k] = [
+            v,
+            int(heights.own[k]) - v,
+            int(np.floor(1000.0 * v / band)),
+            *narrow,
+            *wide,
+            *plants,
+            *rest,
+        ]
     return found
 
 
@@ -70,7 +85,7 @@ def test_a_slow_search_finds_the_same_features(n: int, scale: Scale) -> None:
     found = {int(k): row.tolist() for index, rows in blocks for k, row in zip(index, rows, strict=True)}
     assert len(found) == sum(len(index) for index, _ in blocks) > 10
     assert found == expected
-    assert len(next(iter(found.values()))) == len(POINT_FEATURES) + len(WINDOW_FEATURES) + len(CELL_FEATURES)
+    assert len(next(iter(found.values()))) == len(FEATURES)
 
 
 def by_ground_share(limit: int) -> DecisionTrees:
@@ -119,32 +134,6 @@ def test_heights_are_cut_off_and_missing_ones_are_high() -> None:
     metres = np.array([np.nan, 7.0, -7.0, 0.0126, -1.9996])
     heights = Heights.of(x, x, metres, metres, x.astype(np.uint8))
     assert heights.own.tolist() == [2000, 2000, -2000, 13, -2000]
-
-
-def test_cells_around_a_plane_with_a_hedge() -> None:
-    side = 40
-    east = np.arange(side, dtype=np.float64)
-    ground = np.tile(0.1 * east, (side, 1))
-    heights, there = ground.copy(), np.ones((side, side), bool)
-    heights[:, 20] += 0.6
-    sigma, band = np.full((side, side), 0.05), np.full((side, side), 0.25)
-    found = last_look.around_cells(heights, there, ground, sigma, band, 1.0)
-    at = found.features[20 * side + 22]
-    low_5, low_10 = 1000 * 11 // 121, 1000 * 21 // 441
-    assert at.tolist() == [250, 50, 100, 0, 0, low_5, low_10, 1000 * 110 // 121]
-
-
-def test_what_lies_around_a_cell_ends_at_its_reach() -> None:
-    rng = np.random.default_rng(8)
-    ground = rng.normal(0, 1, (60, 60))
-    heights, there = ground + rng.normal(0, 0.3, ground.shape), rng.random(ground.shape) < 0.8
-    sigma, band = np.full(ground.shape, 0.05), np.full(ground.shape, 0.25)
-    whole = last_look.around_cells(heights, there, ground, sigma, band, 1.0).features.reshape(60, 60, -1)
-    r = last_look.reach_cells(1.0)
-    cut = slice(30 - r, 31 + r)
-    part = [values[cut, cut] for values in (heights, there, ground, sigma, band)]
-    found = last_look.around_cells(*part, 1.0).features.reshape(2 * r + 1, 2 * r + 1, -1)
-    assert np.array_equal(found[r, r], whole[30, 30])
 
 
 def test_the_parameter_turns_it_off() -> None:
