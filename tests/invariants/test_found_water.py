@@ -52,7 +52,7 @@ SHORE_M = {"als_weir": 1.5, "als_meander": 1.5, "als_lakes": 1.5, "als_canal": 1
 """Distance of the found shore from the true one, RMS."""
 MAX_DUG = {"als_weir": 0.03, "als_meander": 0.005, "als_lakes": 0.015, "als_canal": 0.005}
 """Share of the outermost pixels of water on land above it. Those of the weir are faces of masonry."""
-MAX_DUG_WHOLE = {"als_weir": 0.015, "als_meander": 0.005, "als_lakes": 0.008, "als_canal": 0.005}
+MAX_DUG_WHOLE = {"als_weir": 0.012, "als_meander": 0.005, "als_lakes": 0.008, "als_canal": 0.005}
 """The same share, without pixels that have the true shore in them."""
 MAX_VOID = 0.005
 """Share of the water without a height, where a river leaves the survey."""

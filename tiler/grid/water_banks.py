@@ -3,7 +3,7 @@
 The shore runs between the middles of coarse cells. At an upright bank, a coarse cell has both bank and water. So the
 polygon of the water may include ground high above the level, or miss a strip of water at the foot of a quay. In fine
 cells, high ground is land if it is connected with the bank. Fine cells of a quay are water if they have no points, or
-ground at the level. Masonry in fine cells is land as well (`tiler.grid.water_masonry`).
+ground at the level.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import scipy
 
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
+from tiler.core.raster import within as within_window
 from tiler.grid.coarse import Bools, padded
-from tiler.grid.fine_cells import FineCells, fine_cells
-from tiler.grid.ground import GroundSelection
+from tiler.grid.density import pixel_indices
+from tiler.grid.ground import GroundSelection, read_ground_and_objects
 from tiler.grid.reach import Floats, within, within_square
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import LEVEL_M
-from tiler.grid.water_masonry import MASONRY_MARGIN, MASONRY_REACH, masonry, smooth_tops
 from tiler.grid.water_search import inner_window
 from tiler.grid.water_shore import quays, shore_polygons
 from tiler.store import TileStore
@@ -37,7 +37,7 @@ HIGH_M = 0.3
 """Ground in a fine cell is land if it is more than this above the water, in metres. Broken water is lower."""
 BANK_REACH_FINE_CELLS = 4
 """High ground becomes land only up to this distance from cells that are already land, in fine cells."""
-BANK_MARGIN = math.ceil((max(BANK_REACH_FINE_CELLS, MASONRY_MARGIN) + FINER + 1) / FINER)
+BANK_MARGIN = math.ceil(2 * BANK_REACH_FINE_CELLS / FINER)
 """The fine cells of a block depend on cells up to this distance from the block, in coarse cells."""
 ENOUGH_POINTS = 5
 """A fine cell without points is water only if fine cells of the land near it have this many points on average.
@@ -60,16 +60,14 @@ class Shore(NamedTuple):
     field : float64
         Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.heights_above_water`.
     level : float64
-        Highest level of the water in the `NEAR_SIDE` square around each cell in metres.
-    no_bank : bool
-        Mask of the cells whose ground is not a bank.
+        Highest level of the water in the `NEAR_SIDE` square around each cell in metres, NaN for cells whose ground is
+        not a bank.
     is_dense_quay : bool
         Mask of the cells at upright banks whose land has many points, see `dense_quays`.
     """
 
     field: Floats
     level: Floats
-    no_bank: Bools
     is_dense_quay: Bools
 
 
@@ -108,13 +106,10 @@ def shore_details(
     """
     fine, fine_window = finer_raster(coarse), finer_window(window)
     field = finer_field(shore.field)
-    selected = _near_shore(field, max(BANK_REACH_FINE_CELLS, MASONRY_REACH + 2))
-    cells = fine_cells(store, rule, fine, fine_window, selected)
-    level = each_finer(shore.level)
-    above = np.where(each_finer(shore.no_bank), np.nan, cells.ground - level)
+    ground, has_points = fine_cells(store, rule, fine, fine_window, _near_shore(field, BANK_REACH_FINE_CELLS))
+    above = ground - each_finer(shore.level)
     banks = high_banks(field, above)
-    banks |= _masonry(cells, level, field >= 0)
-    water = quay_water(field, each_finer(shore.is_dense_quay), above, cells.has_points)
+    water = quay_water(field, each_finer(shore.is_dense_quay), above, has_points)
     dry = _shape(banks, field >= 0, fine, fine_window)
     wet = _shape(water, field < 0, fine, fine_window)
     return ShoreDetails(dry, wet)
@@ -195,11 +190,32 @@ def _near_shore(field: Floats, radius: int) -> Bools:
     return within_square(field < 0, radius) & within_square(field >= 0, radius)
 
 
-def _masonry(cells: FineCells, level: Floats, land: Bools) -> Bools:
-    """Return a mask of the cells of water that are masonry. Reed and crowns are rougher."""
-    tops = smooth_tops(cells.objects, cells.n_ground, level, HIGH_M)
-    heights = np.where(tops, cells.objects.mean, cells.ground)
-    return masonry(land, tops, heights, cells.n_ground + cells.objects.number)
+def fine_cells(
+    store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bools
+) -> tuple[Floats, Bools]:
+    """Return the mean height of the ground points of each cell in metres, and a mask of the cells with points.
+
+    Heights are NaN for cells without ground points. Points of objects also count for the mask. Only buckets with
+    ``selected`` cells are read, so the results for other cells may be incomplete.
+    """
+    frame, bounds = store.meta.frame, fine.block_bounds(window)
+    total, number, objects = np.zeros((3, window.height, window.width))
+    for bucket in store.buckets_within(bounds):
+        inside = store.meta.bucket.bounds(bucket).intersection(bounds)
+        part = fine.part(window, inside)
+        in_window = within_window(part, window)
+        if not selected[in_window].any():
+            continue
+        ground, others = read_ground_and_objects(store, rule, inside)
+        cells = pixel_indices(ground, frame.origin, fine, part)
+        shape, size = (part.height, part.width), part.height * part.width
+        total[in_window] += np.bincount(cells, ground[2].astype(np.float64), size).reshape(shape)
+        number[in_window] += np.bincount(cells, minlength=size).reshape(shape)
+        others_cells = pixel_indices(others, frame.origin, fine, part)
+        objects[in_window] += np.bincount(others_cells, minlength=size).reshape(shape)
+    heights = np.full(total.shape, np.nan)
+    np.divide(total, number, out=heights, where=number > 0)
+    return heights * float(frame.metres_z), number + objects > 0
 
 
 def high_banks(field: Floats, above: Floats) -> Bools:

@@ -277,8 +277,10 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
     # Cells in narrow gaps between cells of the bank are land.
     hidden &= within(~within(bank, radius), radius)
     hidden = connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
-    bank &= within(hidden, BANK_M / cells.size_m)
-    height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
+    reach = BANK_M / cells.size_m
+    bank &= within(hidden, reach)
+    above = (cells.ground - level)[bank]
+    height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), above, reach)
     hidden[hidden] = (height <= LOW_M) | (slope <= MAX_QUAY_SLOPE * cells.size_m)
     return connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
 

@@ -318,14 +318,14 @@ def _details(store: TileStore, work: DescribeBody, block: Block, lower_level_m: 
     cells, wet, box, level, no_bank, field = around
     if level is None:
         return NO_DETAILS
-    levels = highest_near(level)
+    levels = np.where(no_bank, np.nan, highest_near(level))
     is_dense_quay = dense_quays(cells, wet[box], level)
     rows, cols = _cut(around, REACH_CELLS - BANK_MARGIN)
     in_box = (
         slice(rows.start - box[0].start, rows.stop - box[0].start),
         slice(cols.start - box[1].start, cols.stop - box[1].start),
     )
-    shore = Shore(field[rows, cols], levels[in_box], no_bank[in_box], is_dense_quay[in_box])
+    shore = Shore(field[rows, cols], levels[in_box], is_dense_quay[in_box])
     return shore_details(store, work.rule, work.coarse, _part(block, rows, cols), shore)
 
 

@@ -45,7 +45,8 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
     reed &= within(bank, CROWN_M / cells.size_m)  # Reed without a bank nearby cannot be decided.
     if not reed.any() or not bank.any():
         return np.zeros_like(reed)
-    height, slope = continued_bank(np.argwhere(reed), np.argwhere(bank), (cells.ground - level)[bank])
+    above = (cells.ground - level)[bank]
+    height, slope = continued_bank(np.argwhere(reed), np.argwhere(bank), above, CROWN_M / cells.size_m)
     reed[reed] = (height <= LOW_M) & (slope > MIN_REED_SLOPE * cells.size_m)
     return connected(reed, wet, reach)
 

@@ -25,7 +25,6 @@ from zarr.storage import MemoryStore
 from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
-from tiler.store.recent import RECENT_CHUNKS
 from tiler.store.storage import Storage, seal_holds, sealed
 
 _CHECKSUM_BYTES = 4
@@ -75,7 +74,7 @@ class StoredArray:
         reason = ""
         for key, data in zip(keys, self.storage.get_many(keys), strict=True):
             try:
-                decoded.append(self._values(key, data))
+                decoded.append(self._decoded(data))
             except (ValueError, RuntimeError) as error:
                 bad.append(key)
                 reason = reason or str(error)
@@ -101,17 +100,6 @@ class StoredArray:
     def _row(self, number: int) -> Chunk:
         return (number, *(0,) * (len(self.shape) - 1))
 
-    def _values(self, key: str, data: bytes | None) -> npt.NDArray[Any]:
-        """Return the values of a chunk. Recent chunks of rasters (sparse arrays) are not unpacked again."""
-        if data is None or not self.kind.sparse:
-            return self._decoded(data)
-        name = f"{self.storage.url}/{key}"
-        values = RECENT_CHUNKS.find(name, data)
-        if values is None:
-            values = self._decoded(data)
-            RECENT_CHUNKS.keep(name, data, values)
-        return values
-
     def _decoded(self, data: bytes | None) -> npt.NDArray[Any]:
         """Return the values of a chunk. Raise ValueError, or RuntimeError from blosc, if the chunk is damaged.
 
@@ -119,7 +107,7 @@ class StoredArray:
         """
         if data is None:
             if self.kind.sparse:
-                return np.broadcast_to(np.array(self.fill, self.kind.dtype), self.kind.chunks)
+                return np.full(self.kind.chunks, self.fill, self.kind.dtype)
             raise ValueError("a chunk is missing")
         if int.from_bytes(data[_UNPACKED], "little") != self.kind.chunk_bytes:
             raise ValueError("a chunk of another size")

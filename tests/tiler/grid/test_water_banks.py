@@ -106,8 +106,7 @@ def test_a_quay_aslant_to_the_cells_has_no_seen_ground_in_the_water(make_scene: 
     field = np.where(
         middle_x < quay_line(middle_y) + 0.8, -MAX_HEIGHT_M, QUAY_M
     )  # half a cell too far in the land
-    everywhere = np.ones(field.shape, np.bool_)
-    shore = Shore(field, np.full(field.shape, LEVEL_M), ~everywhere, everywhere)
+    shore = Shore(field, np.full(field.shape, LEVEL_M), np.ones(field.shape, np.bool_))
     near = padded(block, 1)
     inner = np.s_[BANK_MARGIN - 1 : 1 - BANK_MARGIN, BANK_MARGIN - 1 : 1 - BANK_MARGIN]
     before = shore_polygons(field[inner], coarse, near)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiler.grid.continued_bank import continued_bank
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, beneath_crowns, roughness
 from tiler.grid.water_extent import remove_narrow_parts, without_border_islands
@@ -46,26 +45,6 @@ def test_roughness_does_not_depend_on_the_order_of_points_and_needs_four() -> No
         roughness(points, numbers, 400), roughness(points[:, order], numbers[order], 400)
     )
     assert np.isnan(roughness(points[:, :3], np.zeros(3, np.int64), 2)).all()
-
-
-def test_a_plane_is_continued_exactly() -> None:
-    bank = np.argwhere(COLUMNS[:8, :8] > 3)
-    above = 0.5 + 0.3 * bank[:, 0] + 0.4 * bank[:, 1]
-    height, slope = continued_bank(np.array([[4, 0], [0, 2]]), bank, above)
-    np.testing.assert_allclose(height, [1.7, 1.3], atol=1e-3)
-    np.testing.assert_allclose(slope, 0.5, atol=1e-3)
-
-
-def test_cells_of_the_bank_far_away_do_not_change_its_continuation() -> None:
-    rng = np.random.default_rng(3)
-    near = np.argwhere(np.ones((12, 12), np.bool_))
-    far = np.argwhere(np.ones((60, 60), np.bool_)) + 40
-    cells = np.array([[6, 14], [-3, 5], [-2, -2]])
-    above = rng.normal(size=len(near) + len(far))
-    alone = continued_bank(cells, near, above[: len(near)])
-    order = rng.permutation(len(above))
-    together = continued_bank(cells, np.concatenate((near, far))[order], above[order])
-    assert np.allclose(alone, together, rtol=0, atol=1e-9)
 
 
 def crowns_over(reach: int) -> np.ndarray:
