@@ -1,10 +1,10 @@
 """The last look at each point of a photogrammetric cloud: decision trees check its label.
 
 The label by the surface compares one height with one threshold. The last look also reads the heights of the neighbours:
-how many of them are ground, how they scatter, how far the point lies above their ground, and how many stand just
-above. It reads the cells of the surface up to
-10 m away as well. Decision trees turn these features into the log-odds of ground. A script fitted them to scenes with
-known labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
+how many of them are ground, how they scatter, how far the point lies above their ground, and how many stand just above.
+It reads the cells of the surface up to 10 m away as well. Decision trees turn these features into the log-odds of
+ground. A script fitted them to scenes with known labels (``tests/benchmarks/last_look_weights.py``). Rules limit the
+changes:
 
 - Low noise stays. A point that is not ground stays so if it lies farther than `MAX_DISTANCE_M` from the surface.
 - A label changes only if the odds against it are large enough (`CHANGE_ODDS`).
@@ -64,7 +64,7 @@ WINDOW_FEATURES = (
 """Features of the window, of the wider window, and of plants in the window. The height of the point above the mean of
 the ground points in a window is `NO_GROUND_MM` if there are none."""
 NO_GROUND_MM = 2 * CLEAR_MM
-"""Height that is larger than any difference of two heights."""
+"""Height that no difference of two heights exceeds."""
 NOT_OF_CELLS = len(POINT_FEATURES) + len(WINDOW_FEATURES)
 FEATURES = (*POINT_FEATURES, *WINDOW_FEATURES, *CELL_FEATURES)
 """Features of a point in their order. Those of its cell are the last."""

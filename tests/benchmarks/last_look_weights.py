@@ -4,10 +4,10 @@
 
 The scenes are the semi-real matched clouds and those made of laser scans (`tests.benchmarks.scan_scenes`) but for the
 field, where no label is right. Each semi-real scene weighs 1, each of the others `SCAN_WEIGHT`: a point of a scene
-weighs as much as it counts in the scene's total error, and more where little around is ground (`SPARSE`). ``--write``
-replaces the file beside the code. It needs LightGBM (``pip install lightgbm``), which neither the package nor any
-other script uses. One thread, a fixed seed and features of whole numbers make the file the same in each run of one
-version of LightGBM (`VERSION`).
+weighs as much as it counts in the scene's total error, times a factor that is larger where little around is ground
+(`SPARSE`). ``--write`` replaces the file beside the code. It needs LightGBM (``pip install lightgbm``), which neither
+the package nor any other script uses. One thread, a fixed seed and features of whole numbers make the file the same
+in each run of one version of LightGBM (`VERSION`).
 """
 
 from __future__ import annotations
