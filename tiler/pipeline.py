@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -87,23 +88,47 @@ def run(
     TilerError
         The run failed. The error has the exit code of the command. Finished work is kept.
     """
+    config, products = config or RunConfig(), str(out)
+    _check(config, products, until)
+    out, started = local_folder(products), time.monotonic()
+    if prepare_workers(config, products):
+        import_dask()  # The import runs while the headers are read.
+    plan = make_plan(inputs, config, products, known)
+    with _opened(plan, inputs, out, products, listener) as job:
+        plan = job.plan  # Stages replace the plan of the job when they decide what it leaves open.
+        _tell(job, until)
+        try:
+            _repaired(job, partial(_stages, job, until))
+        except BaseException as error:
+            _record_failure(job, error)
+            raise
+        finally:
+            job.compiler.close()
+            job.executors.close()
+        result = _finished(job, plan, until, started)
+        url = job.store.url
+        if config.clean_store and until == "export" and (left := remove_store(url)):
+            listener(Note(f"{url}: the store was deleted; other files stay there: {', '.join(left)}"))
+    return result
+
+
+def _check(config: RunConfig, products: str, until: str) -> None:
+    """Raise ConfigError if the arguments of a run cannot be used."""
     if until not in STAGES:
         raise ConfigError(f"until {until!r}: no such stage; use {', '.join(STAGES)}")
-    config, products = config or RunConfig(), str(out)
     if not products:
         raise ConfigError("-o: has no name; give a folder for the results")
     check_names("-o", products)
     check_names("--store", config.store or products)
-    out = local_folder(products)
-    started = time.monotonic()
-    url = config.store or joined(products, STORE)
-    if prepare_workers(config, products):
-        import_dask()  # The import runs while the headers are read.
-    plan = make_plan(inputs, config, products, known)
+
+
+@contextmanager
+def _opened(plan: Plan, inputs: Sequence[str], out: Path, products: str, listener: Listener) -> Iterator[Job]:
+    """Yield the job of a plan, with its folder, its store, and the locks of both."""
     _make_folder(out)
     if not is_url(products):
         products = str(out.resolve())  # Workers have other current folders.
-        url = config.store or joined(products, STORE)
+    url = plan.config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
         plan, store = _with_store(plan, url)
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
@@ -115,10 +140,7 @@ def run(
         job.save("running")
         with EventLog(out / EVENTS) as log:
             job.listener = redacting(combine(listener, log, job.record.keep_warning))
-            result = _locked_run(job, until, started)
-        if config.clean_store and until == "export" and (left := remove_store(url)):
-            listener(Note(f"{url}: the store was deleted; other files stay there: {', '.join(left)}"))
-    return result
+            yield job
 
 
 @contextmanager
@@ -149,8 +171,8 @@ def _copied(out: Path, products: str) -> Iterator[None]:
     copy()
 
 
-def _locked_run(job: Job, until: str, started: float) -> RunResult:
-    """Run the job in the process that holds the locks."""
+def _tell(job: Job, until: str) -> None:
+    """Tell the listener what the plan says, and which stages follow."""
     plan, listener = job.plan, job.listener
     for text in plan.notes:
         listener(Note(text))
@@ -178,21 +200,22 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()
     ]
     listener(JobStarted(stages))
+
+
+def _record_failure(job: Job, error: BaseException) -> None:
+    """Write to run.json that an error ended the run."""
+    code = exit_code_of(error)
+    job.record.exit_code = code
+    state = "failed" if isinstance(error, Exception) else "interrupted"
     try:
-        _healing_stages(job, until)
-    except BaseException as error:
-        code = exit_code_of(error)
-        job.record.exit_code = code
-        state = "failed" if isinstance(error, Exception) else "interrupted"
-        try:
-            job.save(state)
-        except ProcessingError:
-            # A full disk prevents this write, too. The error that ended the run is raised below.
-            record_end(job.out, state, code)
-        raise
-    finally:
-        job.compiler.close()
-        job.executors.close()
+        job.save(state)
+    except ProcessingError:
+        # A full disk prevents this write, too. The error that ended the run is raised by the caller.
+        record_end(job.out, state, code)
+
+
+def _finished(job: Job, plan: Plan, until: str, started: float) -> RunResult:
+    """Save run.json, write the report, and return the result of a run that did all its stages."""
     if until != "export" and job.record.computed and job.results.earlier_outputs:
         job.note(
             f"files in {job.products} are those of an earlier run until `tiler export` or `tiler run` replaces them"
@@ -201,7 +224,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     remember(plan, job.record.stages)
     job.record.exit_code = 5 if job.record.quarantined or job.record.failed else 0
     summary = _report(job)
-    listener(RunFinished(job.results.seconds))
+    job.listener(RunFinished(job.results.seconds))
     return RunResult(
         job.record.exit_code, summary, job.record.computed == 0, without_secrets(job.products), plan
     )
@@ -222,13 +245,13 @@ def _report(job: Job) -> dict[str, Any]:
     return summary
 
 
-def _healing_stages(job: Job, until: str) -> None:
+def _repaired(job: Job, stages: Callable[[], None]) -> None:
     """Run the stages. If objects of the store are damaged, repair it and run the stages again."""
     for number in range(ROUNDS + 1):
         job.record.failed = []
         job.record.quarantined = [LeftOut(path, error) for path, error in job.plan.inputs.left_out]
         try:
-            _stages(job, until)
+            stages()
             return
         except CorruptStoreError as damage:
             if number == ROUNDS or not damage.keys:

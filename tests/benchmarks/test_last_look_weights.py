@@ -27,6 +27,7 @@ lightgbm = pytest.importorskip("lightgbm", reason="LightGBM, which fits the tree
 def made_up(seed: int, n: int = 20_000) -> Asked:
     rng = np.random.default_rng(seed)
     features = rng.integers(-1000, 1000, (n, len(FEATURES))).astype(np.int32)
+    features[:, FEATURES.index("ground_5")] = rng.integers(0, 1001, n)  # a share
     odds = features[:, 0] / 300 + (features[:, 3] > 200) * features[:, 5] / 400
     truth = np.where(rng.logistic(size=n) < odds, 2, 5).astype(np.uint8)
     return Asked("made up", True, np.ones(n, np.uint8), np.arange(n, dtype=np.int32), features, truth)

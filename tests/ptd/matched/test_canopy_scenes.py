@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from ptd.api import _counts, do_passes
 from ptd.frame import Window
 from ptd.matched.canopy_pass import BORDER_M, CanopyPass
+from ptd.matched.cell_features import CELL_REACH_M
 from ptd.matched.cells import SPARSE_CELL_M
-from ptd.matched.last_look import CELL_REACH_M
 from ptd.matched.step import COVERED
 from ptd.matched.voting import REACH_M
 from ptd.methods.auto.method import Auto
