@@ -60,9 +60,9 @@ class Result:
     ----------
     classification : uint8 [n]
         ASPRS: 1 unclassified, 2 ground, 7 low noise.
-    decisions : dict
+    decisions : mapping
         Method, effective parameters, and the statistics of the cloud on which the labels depend.
-    stats : dict
+    stats : mapping of str to dict
         Statistics of each pass by name: candidates, vertices, rounds, outliers.
     """
 

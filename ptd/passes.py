@@ -186,7 +186,7 @@ class StatisticsModel(Model):
 
     Parameters
     ----------
-    partial : dict
+    partial : mapping
         See `Model.partial`.
     stats : dict, optional
     """

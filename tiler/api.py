@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from tiler.apps.check import PointOptions, measure, parse_requirements
-from tiler.apps.check.results import Report
+from tiler.apps.check.results import CheckSummary
 from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
@@ -129,7 +129,7 @@ class ClassifyResult:
     ----------
     exit_code : int
         0, or 5 if a tile failed (its points keep their classes) or a file was left out.
-    summary : dict
+    summary : mapping
         Output of ``tiler classify --json``: points, changed, classes, method, parameters, seconds and more.
     path : Path
         Path of the classified cloud, or of the folder for several clouds.
@@ -214,13 +214,13 @@ class CheckResult:
     ----------
     exit_code : int
         0, or 5 if a requirement is not met.
-    summary : dict
+    summary : mapping
         Output of ``tiler check --json``: ``accuracy`` by checkpoints, ``seams``, ``strips``, ``requirements``,
         ``figures``. Each of the first three exists only if it was measured.
     """
 
     exit_code: int
-    summary: Report = field(repr=False)
+    summary: CheckSummary = field(repr=False)
 
     @property
     def met(self) -> bool:

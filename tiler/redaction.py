@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any
 
 _USERINFO = re.compile(
@@ -49,7 +50,7 @@ def stored(value: Any) -> Any:
     """Return a JSON-able value for a file, with `without_secrets` applied to all its texts and names."""
     if isinstance(value, str):
         return without_secrets(value)
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {stored(name): stored(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [stored(item) for item in value]

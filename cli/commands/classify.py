@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
@@ -58,13 +57,12 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
     from tiler.apps.classify import classify_file, classify_files, is_one_file
 
     session = current_session()
-    quarantined: Sequence[Mapping[str, str]] = ()
     with shown_progress() as listener:
         if is_one_file(source, target):
             summary = classify_file(source[0], target, config, listener)
         else:
-            summary = of_folder = classify_files(source, target, config, listener)
-            quarantined = of_folder["quarantined"]
+            summary = classify_files(source, target, config, listener)
+    quarantined = summary.get("quarantined", [])
     if as_json:
         print_json(summary)
     elif not session.quiet:

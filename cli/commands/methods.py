@@ -31,8 +31,9 @@ def command(name: str | None, as_json: bool) -> None:
         raise ConfigError(f"no method {name!r}; there are {', '.join(METHODS)}")
     chosen = {n: m for n, m in METHODS.items() if name in (None, n)}
     if as_json:
-        methods = chosen.items()
-        print_json({n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in methods})
+        print_json(
+            {n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in chosen.items()}
+        )
         return
     for n, method in chosen.items():
         rows = [

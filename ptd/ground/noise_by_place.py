@@ -39,7 +39,7 @@ DIGITS = 4
 def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[PlaceCounts]:
     """Return the counts that the core of a window adds to each place that it touches.
 
-    The parameters are those of `ptd.ground.roughness.measure`.
+    `ptd.ground.roughness.measure` describes the parameters.
     """
     measured_patches = patches(xyz, core, scale)
     columns, rows = measured_patches.columns // PATCHES_ACROSS, measured_patches.rows // PATCHES_ACROSS
@@ -71,8 +71,11 @@ def by_place(partials: Iterable[PlaceCounts]) -> dict[Place, Roughness]:
 
 def _packed(partial: PlaceCounts) -> PlaceCounts:
     """Return a partial with histograms as arrays, which need a tenth of the memory: a country has a million places."""
-    patch_noise, quarter_noise = (np.array(partial[name], np.int32) for name in ("patches", "quarters"))
-    return {**partial, "patches": patch_noise, "quarters": quarter_noise}
+    return {
+        **partial,
+        "patches": np.array(partial["patches"], np.int32),
+        "quarters": np.array(partial["quarters"], np.int32),
+    }
 
 
 def _around(place: Place, held: Mapping[Place, list[PlaceCounts]]) -> Roughness:

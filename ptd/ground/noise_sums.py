@@ -92,7 +92,7 @@ def merge(partials: Iterable[PatchCounts]) -> Roughness:
 
 
 class Sums:
-    """Sums of partials (`measure`), with whole weights, in any order."""
+    """Sums of `PatchCounts`, with whole weights, in any order."""
 
     def __init__(self) -> None:
         self.points = self.cells = self.full = 0

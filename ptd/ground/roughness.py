@@ -221,7 +221,7 @@ class Patches(NamedTuple):
     quarters: Int64
 
     def counts(self, which: Any = slice(None)) -> PatchCounts:
-        """Return the counts that some cells add to the run's figures (`measure`)."""
+        """Return the counts that some cells add to the run's figures."""
         is_in_core = self.own[which]
         return {
             "points": int(self.points[which].sum()),

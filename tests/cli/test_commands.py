@@ -345,6 +345,9 @@ def test_simulate_says_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixtu
     arguments = ["--scene", "hills", "--size", "6000cm", "--density", "0.5", "--seed", "2", "--sigma", "1cm"]
     assert main(["simulate", str(out), *arguments, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
+    assert list(facts) == [
+        "cloud", "dtm", "scene", "kind", "seed", "side_m", "north_m", "points", "points_per_m2", "classes",
+    ]  # fmt: skip
     assert facts["side_m"] == 60.0
     assert facts["classes"]["2 ground"] > 1000
     assert out.is_file()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from cli.main import main
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, output_digests, the_store
 from tiler.apps.clean import clean
@@ -17,7 +18,9 @@ MINE = """download.laz.partial a.partial.zip notes/.tiler-a.laz.partial classifi
 store.zarr/spool/notes.txt linked/.tiler-c.partial .tiler-notes"""
 
 
-def test_a_clean_store_is_smaller_and_everything_in_it_is_done(tmp_path: Path) -> None:
+def test_a_clean_store_is_smaller_and_everything_in_it_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out, fresh = tmp_path / "out", tmp_path / "fresh"
     west = clouds.write(tmp_path / "west.laz", clouds.city(96.0))
     moved = clouds.city(96.0, seed=2)
@@ -35,6 +38,10 @@ def test_a_clean_store_is_smaller_and_everything_in_it_is_done(tmp_path: Path) -
     assert found.removed_bytes > 0
     assert the_store(out).usage().size_bytes < size
     assert clean(out).removed_objects == 0
+    capsys.readouterr()
+    assert main(["clean", str(out), "--json"]) == 0
+    names = ["scratch_files", "removed_objects", "removed_bytes", "store_bytes"]
+    assert list(json.loads(capsys.readouterr().out)) == names
 
     again = do([west], out)
     assert again.did_nothing

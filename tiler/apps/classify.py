@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 from tiler.config import RunConfig
 from tiler.core.classes import Counts, sum_by_class
@@ -42,7 +42,8 @@ class FilterSummary(TypedDict):
     """Method, work and failures of a run up to its labels.
 
     ``marked`` is the number of uncertified labels. ``failed_tasks`` are those of run.json. Their points keep the
-    classes of the source.
+    classes of the source. ``files`` (number written) and ``quarantined`` (files that were left out or could not be
+    written, as in run.json) exist only if the target is a folder.
     """
 
     seconds: float
@@ -51,6 +52,8 @@ class FilterSummary(TypedDict):
     tiles: int
     marked: int
     failed_tasks: list[Mapping[str, Any]]
+    files: NotRequired[int]
+    quarantined: NotRequired[list[Mapping[str, str]]]
 
 
 class ClassifySummary(FilterSummary):
@@ -66,13 +69,6 @@ class ClassifySummary(FilterSummary):
     classes: Counts
     kept: Counts | None
     notes: list[str]
-
-
-class FolderSummary(ClassifySummary):
-    """Number of files written, and files that were left out or could not be written, as in run.json."""
-
-    files: int
-    quarantined: list[Mapping[str, str]]
 
 
 def is_one_file(sources: Sequence[str], target: str) -> bool:
@@ -126,7 +122,7 @@ def classify_files(
     folder: str | Path,
     config: RunConfig | None = None,
     listener: Listener = ignore_events,
-) -> FolderSummary:
+) -> ClassifySummary:
     """Classify many LAS or LAZ files into a folder, each together with its neighbours, as in a run.
 
     Parameters

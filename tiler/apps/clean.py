@@ -14,8 +14,13 @@ from tiler.store import locked_folder, open_store
 
 
 @dataclass(frozen=True)
-class Cleaned:
-    """Number of files removed from the folder, number and size of all removed objects, and size of the store."""
+class CleanResult:
+    """Number and size of the removed objects, and size of the store.
+
+    ``scratch_files`` is the number of files removed from the folder. ``removed_objects`` and ``removed_bytes`` are the
+    number and bytes of the objects removed from folder and store together. ``store_bytes`` are the bytes left in the
+    store.
+    """
 
     scratch_files: int
     removed_objects: int
@@ -23,7 +28,7 @@ class Cleaned:
     store_bytes: int
 
 
-def clean(out: str | Path, store_url: str | None = None) -> Cleaned:
+def clean(out: str | Path, store_url: str | None = None) -> CleanResult:
     """Remove the temporary files and the spool of a finished or broken run.
 
     The points, the labels of all passes, the rasters and the records of finished tasks stay, so the next run does not
@@ -66,7 +71,7 @@ def clean(out: str | Path, store_url: str | None = None) -> Cleaned:
         sizes = [path.stat().st_size for path in scratch]
         for path in scratch:
             path.unlink(missing_ok=True)
-    return Cleaned(
+    return CleanResult(
         scratch_files=len(scratch),
         removed_objects=before.objects - after.objects + len(scratch),
         removed_bytes=before.size_bytes - after.size_bytes + sum(sizes),

@@ -15,7 +15,7 @@ from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
 
 
 @dataclass(frozen=True)
-class Warmed:
+class WarmResult:
     """Folder of the machine code, number of kernels in it, and number of kernels compiled by this call."""
 
     folder: str
@@ -23,7 +23,7 @@ class Warmed:
     compiled: int
 
 
-def warm(methods: Sequence[str]) -> Warmed:
+def warm(methods: Sequence[str]) -> WarmResult:
     """Compile the kernels of methods and rasters, in as many processes as there are cores.
 
     Raises
@@ -54,7 +54,7 @@ def warm(methods: Sequence[str]) -> Warmed:
             f"compiling kernels: the process {died}; free some memory and try again"
         ) from died
     count = compiled_count()
-    return Warmed(str(folder), count, count - n_before)
+    return WarmResult(str(folder), count, count - n_before)
 
 
 def _compile(guard: ChildProcess, kernels: Kernels) -> None:

@@ -26,8 +26,8 @@ class Spread(TypedDict):
     """Statistics of differences in their unit, all None if there are no differences.
 
     ``bias`` is the mean. ``nmad`` is 1.4826 times the median absolute deviation from the median (Hoehle and Hoehle
-    2009, ISPRS J. 64, table 2). ``p5`` to ``p95`` are percentiles, linear between order statistics, and ``p95_abs`` and
-    ``max_abs`` those of the absolute values.
+    2009, ISPRS J. 64, table 2). ``p5`` to ``p95`` are percentiles, linear between order statistics. ``p95_abs`` is the
+    95th percentile of the absolute values, and ``max_abs`` the largest one.
     """
 
     rmse: float | None
@@ -42,7 +42,7 @@ class Spread(TypedDict):
     max_abs: float | None
 
 
-NOTHING = Spread(
+_NO_SPREAD = Spread(
     rmse=None, bias=None, median=None, nmad=None, p5=None, p25=None, p75=None, p95=None, p95_abs=None, max_abs=None
 )  # fmt: skip
 """Statistics of no differences."""
@@ -84,7 +84,7 @@ class SpreadTally:
     def summary(self) -> Spread:
         """Return the same figures as `spread`."""
         if self.n == 0:
-            return NOTHING.copy()
+            return _NO_SPREAD.copy()
         values = self._values.astype(np.float64) * self.step
         return _summary(values, self._counts, self._squares / self.n, self._sum / self.n, self._largest)
 
@@ -93,7 +93,7 @@ def spread(differences: Float64s) -> Spread:
     """Compute statistics of finite differences, float64 of any shape, that fit into memory."""
     values = np.sort(np.asarray(differences, np.float64), axis=None)
     if values.size == 0:
-        return NOTHING.copy()
+        return _NO_SPREAD.copy()
     counts = np.ones(values.size, np.int64)
     largest = float(np.abs(values).max())
     return _summary(values, counts, float(np.mean(values**2)), float(np.mean(values)), largest)

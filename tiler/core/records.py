@@ -61,10 +61,10 @@ AnyRecord = TypeVar("AnyRecord", bound=Record)
 
 
 def to_json(value: Any) -> Any:
-    """Return a value as JSON can hold it: a record as an object, also in lists, dicts and fields of records."""
+    """Return a value as JSON can hold it: a record as an object, also in lists, mappings and fields of records."""
     if isinstance(value, Record):
         return {name: to_json(entry) for name, entry in value.to_json().items()}
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {name: to_json(entry) for name, entry in value.items()}
     if isinstance(value, list) and any(isinstance(entry, Record) for entry in value):
         return [to_json(entry) for entry in value]
@@ -202,9 +202,9 @@ class TileRecord(Record):
         Digest of the elected points. None if the pass elects no points.
     elected_points : list of int, optional
         Number of elected points of each bucket.
-    partial : dict
+    partial : mapping
         Part of the state after the pass, which `Pass.reduce` combines.
-    stats : dict
+    stats : mapping
         Figures of the method, for its developers.
     """
 

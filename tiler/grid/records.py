@@ -258,7 +258,7 @@ class LevelRecord(Record):
     ----------
     shore : int
         Number of pixels of the shore with a height.
-    body : dict or None
+    body : mapping or None
         Water with its level (`Water.to_json`), or None if shore and water have too few heights.
     floating : (float, [x, y] or None)
         Share of the shore that lies more than `tiler.grid.water_level.NOISE_M` below the level, and the position

@@ -51,7 +51,7 @@ def progress_record(
         Message for the user, or None if only numbers have changed.
     level : {"info", "warning", "error"}
     job : JobProgress, optional
-        Progress of the job. Without it, the record has only a message.
+        Progress of the job. Without it, there is only a message.
     now : float
         Current time by the clock of the job.
     """

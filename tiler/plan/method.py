@@ -39,7 +39,7 @@ class MethodPlan:
         Side of the method's thinning cells in metres, 0 if it has none.
     kind : str or None
         Source of the clouds: laser scanning (lidar), image matching (dim), or None if not known yet.
-    statistics : dict or None
+    statistics : mapping or None
         State after each pass, by its name, of the earlier run given by ``--statistics``.
     tile : Fraction
         Side of a tile in metres.

@@ -44,7 +44,7 @@ class Results:
         Sources, with the digest of the bytes and the number of stored points.
     fetched : FetchedBytes or None
         None unless inputs are at URLs.
-    statistics : dict
+    statistics : mapping
         State after each pass of the method.
     mask : dict of str to int
         Number of pixels by value of the mask.

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from tiler.core.records import JoinedRecord
+from tiler.core.records import JoinedRecord, Record
 
 if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
     from tiler.core.lattice import Bounds, Lattice
-    from tiler.core.records import Record
 
-Work = Callable[[str, Any], "Record"]
+Work = Callable[[str, Any], Record]
 """Function ``work(store_url, arguments) -> record`` of a module, since it is pickled by name.
 
 The arguments are a frozen dataclass that defines the data to read and write and the parameters. The store keeps the
@@ -79,7 +78,7 @@ class Outcome:
     Attributes
     ----------
     task : Task
-    record : dict or None
+    record : mapping or None
         Result of the work, or None if the try failed.
     error, error_kind : str or None
         Error in one line, and name of its exception.

@@ -11,7 +11,7 @@ from tiler.simulate.als import AlsSensor
 from tiler.simulate.catalogue import SCENES, Scene, SceneSpec, make_scene
 from tiler.simulate.demo import DemoScene, demo_city, demo_files
 from tiler.simulate.dim import DimSensor
-from tiler.simulate.files import describe_scene, write_scene
+from tiler.simulate.files import WrittenScene, describe_scene, write_scene
 from tiler.simulate.points import SimulatedPoints, survey
 from tiler.simulate.site import Site
 from tiler.simulate.sites import SITES, make_site, scene_points
@@ -28,6 +28,7 @@ __all__ = [
     "SimulatedPoints",
     "Site",
     "Terrain",
+    "WrittenScene",
     "demo_city",
     "demo_files",
     "describe_scene",

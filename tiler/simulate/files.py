@@ -113,7 +113,7 @@ class WrittenScene:
     points : int
     points_per_m2 : float
     classes : dict of str to int
-        Number of points by class and its description.
+        Number of points by class, with keys such as ``2 ground``.
     """
 
     cloud: str

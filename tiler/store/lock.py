@@ -68,7 +68,7 @@ class Lease:
         if holder is None or holder.token != self._token:
             raise _refused(self._storage, holder)
 
-    def _mine(self) -> Holder:
+    def _this_holder(self) -> Holder:
         pid = os.getpid()
         return Holder(
             token=self._token,
@@ -83,7 +83,7 @@ class Lease:
         while not self._stop.wait(RENEW_SECONDS):
             try:
                 self.check()
-                self._storage.put_json(self._key, asdict(self._mine()))
+                self._storage.put_json(self._key, asdict(self._this_holder()))
             except LockedError:
                 return  # The next `check` of the run raises the error again.
             except (TilerError, OSError):
@@ -96,7 +96,7 @@ class Lease:
             if not _stale(self._storage, self._key, holder):
                 raise _refused(self._storage, holder)
             self._storage.delete(self._key)
-        exclusive = self._storage.put_json_new(self._key, asdict(self._mine()))
+        exclusive = self._storage.put_json_new(self._key, asdict(self._this_holder()))
         if taken_over or not exclusive:
             time.sleep(SETTLE_SECONDS)
         self.check()

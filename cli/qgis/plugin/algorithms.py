@@ -104,7 +104,7 @@ class ApplyEdits(RunAlgorithm):
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
         """Return the command of the earlier run with the edits."""
         self._place = absolute(self.parameterAsFile(parameters, "OUTPUT", context))
-        run = results.read_record(self._place)
+        run = results.read_run(self._place)
         given = [path for path in self.parameterAsFileList(parameters, "INPUT", context) if path]
         return [
             find_command(),

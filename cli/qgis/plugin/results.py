@@ -55,7 +55,7 @@ def raster(folder: str, name: str) -> str:
     return existing(folder, f"{name}.tif") or existing(folder, f"{name}.vrt")
 
 
-def read_record(folder: str) -> dict[str, Any]:
+def read_run(folder: str) -> dict[str, Any]:
     """Return the content of run.json in a folder, or raise CommandError."""
     path = Path(folder) / "run.json"
     try:
@@ -69,9 +69,9 @@ def read_record(folder: str) -> dict[str, Any]:
     return dict(run)
 
 
-def clouds_of(folder: str, record: dict[str, Any]) -> list[str]:
+def clouds_of(folder: str, run: dict[str, Any]) -> list[str]:
     """Return the INPUT of a run, or raise CommandError if run.json does not have absolute paths."""
-    given = [str(path) for path in record.get("given", ())]
+    given = [str(path) for path in run.get("given", ())]
     if not given or not all("://" in path or Path(path).is_absolute() for path in given):
         raise CommandError(
             f"{folder}: its run.json does not contain the full paths of the clouds; give the point clouds of the run"

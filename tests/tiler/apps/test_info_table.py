@@ -43,7 +43,12 @@ def test_the_command_takes_folders_and_many_files(folder: Path, capsys: pytest.C
     assert len(lines) == 4
     assert "1,600" in lines[2]
     assert main(["info", str(folder), "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)) == 3
+    clouds = json.loads(capsys.readouterr().out)
+    assert [list(cloud) for cloud in clouds] == [
+        ["path", "points", "per_m2", "bounds", "unit", "crs"],
+        ["path", "points", "per_m2", "bounds", "unit", "crs"],
+        ["path", "error"],
+    ]
 
 
 def test_one_file_a_store_and_a_result_are_no_table(folder: Path) -> None:

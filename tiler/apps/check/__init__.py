@@ -1,7 +1,8 @@
 """Checks of a DTM against checkpoints, across the edges of tiles, and between flight strips.
 
 `measure` runs all of these. `points` reads checkpoints and `accuracy` compares them with a DTM. `seams` and `strips` do
-not need checkpoints. `requirements` compares the results with limits, and `figures` draws them.
+not need checkpoints. `requirements` compares the results with limits, and `figures` draws them. `results` has the
+types of the results.
 """
 
 from tiler.apps.check.accuracy import check_dtm

@@ -90,21 +90,15 @@ def _checked_points(
     points: Checkpoints, xyz: tuple[Floats, Floats, Floats], sampled: Floats, difference: Floats
 ) -> list[CheckedPoint]:
     x, y, z = (values.tolist() for values in xyz)
-    heights, differences = _none_for_nan(sampled), _none_for_nan(difference)
-    is_outlier = outliers(difference).tolist()
+    columns = (
+        points.names, x, y, points.kinds, points.covers, z,
+        _none_for_nan(sampled), _none_for_nan(difference), outliers(difference).tolist(),
+    )  # fmt: skip
     return [
-        {
-            "name": points.names[i],
-            "x": x[i],
-            "y": y[i],
-            "kind": points.kinds[i],
-            "cover": points.covers[i],
-            "z": z[i],
-            "dtm": heights[i],
-            "difference": differences[i],
-            "outlier": is_outlier[i],
-        }
-        for i in range(len(points))
+        CheckedPoint(
+            name=name, x=x, y=y, kind=kind, cover=cover, z=z, dtm=dtm, difference=d, outlier=is_outlier
+        )
+        for name, x, y, kind, cover, z, dtm, d, is_outlier in zip(*columns, strict=True)
     ]
 
 

@@ -10,7 +10,7 @@ from tiler.apps.check.accuracy import check_dtm
 from tiler.apps.check.figures import validate_figure_files, write_figures
 from tiler.apps.check.points import PointOptions, read_checkpoints
 from tiler.apps.check.requirements import Requirement, judge
-from tiler.apps.check.results import Accuracy, Measured, Report, Seams
+from tiler.apps.check.results import Accuracy, CheckSummary, Measured, Seams
 from tiler.apps.check.seams import seams_of
 from tiler.apps.check.strips import strip_differences
 from tiler.errors import ConfigError
@@ -25,7 +25,7 @@ def measure(
     strips: Sequence[str] = (),
     requirements: Sequence[Requirement] = (),
     figures: Path | None = None,
-) -> Report:
+) -> CheckSummary:
     """Check a DTM by checkpoints, by its seams, and by overlapping strips, as far as these are given.
 
     Parameters
@@ -64,7 +64,8 @@ def measure(
         raise ConfigError(
             f"{dtm}: nothing to check; give --points, --tile-size (there is no run.json beside it) or --strips"
         )
-    judgements, drawings = judge(requirements, measured), []
+    judgements = judge(requirements, measured)
+    drawings: list[str] = []
     if figures is not None:
         drawings = call_isolated(
             write_figures, figures, dtm, accuracy, paths=(dtm,), memory_bytes=half_of_memory()

@@ -29,7 +29,7 @@ class Metric:
     """
 
     part: str
-    value: Callable[[Any], float | None]
+    value: Callable[[Mapping[str, Any]], float | None]
     is_length: bool = True
     at_least: bool = False
 
@@ -89,18 +89,18 @@ def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
     return requirements
 
 
-def judge(requirements: Sequence[Requirement], report: Measured) -> list[Judgement]:
-    """Compare a report with requirements.
+def judge(requirements: Sequence[Requirement], measured: Measured) -> list[Judgement]:
+    """Compare the results of checks with requirements.
 
     Raises
     ------
     ConfigError
-        The report does not contain the part of a requirement.
+        The part of a requirement was not measured.
     """
     judged: list[Judgement] = []
     for requirement in requirements:
         metric = METRICS[requirement.name]
-        part: Any = report.get(metric.part)
+        part: Any = measured.get(metric.part)
         if part is None:
             option = {"accuracy": "--points", "seams": "--tile-size", "strips": "--strips"}[metric.part]
             raise ConfigError(f"--require {requirement.name}: is not measured without {option}")

@@ -1,6 +1,6 @@
-"""Results of a check, which ``tiler check --json`` prints and `tiler.check` returns.
+"""Results of a check, which ``tiler check --json`` prints and `tiler.CheckResult` has as its summary.
 
-A key that is NotRequired is missing if it was not measured.
+A key that is NotRequired exists only if its value was measured.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ class AccuracyFigures(Spread):
 
 
 class Statement(TypedDict):
-    """Statement of the accuracy by the standard, None with too few checkpoints."""
+    """Statement of the accuracy by a standard.
+
+    ``least_points`` is the number of NVA checkpoints that the standard requires. With fewer, ``statement`` is None.
+    """
 
     standard: str
     least_points: int
@@ -31,7 +34,11 @@ class Statement(TypedDict):
 
 
 class CheckedPoint(TypedDict):
-    """Checkpoint in the CRS of the DTM, and the height of the DTM there, None if it has none."""
+    """Checkpoint in the CRS of the DTM, with heights in the unit of the DTM.
+
+    ``dtm`` is the height of the DTM at the checkpoint, and ``difference`` is this height minus ``z``. Both are None if
+    the DTM has no height there. ``kind`` is ``NVA`` or ``VVA``. ``cover`` is the land cover, or empty if not known.
+    """
 
     name: str
     x: float
@@ -149,7 +156,7 @@ class Measured(TypedDict):
     strips: NotRequired[Strips]
 
 
-class Report(Measured):
+class CheckSummary(Measured):
     """Results of all checks, their comparison with requirements, and the paths of the drawings."""
 
     requirements: list[Judgement]

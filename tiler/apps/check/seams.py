@@ -92,7 +92,7 @@ class StepStatistics:
             self.largest = max(self.largest, float(known.max()))
 
     @property
-    def summary(self) -> tuple[float | None, float | None]:
+    def mean_and_largest(self) -> tuple[float | None, float | None]:
         """Mean and largest value, both None if there are no values."""
         if not self.n:
             return None, None
@@ -147,8 +147,8 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
 
 
 def _steps(steps: StepStatistics, jumps: StepStatistics) -> Steps:
-    mean_step, largest_step = steps.summary
-    mean_jump, largest_jump = jumps.summary
+    mean_step, largest_step = steps.mean_and_largest
+    mean_jump, largest_jump = jumps.mean_and_largest
     return {
         "pairs": steps.n,
         "mean_step": mean_step,

@@ -2,6 +2,7 @@
 
 `tiler.apps.evaluate.labels` contains the definitions, `tiler.apps.evaluate.clouds` pairs the points of two files,
 `tiler.apps.evaluate.scenes` pairs and scores many files, and `tiler.apps.evaluate.heights` compares rasters.
+`tiler.apps.evaluate.results` has the types of the results.
 """
 
 from tiler.apps.evaluate.clouds import evaluate_files

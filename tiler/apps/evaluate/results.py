@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 from tiler.core.difference_statistics import Spread
 
@@ -11,8 +11,8 @@ from tiler.core.difference_statistics import Spread
 class Scores(TypedDict):
     """Numbers of points, errors and agreement of labels.
 
-    Fractions are None for a division by zero. ``object_taken`` is the number of objects that are labelled ground.
-    ``kappa`` is that of Cohen, ``f1`` that of ground. `tiler.apps.evaluate.labels` defines the errors.
+    Fractions are None for a division by zero. ``object_taken`` is the number of points of objects that are labelled
+    ground. ``kappa`` is that of Cohen, ``f1`` that of ground. `tiler.apps.evaluate.labels` defines the errors.
     """
 
     points: int
@@ -78,20 +78,20 @@ class FilteredScene(SceneScores):
     seconds: float
 
 
-class MeanScores(LabelScores, Unmatched):
+class OverallScores(LabelScores, Unmatched):
     """Scores of the points of all scenes together, and mean errors over scenes of equal weight."""
 
     mean: dict[str, float | None]
 
 
-class SceneReport(MeanScores):
+class SceneReport(OverallScores):
     """Scores of all scenes together, and of each scene."""
 
     scenes: list[SceneScores]
 
 
-class FilterReport(MeanScores):
-    """Scores of the results of a filter."""
+class FilterReport(OverallScores):
+    """Scores of all scenes together and of each scene, and the method and parameters of the filter."""
 
     scenes: list[FilteredScene]
     method: str
@@ -131,11 +131,14 @@ class SigmaReport(SigmaFigures):
     in_first_tenth: float | None
 
 
-class SigmaScores(TypedDict, total=False):
-    """Comparison of the DTM's standard errors with its errors, and their file, if there is one."""
+class SigmaScores(TypedDict):
+    """Comparison of the DTM's standard errors with its errors, and the path of the raster of standard errors.
 
-    sigma: SigmaReport
-    sigma_file: str
+    Both are missing without such a raster.
+    """
+
+    sigma: NotRequired[SigmaReport]
+    sigma_file: NotRequired[str]
 
 
 class DtmScores(Spread, SigmaScores):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 
 from tiler.core.digests import digest_of
@@ -42,9 +42,20 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
     terrain, smooth = final_raster("dtm", config), config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.grid.resolution
     spot_reach = min(math.ceil(SPOT_REACH_M / plan.grid.resolution), MAX_REACH)
+    vertical, interval = plan.frame.units.vertical, config.contour_interval
+    noise = noise_m / float(vertical)
+    interval = None if interval is None else interval / vertical
+    contours = WriteContours(
+        raster=terrain, spec=context.spec, out=out, area=plan.inputs.area_key, waters=context.water_key,
+        noise=noise, interval=interval, sigma=float(sigma),
+    )  # fmt: skip
+    spots = WriteSpots(
+        raster=terrain, spec=context.spec, out=out, area=plan.inputs.area_key, waters=context.water_key,
+        noise=noise, interval=interval, reach=spot_reach,
+    )  # fmt: skip
     works: dict[str, tuple[Work, VectorFile]] = {
-        CONTOURS: (write_contours, _on_terrain(WriteContours, context, out, noise_m, sigma=float(sigma))),
-        SPOTS: (write_spots, _on_terrain(WriteSpots, context, out, noise_m, reach=spot_reach)),
+        CONTOURS: (write_contours, contours),
+        SPOTS: (write_spots, spots),
     }
     if config.outline == "survey":
         outline = WriteOutline(
@@ -63,21 +74,3 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
         write, work = works[name]
         digest = digest_of(__version__, work, context.checksums(terrain))
         yield Task("export", f"{name}.gpkg", digest, write, work, context.spec.height * context.spec.width)
-
-
-def _on_terrain(
-    make: Callable[..., VectorFile], context: GridContext, out: str, noise_m: float, **own: float
-) -> VectorFile:
-    """Make the arguments of a task that draws heights of the terrain."""
-    plan, interval = context.plan, context.plan.config.contour_interval
-    vertical = plan.frame.units.vertical
-    return make(
-        raster=final_raster("dtm", plan.config),
-        spec=context.spec,
-        out=out,
-        area=plan.inputs.area_key,
-        waters=context.water_key,
-        noise=noise_m / float(vertical),
-        interval=None if interval is None else interval / vertical,
-        **own,
-    )

@@ -77,7 +77,7 @@ class Feature:
         File, layer and number of the feature (the first is 1), for messages.
     geometry : shapely geometry
         Geometry, which is not empty. It has z if the file has z, in the vertical unit of the file.
-    attributes : dict
+    attributes : mapping
         Attributes by name in lower case, with None for missing values.
     """
 
