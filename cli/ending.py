@@ -29,7 +29,8 @@ FORCED = b"tiler: interrupted; the work did not stop, so the process was ended\n
 class InterruptState:
     """Record of whether a command got a signal to end.
 
-    The error that ends the command is no proof, because a library may turn the interruption into another error.
+    The error that ends the command is no proof, because a library may turn the interruption
+    into another error.
     """
 
     own_process: bool = False
@@ -38,7 +39,8 @@ class InterruptState:
     def interrupt(self, number: int, frame: object) -> NoReturn:
         """Raise KeyboardInterrupt for SIGINT or SIGTERM.
 
-        A second signal of the same kind is ignored, so that it does not disturb the orderly end.
+        A second signal of the same kind is ignored, so that it does not disturb the orderly
+        end.
         """
         self.told = True
         signal.signal(number, signal.SIG_IGN)
@@ -52,9 +54,9 @@ class InterruptState:
 def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
     """Let SIGTERM interrupt a command as Ctrl-C does, and end it within `GRACE_SECONDS` of either signal.
 
-    Python handles a signal between two of its instructions, so not while a library computes, and code may swallow the
-    interruption. Therefore the signal also wakes a thread, which ends this process like a kill if it does not end
-    itself in time. A kill does not damage a run.
+    Python handles a signal between two of its instructions, so not while a library computes,
+    and code may swallow the interruption. Therefore the signal also wakes a thread, which ends
+    this process like a kill if it does not end itself in time. A kill does not damage a run.
 
     Parameters
     ----------
@@ -65,7 +67,9 @@ def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
     reading, writing = socket.socketpair()  # pipes cannot be non-blocking on every system
     writing.setblocking(False)
     done = threading.Event()
-    threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
+    threading.Thread(
+        target=_watch, args=(reading, done), name="tiler-ending", daemon=True
+    ).start()
     ending, previous_handlers = (
         InterruptState(own_process),
         {number: signal.getsignal(number) for number in SIGNALS},
@@ -86,7 +90,8 @@ def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
         if not own_process:
             signal.set_wakeup_fd(woken_before)
             done.set()
-            writing.close()  # the thread then reads the end of the stream, and closes the other socket
+            # the thread then reads the end of the stream, and closes the other socket
+            writing.close()
         else:
             writing.detach()  # stays open until the process ends
 
@@ -94,8 +99,8 @@ def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
 def end_at_once(code: int) -> NoReturn:
     """Kill the children of this process, flush its output, and end it at once.
 
-    A normal exit of Python would wait for threads. It would also have another exit code if the interruption hit code
-    that is generated at run time, such as the methods of a dataclass.
+    A normal exit of Python would wait for threads. It would also have another exit code if the
+    interruption hit code that is generated at run time, such as the methods of a dataclass.
     """
     _end_children()
     for stream in (sys.stdout, sys.stderr):

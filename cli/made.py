@@ -50,18 +50,30 @@ def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
         lines = f"{counted(contours['lines'], 'line')} every {interval}"
         yield "contours", lines, "contours.gpkg"
     if spots := summary.get("spots"):
-        yield "spots", f"{counted(spots['highs'], 'top')}, {counted(spots['lows'], 'bottom')}", "spots.gpkg"
+        yield (
+            "spots",
+            f"{counted(spots['highs'], 'top')}, {counted(spots['lows'], 'bottom')}",
+            "spots.gpkg",
+        )
     if "water" in summary:
         yield "water", _water(summary["water"]), WATER
     if "bridges" in summary:
         number = len(summary["bridges"])
-        yield "bridges", f"{counted(number, 'bridge')} left out" if number else "none found", BRIDGES
+        yield (
+            "bridges",
+            f"{counted(number, 'bridge')} left out" if number else "none found",
+            BRIDGES,
+        )
     if polygons := (summary.get("outline") or {}).get("polygons"):
         yield "outline", counted(polygons, "polygon"), OUTLINE
     outputs = summary.get("outputs", {})
     clouds = sum(path.startswith(f"{CLASSIFIED}/") for path in outputs)
     if clouds:
-        yield "clouds", counted(clouds, "classified cloud"), VIRTUAL if VIRTUAL in outputs else CLASSIFIED
+        yield (
+            "clouds",
+            counted(clouds, "classified cloud"),
+            VIRTUAL if VIRTUAL in outputs else CLASSIFIED,
+        )
     if "sheets" in summary:
         yield "sheets", counted(summary["sheets"], "sheet"), SHEETS
 
@@ -69,7 +81,10 @@ def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
 def _water(bodies: Sequence[Mapping[str, Any]]) -> str:
     """Return the number of water bodies by kind, as in ``1 lake, 2 rivers``."""
     kinds = Counter(body["kind"] for body in bodies)
-    return ", ".join(counted(number, kind) for kind, number in sorted(kinds.items())) or "none found"
+    return (
+        ", ".join(counted(number, kind) for kind, number in sorted(kinds.items()))
+        or "none found"
+    )
 
 
 def ground_points(summary: Summary) -> int:

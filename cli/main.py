@@ -51,7 +51,8 @@ It is repeated here because the list must not import all commands.
 GARBAGE_OBJECTS = 100_000
 """Number of new objects between two runs of the garbage collector.
 
-Imports make little garbage, and a run after every 700 objects takes a tenth of the start of a command.
+Imports make little garbage, and a run after every 700 objects takes a tenth of the start of a
+command.
 """
 
 STAGES = ("ingest", "filter", "grid", "export")
@@ -69,8 +70,12 @@ class LazyGroup(click.Group):
         """Import the command's module."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"cli.commands.{'run' if cmd_name in STAGES else cmd_name}")
-        command: click.Command = module.stages[cmd_name] if cmd_name in STAGES else module.command
+        module = importlib.import_module(
+            f"cli.commands.{'run' if cmd_name in STAGES else cmd_name}"
+        )
+        command: click.Command = (
+            module.stages[cmd_name] if cmd_name in STAGES else module.command
+        )
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -126,7 +131,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None, ending: InterruptState) -> int:
-    session = Session(progress=_progress_asked_for(sys.argv[1:] if arguments is None else arguments))
+    session = Session(
+        progress=_progress_asked_for(sys.argv[1:] if arguments is None else arguments)
+    )
     try:
         code: Any = group.main(arguments, prog_name="tiler", standalone_mode=False, obj=session)
         sys.stdout.flush()
@@ -177,7 +184,10 @@ def _line_and_code(error: BaseException) -> tuple[str, int]:
     if isinstance(error, click.ClickException):
         return error.format_message(), exit_codes.USAGE
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return f"unexpected {text}; run the same command with -vv for the traceback", exit_codes.PROCESSING
+    return (
+        f"unexpected {text}; run the same command with -vv for the traceback",
+        exit_codes.PROCESSING,
+    )
 
 
 if __name__ == "__main__":

@@ -136,5 +136,8 @@ out_option = click.option(
 )
 
 json_option = click.option(
-    "--json", "as_json", is_flag=True, help="print the result as JSON to stdout [default: no, as text]"
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="print the result as JSON to stdout [default: no, as text]",
 )

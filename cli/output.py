@@ -20,8 +20,9 @@ SHARES = (0.3, 0.75, 1.5)
 def write_line(line: str, error: bool = False) -> None:
     """Write one line to stdout or stderr.
 
-    All output except tables on a terminal passes through this function, because it may contain names and texts from
-    files. It escapes control sequences of the terminal, and hides passwords and tokens in URLs.
+    All output except tables on a terminal passes through this function, because it may contain
+    names and texts from files. It escapes control sequences of the terminal, and hides
+    passwords and tokens in URLs.
     """
     encoding = (sys.stderr if error else sys.stdout).encoding or "utf-8"
     click.echo(shown(line).encode(encoding, "backslashreplace").decode(encoding), err=error)
@@ -30,11 +31,16 @@ def write_line(line: str, error: bool = False) -> None:
 def print_json(value: Any) -> None:
     """Write indented JSON.
 
-    Characters that cannot be printed are escaped. If stdout is not UTF-8, all characters beyond ASCII are escaped.
+    Characters that cannot be printed are escaped. If stdout is not UTF-8, all characters beyond
+    ASCII are escaped.
     """
-    is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"  # JSON must be UTF-8
+    # JSON must be UTF-8
+    is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"
     text = json.dumps(
-        stored(value), indent=2, default=lambda v: without_secrets(str(v)), ensure_ascii=not is_utf8
+        stored(value),
+        indent=2,
+        default=lambda v: without_secrets(str(v)),
+        ensure_ascii=not is_utf8,
     )
     for line in text.split("\n"):
         write_line("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line))
@@ -56,7 +62,9 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     widths = [max(len(line[i]) for line in (columns, *rows)) for i in range(len(columns))]
     write_line(title)
     for line in (columns, *rows):
-        write_line(("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip())
+        write_line(
+            ("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip()
+        )
 
 
 def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
@@ -80,8 +88,13 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
         shades = ".:*#"
     middle = densities[len(densities) // 2]
     limits = [share * middle for share in SHARES]
-    legend = ", ".join(f"{shade} below {limit:.2g}" for shade, limit in zip(shades, limits, strict=False))
-    lines = ["".join(" " if v <= 0 else shades[bisect(limits, v)] for v in row).rstrip() for row in rows]
+    legend = ", ".join(
+        f"{shade} below {limit:.2g}" for shade, limit in zip(shades, limits, strict=False)
+    )
+    lines = [
+        "".join(" " if v <= 0 else shades[bisect(limits, v)] for v in row).rstrip()
+        for row in rows
+    ]
     return [
         f"density map: points per m2, {legend}, {shades[-1]} more; a character is {density['width_m']:.3g} x "
         f"{density['height_m']:.3g} m, north is up",

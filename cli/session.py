@@ -56,8 +56,8 @@ def shown_progress() -> Iterator[Listener]:
 class TilerCommand(click.Command):
     """Command with -v and -q, and with --progress if it shows progress.
 
-    It sets up the log before it runs. If it ``reads`` clouds, the child process that inspects them imports its
-    libraries while the command imports its own.
+    It sets up the log before it runs. If it ``reads`` clouds, the child process that inspects
+    them imports its libraries while the command imports its own.
     """
 
     def __init__(

@@ -18,8 +18,8 @@ NAMES = ("stdout", "stderr")
 def open_streams(own_process: bool) -> Iterator[None]:
     """Let a command continue if the reader of its output has gone, but raise if results cannot be written.
 
-    A run that is piped to ``head`` or ``true`` continues to its end. A full disk is an error for the results on stdout,
-    but not for the progress on stderr.
+    A run that is piped to ``head`` or ``true`` continues to its end. A full disk is an error
+    for the results on stdout, but not for the progress on stderr.
 
     Parameters
     ----------

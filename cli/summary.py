@@ -12,7 +12,9 @@ from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.observe.progress import duration_text, rate_text, size_text
 
-_RASTERS = {f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")}
+_RASTERS = {
+    f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")
+}
 """Position of each product's files in the order of the products, by file name."""
 
 
@@ -42,7 +44,9 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         section = summary["filter"]
         marked = f", {section['marked']:,} labels not certified" if section["marked"] else ""
         tiles = counted(section["tiles"], "tile")
-        lines.append(f"ground      {counted(ground_points(summary), 'point')}, in {tiles}{marked}")
+        lines.append(
+            f"ground      {counted(ground_points(summary), 'point')}, in {tiles}{marked}"
+        )
     unit = summary.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
     rasters = sorted(_RASTERS.keys() & summary.get("outputs", {}), key=_RASTERS.__getitem__)
     for name in rasters[:1]:
@@ -78,7 +82,9 @@ def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _place(bounds: Sequence[float] | None) -> str:
-    return "" if bounds is None else f" (--bounds {' '.join(f'{edge:.10g}' for edge in bounds)})"
+    return (
+        "" if bounds is None else f" (--bounds {' '.join(f'{edge:.10g}' for edge in bounds)})"
+    )
 
 
 def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None) -> list[str]:
@@ -104,7 +110,9 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
         of = f" (class {each})" if each else ""
         lines.append(f"ignored {classes['ignored']:,} points of ignored classes{of}")
     if classes.get("withheld"):
-        lines.append(f"ignored {classes['withheld']:,} points that are withheld in the reference")
+        lines.append(
+            f"ignored {classes['withheld']:,} points that are withheld in the reference"
+        )
     unmatched = classes.get("unmatched_reference", 0), classes.get("unmatched_cloud", 0)
     if any(unmatched):
         lines.append(
@@ -120,9 +128,7 @@ def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
     unit = {"metre": "m", "foot": "ft"}.get(dtm["unit"], dtm["unit"])
     if dtm["rmse"] is None:
         return ["DTM     no pixel has a height in both rasters"]
-    first = (
-        f"DTM     RMSE {dtm['rmse']:.3f} {unit}, bias {dtm['bias']:+.3f} {unit} over {dtm['pixels']:,} pixels"
-    )
+    first = f"DTM     RMSE {dtm['rmse']:.3f} {unit}, bias {dtm['bias']:+.3f} {unit} over {dtm['pixels']:,} pixels"
     if "nmad" not in dtm:
         return [first]
     robust = f"median {dtm['median']:+.3f} {unit}, NMAD {dtm['nmad']:.3f} {unit}"
@@ -147,7 +153,9 @@ def sigma_lines(found: Mapping[str, Any], unit: str) -> list[str]:
         if row["pixels"]:
             expected, true = (f"{row[name]:.3f} {unit}" for name in ("predicted_rmse", "rmse"))
             where = f"slope {row['from_deg']} to {row['to_deg']} degrees"
-            lines.append(f"        {where}: expected {expected}, actual {true} over {row['pixels']:,} pixels")
+            lines.append(
+                f"        {where}: expected {expected}, actual {true} over {row['pixels']:,} pixels"
+            )
     if found["area"] is not None:
         share = percent_text(found["in_first_tenth"])
         lines.append(

@@ -30,7 +30,10 @@ dashes. Lengths are in metres unless written with a unit (`3ft`, `50cm`). `tiler
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines) + "\n"
+    return (
+        "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
+        + "\n"
+    )
 
 
 def _cell(text: str) -> str:
@@ -54,7 +57,9 @@ def presets() -> str:
     for name in preset_names():
         text = preset_text(name)
         first, _, rest = text.partition("\n")
-        parts.append(f"### `{name}`\n\n{first.removeprefix('# ')}\n\n```toml\n{rest.strip()}\n```\n")
+        parts.append(
+            f"### `{name}`\n\n{first.removeprefix('# ')}\n\n```toml\n{rest.strip()}\n```\n"
+        )
     return "\n".join(parts)
 
 
@@ -67,7 +72,9 @@ def methods() -> str:
             value = fact["default"]
             default = ("no", "yes")[value] if isinstance(value, bool) else str(value)
             span = range_text(fact["minimum"], fact["maximum"])
-            rows.append((f"`{fact['name']}`", default, fact["unit"], span, fact["help"], fact["source"]))
+            rows.append(
+                (f"`{fact['name']}`", default, fact["unit"], span, fact["help"], fact["source"])
+            )
         head = ("parameter", "default", "unit", "range", "meaning", "source")
         parts.append(
             f"### `{name}`\n\n{method.summary[:1].upper()}{method.summary[1:]}.\n\n{table(head, rows)}"

@@ -1,10 +1,11 @@
 """Ground filters by progressive TIN densification: arrays in, arrays out.
 
-Vocabulary: a *count* is the integer unit of coordinates (`ptd.frame.Scale` has its length in metres). A *candidate* is
-a point that may become a vertex. *Seeds* are the vertices of the first TIN. A *round* tests all candidates against one
-TIN and inserts the candidates that pass the test. A *window* is a rectangle in which all points are known. A decision
-is *uncertified* if points beyond the window could change it. A *pass* is a step of a method that runs on
-every tile. The next pass may use statistics of the whole run.
+Vocabulary: a *count* is the integer unit of coordinates (`ptd.frame.Scale` has its length in
+metres). A *candidate* is a point that may become a vertex. *Seeds* are the vertices of the
+first TIN. A *round* tests all candidates against one TIN and inserts the candidates that pass
+the test. A *window* is a rectangle in which all points are known. A decision is *uncertified*
+if points beyond the window could change it. A *pass* is a step of a method that runs on every
+tile. The next pass may use statistics of the whole run.
 """
 
 from __future__ import annotations

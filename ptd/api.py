@@ -35,13 +35,16 @@ from ptd.places import PLACES
 
 COUNTS_PER_METRE = 1000
 BLOCK_POINTS = 8192
-"""This many points are rounded at once, so that intermediate arrays stay in the processor's cache."""
+"""This many points are rounded at once, so that intermediate arrays stay in the processor's
+cache."""
 MIN_SIGMA_M = 1e-6
 MAX_SIGMA_M = 1e3
 MAX_SHOWN = 12
-"""A notebook shows at most this many values of a list. For longer lists, it shows the number of values."""
+"""A notebook shows at most this many values of a list. For longer lists, it shows the number of
+values."""
 MAX_EXTENT_M = 60_000.0
-"""A cloud extends at most this far, because in-circle tests are exact for differences below 2**26 counts."""
+"""A cloud extends at most this far, because in-circle tests are exact for differences below
+2**26 counts."""
 MAX_DISTANCE_M = 9e12
 """x and y are at most this far from 0, because counts are exact in float64 below 2**53."""
 MAX_HEIGHT_M = 2_000_000.0
@@ -117,7 +120,9 @@ def _table(headings: tuple[str, str], rows: list[tuple[str, str]]) -> str:
     if not rows:
         return ""
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
-    body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
+    body = "".join(
+        f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows
+    )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
@@ -134,7 +139,8 @@ def classify(
 ) -> Result:
     """Classify a cloud that fits into memory.
 
-    Coordinates are rounded to millimetres. Lattices are anchored at coordinate 0, as in a tiled run.
+    Coordinates are rounded to millimetres. Lattices are anchored at coordinate 0, as in a tiled
+    run.
 
     Parameters
     ----------
@@ -184,7 +190,9 @@ def classify(
     """
     # Objects of laspy have these attributes. The package itself is not imported.
     if hasattr(xyz, "header") or hasattr(xyz, "point_format"):
-        raise TypeError(f"xyz is a {type(xyz).__name__}, must be an array (n, 3) in metres: pass las.xyz")
+        raise TypeError(
+            f"xyz is a {type(xyz).__name__}, must be an array (n, 3) in metres: pass las.xyz"
+        )
     points = np.asarray(xyz, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"xyz has shape {points.shape}, must be (n, 3): x, y, z in metres")
@@ -193,9 +201,12 @@ def classify(
     params_type = METHODS[method].params
     if params is None:
         params = params_type()
-    # The parameters of a method may be a subclass of those of another method, so `isinstance` is not enough.
+    # The parameters of a method may be a subclass of those of another method, so `isinstance`
+    # is not enough.
     if type(params) is not params_type:
-        raise ValueError(f"params is {type(params).__name__}, method {method} takes {params_type.__name__}")
+        raise ValueError(
+            f"params is {type(params).__name__}, method {method} takes {params_type.__name__}"
+        )
     if sigma is not None and not MIN_SIGMA_M <= sigma <= MAX_SIGMA_M:
         raise ValueError(f"sigma {sigma}: must be {MIN_SIGMA_M:g} to {MAX_SIGMA_M:g} m")
     counts, scale = _counts(points)
@@ -210,11 +221,18 @@ def classify(
         raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
     facts = run_facts(sigma, kind, evidence)
     labels, state, stats = do_passes(params, counts, columns, scale, Window.everything(), facts)
-    return Result(labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats)
+    return Result(
+        labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats
+    )
 
 
 def do_passes(
-    params: Any, counts: Int32, columns: Mapping[str, Any], scale: Scale, window: Window, facts: RunHints
+    params: Any,
+    counts: Int32,
+    columns: Mapping[str, Any],
+    scale: Scale,
+    window: Window,
+    facts: RunHints,
 ) -> tuple[UInt8, State, dict[str, Stats]]:
     """Run all passes that apply on one window, and return labels, state, and the statistics of each pass."""
     state: State = {"run": asdict(facts)}
@@ -230,7 +248,9 @@ def do_passes(
         for other in params.passes[number:]:
             if other.raster_cell_m and other.applies(state):
                 _validate_raster_size(counts, other.raster_cell_m, scale)
-        model = step.fit(_with_columns_of(step, cloud.points_for(step)), window, window, scale, state)
+        model = step.fit(
+            _with_columns_of(step, cloud.points_for(step)), window, window, scale, state
+        )
         if step.elects:
             cloud.elect(model.elect(window), model if step.gives_labels else None)
         elif step.gives_labels:
@@ -244,7 +264,9 @@ def _validate_raster_size(counts: Int32, cell_m: float, scale: Scale) -> None:
     """Raise ValueError if the cells of a cloud's extent do not fit into memory, usually because of distant points."""
     if counts.shape[1] == 0:
         return
-    sides = [float((int(axis.max()) - int(axis.min())) * scale.metres_xy) for axis in counts[:2]]
+    sides = [
+        float((int(axis.max()) - int(axis.min())) * scale.metres_xy) for axis in counts[:2]
+    ]
     if math.prod(side / cell_m + 1 for side in sides) > MAX_CELLS:
         raise ValueError(
             f"xyz extends over {sides[0]:.0f} x {sides[1]:.0f} m, too much for a raster of {cell_m:g} m cells, which "
@@ -280,7 +302,9 @@ class _Cloud:
         """Return the points that `Pass.fit` is passed."""
         if step.elected:
             if self.elected is None:
-                raise ValueError(f"pass {step.name} works on elected points, but no earlier pass elected any")
+                raise ValueError(
+                    f"pass {step.name} works on elected points, but no earlier pass elected any"
+                )
             return self.elected
         if step.every_point or self.cell is None:
             return self.everything
@@ -299,7 +323,8 @@ class _Cloud:
     def label(self, step: Pass, model: Model, later: list[Pass]) -> None:
         """Label points by the model of a pass. `later` lists the following passes that apply.
 
-        If later passes read labels only at elected points or only at candidates, other points are not labelled.
+        If later passes read labels only at elected points or only at candidates, other points
+        are not labelled.
         """
 
         def labelled(points: Points) -> Points:
@@ -328,7 +353,9 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
         return None
     rows = np.asarray(values)
     if rows.shape != (n, width):
-        raise ValueError(f"{name} has shape {rows.shape}, must be ({n}, {width}), a row for each point")
+        raise ValueError(
+            f"{name} has shape {rows.shape}, must be ({n}, {width}), a row for each point"
+        )
     if rows.dtype.kind not in "biuf":
         raise ValueError(f"{name} must be whole numbers from 0 to {np.iinfo(dtype).max}")
     with np.errstate(invalid="ignore"):  # The comparison below refuses NaN.

@@ -24,15 +24,16 @@ class Xyz(NamedTuple):
 
 
 DENSE_CELLS_PER_POINT = 16
-"""A raster of cells is made if it has at most this many cells per point. Otherwise the points are sorted."""
+"""A raster of cells is made if it has at most this many cells per point. Otherwise the points
+are sorted."""
 
 
 @kernel
 def quotient(value: int, divisor: int, inverse: float) -> int:
     """Return the floor of ``value / divisor``, given ``inverse``, which is 1 / divisor. The divisor is above 0.
 
-    This is several times faster than a division. The result is exact for quotients below 2**50: the product with the
-    inverse is wrong by at most one, and is corrected.
+    This is several times faster than a division. The result is exact for quotients below 2**50:
+    the product with the inverse is wrong by at most one, and is corrected.
     """
     floor = math.floor(float(value) * inverse)
     rest = value - floor * divisor
@@ -52,7 +53,9 @@ def _keys(x: Int32, y: Int32, grid: CellGrid, width: int) -> Int64:
     return out
 
 
-def cell_keys(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width: int) -> Int64:
+def cell_keys(
+    x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width: int
+) -> Int64:
     """Return the key of each point's cell, ``row * width + column`` relative to (col0, row0): int64 [n]."""
     return _keys(x, y, cells.grid(col0, row0), width)
 
@@ -61,7 +64,8 @@ def cell_keys(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, widt
 def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
     """Return whether point i is lower than point j.
 
-    Of equally high points, the point with the smaller x counts as lower. If x is equal as well, y decides.
+    Of equally high points, the point with the smaller x counts as lower. If x is equal as well,
+    y decides.
     """
     if z[i] != z[j]:
         return bool(z[i] < z[j])
@@ -104,7 +108,8 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
 def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """Find the lowest point of each occupied cell, in row-major order of the cells.
 
-    If several points are equally low, x and y decide (see `is_lower`), so the order of the points has no effect.
+    If several points are equally low, x and y decide (see `is_lower`), so the order of the
+    points has no effect.
 
     Parameters
     ----------
@@ -230,7 +235,9 @@ class CellIndex:
         if width * height <= DENSE_CELLS_PER_POINT * x.size + 1024:
             slots = np.full(width * height, -1, np.int32)
             slots[keys] = np.arange(keys.size, dtype=np.int32)
-        self.table = CellTable(slots, keys, np.append(first, x.size).astype(np.int64), order, width, height)
+        self.table = CellTable(
+            slots, keys, np.append(first, x.size).astype(np.int64), order, width, height
+        )
 
     def cell_indices(self, x: Int32, y: Int32) -> tuple[Int64, Int64]:
         """Return columns and rows of positions within the table: int64 [n] each."""

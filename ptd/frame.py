@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 OPEN = 2**40
-"""Coordinate of an open side of a window, in counts. It is larger than the coordinates of all points."""
+"""Coordinate of an open side of a window, in counts. It is larger than the coordinates of all
+points."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,9 @@ class CellLattice:
         self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Return columns and rows of local counts: int64 [n] each."""
-        columns: npt.NDArray[np.int64] = ((x.astype(np.int64) + self.origin_x) * self.q) // self.p
+        columns: npt.NDArray[np.int64] = (
+            (x.astype(np.int64) + self.origin_x) * self.q
+        ) // self.p
         rows: npt.NDArray[np.int64] = ((y.astype(np.int64) + self.origin_y) * self.q) // self.p
         return columns, rows
 
@@ -126,7 +129,8 @@ class CellLattice:
 class Window:
     """Half-open rectangle of local counts in which all points are known.
 
-    A side is *open* (at -OPEN or OPEN) if there are no points beyond it, and otherwise *closed*.
+    A side is *open* (at -OPEN or OPEN) if there are no points beyond it, and otherwise
+    *closed*.
     """
 
     west: int
@@ -165,9 +169,16 @@ class Window:
 
     def contains_box(self, west: int, south: int, east: int, north: int) -> bool:
         """Return whether a half-open rectangle of local counts lies within the window."""
-        return west >= self.west and south >= self.south and east <= self.east and north <= self.north
+        return (
+            west >= self.west
+            and south >= self.south
+            and east <= self.east
+            and north <= self.north
+        )
 
-    def contains(self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    def contains(
+        self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]
+    ) -> npt.NDArray[np.bool_]:
         """Return a mask of the positions (local counts) within the window: bool [n]."""
         if not self.closed:
             return np.ones(x.shape, np.bool_)

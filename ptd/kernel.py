@@ -1,12 +1,14 @@
 """Compiling numeric functions (kernels) with numba, and the folder where their machine code is kept.
 
-Kernels compile once per machine and version. The name of the folder contains a digest of the location and of all
-sources of the package. Without this digest, old code could be used after an upgrade: numba checks only the source file
-of a kernel, not the sources of the kernels that it calls.
+Kernels compile once per machine and version. The name of the folder contains a digest of the
+location and of all sources of the package. Without this digest, old code could be used after an
+upgrade: numba checks only the source file of a kernel, not the sources of the kernels that it
+calls.
 
-The folder is in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's cache folder, or in a folder of the user
-among the temporary files. If none of these can be written, each process compiles for itself. If one of them has code
-that only root can have written, such as code in a container image, the code is copied to the folder of the user.
+The folder is in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's cache folder, or in
+a folder of the user among the temporary files. If none of these can be written, each process
+compiles for itself. If one of them has code that only root can have written, such as code in a
+container image, the code is copied to the folder of the user.
 """
 
 import functools
@@ -26,8 +28,10 @@ from numba.core import config as numba_config
 
 __all__ = ["as_int64", "cache_folder", "compiled_count", "inlined", "kernel"]
 
-config: Any = numba_config  # The variables of this module are made at run time, so they have no types.
-# numba would read a file of settings in the current folder. A file next to the clouds must not change results.
+# The variables of this module are made at run time, so they have no types.
+config: Any = numba_config
+# numba would read a file of settings in the current folder. A file next to the clouds must not
+# change results.
 config._config_fname = os.devnull
 config.reload_config()
 
@@ -39,8 +43,8 @@ _Result = TypeVar("_Result")
 def cache_folder() -> Path | None:
     """Return the folder of the machine code of this version, or None if no folder can be written."""
     package = Path(__file__).resolve().parent
-    # numba separates installations by location. Without the location in the digest, a second installation would share
-    # this folder but could not use its code.
+    # numba separates installations by location. Without the location in the digest, a second
+    # installation would share this folder but could not use its code.
     digest = hashlib.blake2b(f"{numba.__version__} {package}".encode(), digest_size=8)
     for path in sorted(package.rglob("*.py")):
         digest.update(path.read_bytes())
@@ -48,8 +52,14 @@ def cache_folder() -> Path | None:
     user = "user"
     if hasattr(os, "getuid"):
         user = str(os.getuid())
-    parents = (os.environ.get("NUMBA_CACHE_DIR"), home, os.path.join(tempfile.gettempdir(), f"cache-{user}"))
-    folders = [Path(parent) / "tiler-kernels" / digest.hexdigest() for parent in parents if parent]
+    parents = (
+        os.environ.get("NUMBA_CACHE_DIR"),
+        home,
+        os.path.join(tempfile.gettempdir(), f"cache-{user}"),
+    )
+    folders = [
+        Path(parent) / "tiler-kernels" / digest.hexdigest() for parent in parents if parent
+    ]
     shared = [folder for folder in folders if _trusted(folder)]
     for folder in folders:
         if shared and not folder.exists():
@@ -77,7 +87,9 @@ def _trusted(path: Path) -> bool:
         stats = [part.stat() for part in (real, *real.parents)]
     except OSError:
         return False
-    return all(s.st_uid == _ROOT and not s.st_mode & (stat.S_IWGRP | stat.S_IWOTH) for s in stats)
+    return all(
+        s.st_uid == _ROOT and not s.st_mode & (stat.S_IWGRP | stat.S_IWOTH) for s in stats
+    )
 
 
 def _copy_cache(shared: Path, folder: Path) -> None:
@@ -108,8 +120,8 @@ def _usable(folder: Path) -> bool:
 def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
     """Compile `function` to machine code on its first call. The code is cached on disk and runs without the GIL.
 
-    Neither ``fastmath`` nor ``parallel`` is used, because sums and comparisons must give the same bits in each run.
-    Tiles run in parallel instead.
+    Neither ``fastmath`` nor ``parallel`` is used, because sums and comparisons must give the
+    same bits in each run. Tiles run in parallel instead.
 
     Parameters
     ----------
@@ -133,10 +145,12 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
 def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
     """Compile `function` as a kernel that is inlined where it is called.
 
-    It is for short kernels that are passed tables of arrays in inner loops. A normal call counts references to each
-    array of a table, which takes longer than the kernel itself.
+    It is for short kernels that are passed tables of arrays in inner loops. A normal call
+    counts references to each array of a table, which takes longer than the kernel itself.
     """
-    return cast(Callable[_Parameters, _Result], numba.njit(nogil=True, inline="always")(function))
+    return cast(
+        Callable[_Parameters, _Result], numba.njit(nogil=True, inline="always")(function)
+    )
 
 
 @kernel

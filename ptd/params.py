@@ -11,8 +11,8 @@ UNIT_SUFFIXES = ("_m", "_deg")
 DECIMALS = 6
 """Lengths in metres have at most this many decimals.
 
-The size of a cell is an exact fraction of counts. With more decimals, products with the terms of the fraction could
-exceed int64.
+The size of a cell is an exact fraction of counts. With more decimals, products with the terms
+of the fraction could exceed int64.
 """
 
 
@@ -25,7 +25,13 @@ def parameter(
     source: str = "",
 ) -> Any:
     """Return a dataclass field with help, closed range, unit and source in the literature."""
-    metadata = {"help": help, "unit": unit, "minimum": minimum, "maximum": maximum, "source": source}
+    metadata = {
+        "help": help,
+        "unit": unit,
+        "minimum": minimum,
+        "maximum": maximum,
+        "source": source,
+    }
     return field(default=default, metadata=metadata)
 
 
@@ -58,7 +64,9 @@ def check(params: Any) -> None:
         below = low is not None and not value >= low
         if below or (high is not None and not value <= high):
             unit = f" {spec.metadata['unit']}".rstrip()
-            raise ValueError(f"{spec.name} {value:g}: must be between {low:g} and {high:g}{unit}")
+            raise ValueError(
+                f"{spec.name} {value:g}: must be between {low:g} and {high:g}{unit}"
+            )
         if spec.metadata["unit"] == "m" and round(value, DECIMALS) != value:
             raise ValueError(
                 f"{spec.name} {value!r}: write at most {DECIMALS} decimals, as {round(value, DECIMALS)!r}"

@@ -24,13 +24,15 @@ UInt16 = npt.NDArray[np.uint16]
 State = Mapping[str, Any]
 """Results of the passes for the whole run, by name, as values that JSON can hold.
 
-The first state has only ``run``, which is a `RunHints` as a dict. ``notes`` is a list of lines on decisions from the
-data; `Pass.reduce` may add lines. ``places`` is the table of the figures of each place (`ptd.places`). The arguments of
-a task have only the part of the state that the window of the task needs (`Pass.local`).
+The first state has only ``run``, which is a `RunHints` as a dict. ``notes`` is a list of lines
+on decisions from the data; `Pass.reduce` may add lines. ``places`` is the table of the figures
+of each place (`ptd.places`). The arguments of a task have only the part of the state that the
+window of the task needs (`Pass.local`).
 """
 
 Partial = Mapping[str, Any]
-"""What the core of one window adds to the statistics of the run, as values that JSON can hold."""
+"""What the core of one window adds to the statistics of the run, as values that JSON can
+hold."""
 Stats = dict[str, Any]
 """Counts and rounds for the log, as values that JSON can hold."""
 
@@ -121,7 +123,8 @@ class Points:
             if column is None:
                 return None
             if isinstance(index, np.ndarray) and index.dtype.kind == "i":
-                return np.take(column, index, axis=-1)  # np.take is several times faster than indexing.
+                # np.take is several times faster than indexing.
+                return np.take(column, index, axis=-1)
             return np.ascontiguousarray(column[..., index])
 
         return Points(taken(self.xyz), taken(self.labels), taken(self.rgb), taken(self.returns))
@@ -152,9 +155,10 @@ class Model(ABC):
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Return labels (uint8 [n], below 128) of points of the window, and a mask of uncertified labels (bool [n]).
 
-        Labels of the last pass are ASPRS classes. The method defines the labels of earlier passes. If the pass gives no
-        labels, `label` is not called. With `Pass.label_margin_m`, other points follow the points to label, and the
-        labels of these other points are ignored.
+        Labels of the last pass are ASPRS classes. The method defines the labels of earlier
+        passes. If the pass gives no labels, `label` is not called. With `Pass.label_margin_m`,
+        other points follow the points to label, and the labels of these other points are
+        ignored.
         """
 
     def elect(self, bounds: Window) -> Int32:
@@ -163,9 +167,9 @@ class Model(ABC):
         `elect` is called only if `Pass.elects` is true, for parts of the core. The elected points and their order must
         depend only on the points of the cloud near them, not on the window or the bounds.
 
-        In a tiled run, the bounds are those of a bucket. A bucket can store at most as many elected points as it has
-        points. One elected point per cell always fits if no cell lies in two buckets, that is, if 8 m is a multiple of
-        the size of a cell.
+        In a tiled run, the bounds are those of a bucket. A bucket can store at most as many
+        elected points as it has points. One elected point per cell always fits if no cell lies
+        in two buckets, that is, if 8 m is a multiple of the size of a cell.
         """
         raise NotImplementedError("the pass elects no points")
 
@@ -262,14 +266,17 @@ class Pass(ABC):
     def applies(self, state: State) -> bool:
         """Return whether the pass is run, given the state after the earlier passes.
 
-        The result may depend on an earlier pass that only computes statistics, such as the survey. It must not depend
-        on any pass that gives labels or elects points, because such a pass needs to know which later passes apply. The
-        last pass that applies labels all points.
+        The result may depend on an earlier pass that only computes statistics, such as the
+        survey. It must not depend on any pass that gives labels or elects points, because such
+        a pass needs to know which later passes apply. The last pass that applies labels all
+        points.
         """
         return True
 
     @abstractmethod
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         """Make the model of a window from the points of the window, in any order.
 
         `Model.partial` counts only points of the core.
@@ -277,7 +284,9 @@ class Pass(ABC):
 
     def local(self, state: State, window: Window, scale: Scale) -> State:
         """Return the part of a state that `fit` needs for a window. Distant files do not change this part."""
-        part = {name: value for name, value in state.items() if name not in ("notes", places.PLACES)}
+        part = {
+            name: value for name, value in state.items() if name not in ("notes", places.PLACES)
+        }
         for name, keys in READ_NAMES.items():
             if name in part:
                 part[name] = {key: value for key, value in part[name].items() if key in keys}
@@ -301,7 +310,8 @@ def later_passes(passes: Sequence[Pass], number: int, state: State) -> list[Pass
 def read_at_candidates(later: Sequence[Pass]) -> bool:
     """Return whether there are later passes, and all of them read labels only at candidates.
 
-    Then only candidates are labelled, so `Model.label` of the later passes cannot use earlier labels of other points.
+    Then only candidates are labelled, so `Model.label` of the later passes cannot use earlier
+    labels of other points.
     """
     return bool(later) and not any(step.every_point for step in later)
 
@@ -320,7 +330,8 @@ class Method:
         - ``halo_m``: width of the halo that usually suffices.
         - ``align_m``: size of the lattice cells to which windows are widened.
         - ``margin_m``: width by which windows are widened further.
-        - ``candidate_cell_m``: size of the cells with one candidate each, or 0 if every point is a candidate.
+        - ``candidate_cell_m``: size of the cells with one candidate each, or 0 if every point
+          is a candidate.
     needs : tuple of str
         Columns that the method requires, such as ``rgb``.
     """

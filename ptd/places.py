@@ -1,10 +1,11 @@
 """Figures that differ from place to place, such as the noise of heights.
 
-A place is a square of 256 m, on a lattice anchored at coordinate 0 of the CRS. The state of a run contains a table
-under the name `PLACES`. The keys of the table are places as "column,row", and its values are the figures at the middles
-of the places. Between middles, a figure is interpolated bilinearly (`Field`). So the figure at a point depends only on
-the four middles around the point. The table of a country has a million entries. So a task is passed only the entries
-around its window (`near`).
+A place is a square of 256 m, on a lattice anchored at coordinate 0 of the CRS. The state of a
+run contains a table under the name `PLACES`. The keys of the table are places as "column,row",
+and its values are the figures at the middles of the places. Between middles, a figure is
+interpolated bilinearly (`Field`). So the figure at a point depends only on the four middles
+around the point. The table of a country has a million entries. So a task is passed only the
+entries around its window (`near`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from ptd.frame import OPEN, CellGrid, CellLattice, Scale, Window
 from ptd.kernel import as_int64, kernel
 
 PLACE_M = 256.0
-"""Size of a place in metres. A place has some hundred planar patches, and is no wider than a flight strip."""
+"""Size of a place in metres. A place has some hundred planar patches, and is no wider than a
+flight strip."""
 PLACES = "places"
 """Name of the table in the state of a run."""
 
@@ -80,12 +82,20 @@ class Field(NamedTuple):
 
     def times(self, factor: float) -> Field:
         """Return the figure multiplied by a positive factor, to convert its unit."""
-        return self._replace(values=factor * self.values, low=factor * self.low, high=factor * self.high)
+        return self._replace(
+            values=factor * self.values, low=factor * self.low, high=factor * self.high
+        )
 
 
 def everywhere(value: float) -> Field:
     """Return a figure that is the same everywhere."""
-    return Field(np.full((2, 2), float(value)), CellGrid(1, 1, 0, 0, 0, 0), True, float(value), float(value))
+    return Field(
+        np.full((2, 2), float(value)),
+        CellGrid(1, 1, 0, 0, 0, 0),
+        True,
+        float(value),
+        float(value),
+    )
 
 
 def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
@@ -128,10 +138,11 @@ def as_field(figure: float | Field) -> Field:
 def _between(position: int, p: int, q: int, first: int, n: int) -> tuple[int, float]:
     """Return the index of the last middle before a position, and the fraction of the way to the next middle, 0 to 1.
 
-    The position is in absolute counts. ``first`` is the number of the place with the index 0, and ``n`` is the number
-    of places.
+    The position is in absolute counts. ``first`` is the number of the place with the index 0,
+    and ``n`` is the number of places.
     """
-    # The distance from the middle of place 0, in units of 1 / (2 q) counts. In these units a place has the size 2 p.
+    # The distance from the middle of place 0, in units of 1 / (2 q) counts. In these units a
+    # place has the size 2 p.
     scaled = 2 * q * position - p
     place = scaled // (2 * p)
     index = place - first
@@ -152,7 +163,8 @@ def value_at(field: Field, x: int, y: int) -> float:
     p, q, origin_x, origin_y, first_column, first_row = field.grid
     i, v = _between(as_int64(y) + origin_y, p, q, first_row, rows)
     j, u = _between(as_int64(x) + origin_x, p, q, first_column, columns)
-    # This form of the interpolation returns exactly the same value if all four values are equal.
+    # This form of the interpolation returns exactly the same value if all four values are
+    # equal.
     lower = values[i, j] + u * (values[i, j + 1] - values[i, j])
     upper = values[i + 1, j] + u * (values[i + 1, j + 1] - values[i + 1, j])
     return float(lower + v * (upper - lower))

@@ -21,15 +21,15 @@ from ptd.kernel import cache_folder
 Float64 = npt.NDArray[np.float64]
 
 GARBAGE_OBJECTS = 100_000
-"""Garbage is collected after this many new objects. With Python's default of 700, collection takes a tenth of
-the compilation time."""
+"""Garbage is collected after this many new objects. With Python's default of 700, collection
+takes a tenth of the compilation time."""
 
 
 def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
     """Return a coloured town on which every method works: xyz [n, 3] in metres, rgb [n, 3].
 
-    It covers 60 m of a slope at 10 points/m2 with noise of 5 cm, with a mound, four houses with a facade each, trees,
-    and low outliers.
+    It covers 60 m of a slope at 10 points/m2 with noise of 5 cm, with a mound, four houses with
+    a facade each, trees, and low outliers.
     """
     random = np.random.default_rng(1)
     x, y = 60 * random.random((2, 36_000))
@@ -56,7 +56,9 @@ def has_kinds(method: str) -> bool:
     from ptd.methods import METHODS
     from ptd.passes import Pass
 
-    return any(type(step).applies is not Pass.applies for step in METHODS[method].params().passes)
+    return any(
+        type(step).applies is not Pass.applies for step in METHODS[method].params().passes
+    )
 
 
 def warm_filters(method: str, notify: Callable[[], None], kind: str | None = None) -> None:
@@ -77,20 +79,23 @@ def warm_filters(method: str, notify: Callable[[], None], kind: str | None = Non
     def run_passes(cloud_kind: str | None) -> None:
         xyz, rgb = _scene()
         counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
-        # Multiple returns show that the cloud is LiDAR. `RunHints` does not give the kind, so the passes that decide
-        # the kind are compiled as well.
+        # Multiple returns show that the cloud is LiDAR. `RunHints` does not give the kind, so
+        # the passes that decide the kind are compiled as well.
         returns = np.ones((2, len(xyz)), np.uint8)
         if cloud_kind == KINDS[0]:
             returns += 1
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
-        tile = Window(0, 0, 60_000, 60_000)  # With closed sides, kernels for certificates compile too.
+        # With closed sides, kernels for certificates compile too.
+        tile = Window(0, 0, 60_000, 60_000)
         do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunHints())
 
     kinds: tuple[str | None, ...] = (None,)
     if has_kinds(method):
         kinds = (kind,) if kind else KINDS
     for cloud_kind in kinds:
-        _once(filters_name(method, cloud_kind), notify, functools.partial(run_passes, cloud_kind))
+        _once(
+            filters_name(method, cloud_kind), notify, functools.partial(run_passes, cloud_kind)
+        )
 
 
 def filters_name(method: str, kind: str | None) -> str:
@@ -119,11 +124,15 @@ def why_not_compiled(name: str) -> str:
     if any(folder.glob("*.compiled")):
         return f"those of {name} have not been compiled here yet; each method and kind of cloud has its own"
     if any(other != folder for other in folder.parent.iterdir()):
-        return f"those in {folder.parent} are of another version or installation of tiler or numba"
+        return (
+            f"those in {folder.parent} are of another version or installation of tiler or numba"
+        )
     return f"the first run that keeps its machine code in {folder.parent}"
 
 
-def warm_gridding(interpolation: Literal["linear", "natural"], notify: Callable[[], None]) -> None:
+def warm_gridding(
+    interpolation: Literal["linear", "natural"], notify: Callable[[], None]
+) -> None:
     """Compile the kernels of gridding if necessary, after a call of ``notify``."""
     from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
     from ptd.tin import KnownWindow, Pixels, Tin, rasterise
@@ -133,7 +142,9 @@ def warm_gridding(interpolation: Literal["linear", "natural"], notify: Callable[
         xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
         tin = Tin.build(*xyz)
         window = KnownWindow(-1000, -1000, 61_000, 61_000)
-        rasterise(tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window)
+        rasterise(
+            tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window
+        )
         nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
         highest_returns.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
         wall_feet.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))

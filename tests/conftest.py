@@ -36,10 +36,17 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 # The same examples on every run, however slow the machine: what fails in CI fails at home.
 settings.register_profile(
-    "tests", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
+    "tests",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
 )
-# Other examples each time: `pytest --hypothesis-profile=explore`. What it finds becomes an `@example` of its test.
-settings.register_profile("explore", settings.get_profile("tests"), derandomize=False, print_blob=True)
+# Other examples each time: `pytest --hypothesis-profile=explore`. What it finds becomes an
+# `@example` of its test.
+settings.register_profile(
+    "explore", settings.get_profile("tests"), derandomize=False, print_blob=True
+)
 settings.load_profile("tests")
 
 
@@ -75,7 +82,8 @@ def shared_data() -> Path:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Order the tests, and let those that start processes run again once.
 
-    Kernels compile in one of the processes, while another does what needs none; all others find them compiled.
+    Kernels compile in one of the processes, while another does what needs none; all others find
+    them compiled.
     """
 
     def turn(item: pytest.Item) -> int:
@@ -99,5 +107,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Write the tests that failed where `.ci/run` asks for them, so that it can say how to repeat each."""
     if file := os.environ.get("CI_FAILED_TESTS"):
         stats = terminalreporter.stats
-        failed = {report.nodeid for report in [*stats.get("failed", ()), *stats.get("error", ())]}
+        failed = {
+            report.nodeid for report in [*stats.get("failed", ()), *stats.get("error", ())]
+        }
         Path(file).write_text("".join(f"{name}\n" for name in sorted(failed)), "utf-8")

@@ -37,7 +37,9 @@ def pins(path: str) -> dict[str, Version]:
 
 
 @pytest.mark.parametrize(
-    "requirement", [*REQUIREMENTS.values(), *CLOUD.values(), *DOCS.values()], ids=lambda r: r.name
+    "requirement",
+    [*REQUIREMENTS.values(), *CLOUD.values(), *DOCS.values()],
+    ids=lambda r: r.name,
 )
 def test_the_lower_bound_is_the_version_that_ci_tests(requirement: Requirement) -> None:
     (bound,) = requirement.specifier
@@ -52,14 +54,20 @@ def test_the_image_has_a_fixed_version_of_every_dependency() -> None:
     for name, requirement in REQUIREMENTS.items():
         assert locked[name] in requirement.specifier
     assert "tiler-dtm" not in locked
-    build = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"]["requires"]
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"][
+        "requires"
+    ]
     for requirement in map(Requirement, build):
         assert pins("docker/build.lock")[requirement.name] in requirement.specifier
 
 
 def instructions(name: str) -> list[str]:
     text = (ROOT / "docker/Dockerfile").read_text("utf-8").replace("\\\n", " ")
-    return [line.removeprefix(name).strip() for line in text.splitlines() if line.startswith(f"{name} ")]
+    return [
+        line.removeprefix(name).strip()
+        for line in text.splitlines()
+        if line.startswith(f"{name} ")
+    ]
 
 
 def test_image_and_smoke_test_run_the_same_scripts() -> None:
@@ -68,7 +76,9 @@ def test_image_and_smoke_test_run_the_same_scripts() -> None:
     assert [run for run in runs if "install.sh" in run] == ["docker/install.sh /opt/tiler"]
     assert "docker/install.sh " in smoke
     assert any(run.startswith("tiler-check") for run in runs)
-    assert "--from=build /src/docker/check.sh /opt/tiler/bin/tiler-check" in instructions("COPY")
+    assert "--from=build /src/docker/check.sh /opt/tiler/bin/tiler-check" in instructions(
+        "COPY"
+    )
     assert "docker/check.sh" in smoke
     assert not [run for run in runs if "pip" in run], "installing is install.sh's alone"
 
@@ -86,9 +96,19 @@ def test_smoke_test_takes_the_files_that_the_image_takes() -> None:
     taken = subprocess.run(
         ["sh", "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.split()
-    assert set(taken) == {"pyproject.toml", "README.md", "LICENSE", "tiler", "ptd", "cli", "docker"}
+    assert set(taken) == {
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "tiler",
+        "ptd",
+        "cli",
+        "docker",
+    }
     kept = {
-        line[1:] for line in (ROOT / ".dockerignore").read_text("utf-8").splitlines() if line.startswith("!")
+        line[1:]
+        for line in (ROOT / ".dockerignore").read_text("utf-8").splitlines()
+        if line.startswith("!")
     }
     assert kept == set(taken)
 
@@ -132,7 +152,9 @@ def test_the_conda_recipe_asks_for_the_same_versions() -> None:
     lazrs = f"lazrs-python >={pins('.ci/lowest.txt')['lazrs']}"  # the extra of laspy
     wanted = [f"{IN_CONDA.get(name, name)} {r.specifier}" for name, r in REQUIREMENTS.items()]
     assert sorted(RECIPE["requirements"]["run"]) == sorted([python, lazrs, *wanted])
-    build = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"]["requires"]
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"][
+        "requires"
+    ]
     backend = [f"{r.name} {r.specifier}" for r in map(Requirement, build)]
     assert sorted(RECIPE["requirements"]["host"]) == sorted([python, "pip", *backend])
 
@@ -145,7 +167,10 @@ def test_the_conda_recipe_makes_one_package_for_all_systems_with_the_same_comman
     about = RECIPE["about"]
     assert (about["summary"], about["license"]) == (PROJECT["description"], PROJECT["license"])
     assert (ROOT / about["license_file"]).is_file()
-    assert (about.get("homepage"), about.get("repository")) == (URLS.get("Homepage"), URLS.get("Repository"))
+    assert (about.get("homepage"), about.get("repository")) == (
+        URLS.get("Homepage"),
+        URLS.get("Repository"),
+    )
 
 
 def test_the_citation_is_of_this_version() -> None:
@@ -161,5 +186,7 @@ def test_the_citation_is_of_this_version() -> None:
 def test_ci_tries_each_python_that_the_classifiers_name() -> None:
     script = (ROOT / ".ci/run").read_text("utf-8")
     (others,) = re.findall(r"^ *for version in (.*); do$", script, re.MULTILINE)
-    named = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if re.search(r"Python :: 3\.", c)]
+    named = [
+        c.rpartition(" ")[2] for c in PROJECT["classifiers"] if re.search(r"Python :: 3\.", c)
+    ]
     assert named == [PROJECT["requires-python"].removeprefix(">="), *others.split()]

@@ -8,13 +8,15 @@ from collections.abc import Callable
 from typing import Any
 
 PATIENCE_SECONDS = 250.0
-"""Longest wait of a test: enough for a loaded machine that compiles the kernels, less than the `timeout` of
-a test, so that the test itself says what did not come."""
+"""Longest wait of a test: enough for a loaded machine that compiles the kernels, less than the
+`timeout` of a test, so that the test itself says what did not come."""
 
 _PAUSE_SECONDS = 0.005
 
 
-def wait_until(condition: Callable[[], object], process: subprocess.Popen[Any] | None = None) -> None:
+def wait_until(
+    condition: Callable[[], object], process: subprocess.Popen[Any] | None = None
+) -> None:
     """Wait until a condition holds.
 
     Parameters
@@ -31,6 +33,8 @@ def wait_until(condition: Callable[[], object], process: subprocess.Popen[Any] |
         if condition():
             return
         if process is not None and ended is not None:
-            raise AssertionError(f"the process ended with {ended} before: {process.communicate()}")
+            raise AssertionError(
+                f"the process ended with {ended} before: {process.communicate()}"
+            )
         assert time.monotonic() - began < PATIENCE_SECONDS, "it never came"
         time.sleep(_PAUSE_SECONDS)

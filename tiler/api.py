@@ -51,13 +51,14 @@ __all__ = [
 
 PathLike: TypeAlias = str | Path
 Settings: TypeAlias = RunConfig | Mapping[str, Any]
-"""Settings of a run, by the names of ``tiler config --template``: ``{"resolution": "50cm", "products": ["dtm"]}``."""
+"""Settings of a run, by the names of ``tiler config --template``: ``{"resolution": "50cm",
+"products": ["dtm"]}``."""
 TellProgress: TypeAlias = Callable[[Progress], object]
 ShowProgress: TypeAlias = TellProgress | bool | None
 """Function that receives each `Progress`, or a choice of display.
 
-True shows bars in a terminal or a notebook, and lines elsewhere. False shows nothing. None shows a bar only in a
-notebook."""
+True shows bars in a terminal or a notebook, and lines elsewhere. False shows nothing. None
+shows a bar only in a notebook."""
 
 _logger = logging.getLogger("tiler")
 _logger.addHandler(logging.NullHandler())  # Without a handler, Python would print warnings.
@@ -117,7 +118,11 @@ def run(
     """
     with _listening(progress) as listener:
         return run_job(
-            _texts("inputs", inputs), _text("out", out), _settings(config, settings), listener, until=until
+            _texts("inputs", inputs),
+            _text("out", out),
+            _settings(config, settings),
+            listener,
+            until=until,
         )
 
 
@@ -385,4 +390,7 @@ def _listening(progress: ShowProgress) -> Iterator[Listener]:
 
 def _log(progress: Progress) -> None:
     if progress["message"] is not None:
-        _logger.log(logging.WARNING if progress["level"] == "warning" else logging.INFO, progress["message"])
+        _logger.log(
+            logging.WARNING if progress["level"] == "warning" else logging.INFO,
+            progress["message"],
+        )

@@ -23,11 +23,15 @@ class TilerError(Exception):
 
     exit_code = 4
     again = False
-    """Whether a task that ended with this error may be retried, since the cause may be temporary."""
+    """Whether a task that ended with this error may be retried, since the cause may be
+    temporary."""
 
     def __init__(self, *parts: object) -> None:
-        # Messages contain URLs, and are sent to terminals, files and other machines. So secrets are removed here.
-        super().__init__(*(without_secrets(part) if isinstance(part, str) else part for part in parts))
+        # Messages contain URLs, and are sent to terminals, files and other machines. So secrets
+        # are removed here.
+        super().__init__(
+            *(without_secrets(part) if isinstance(part, str) else part for part in parts)
+        )
 
 
 def exit_code_of(error: BaseException) -> int:

@@ -9,7 +9,8 @@ _HOME = os.path.realpath(os.path.join(os.path.dirname(__file__), os.pardir))
 """Folder from which tiler itself was imported."""
 
 _SCRATCH = "dask-scratch-space"
-"""Prefix of the names of Dask's scratch folders, which by default are in a folder that all users share."""
+"""Prefix of the names of Dask's scratch folders, which by default are in a folder that all
+users share."""
 
 
 def without_scratch(entries: list[str]) -> list[str]:
@@ -27,7 +28,8 @@ def trusted_path() -> list[str]:
     entries = without_scratch(sys.path)
     try:
         here = os.getcwd()
-    except FileNotFoundError:  # The current folder was removed, so nothing can be imported from it.
+    # The current folder was removed, so nothing can be imported from it.
+    except FileNotFoundError:
         return [entry for entry in entries if os.path.isabs(entry)]
     real = os.path.realpath(here)
     found = [os.path.join(here, entry) for entry in entries if entry]

@@ -22,7 +22,15 @@ from tiler.ingest.tasks.fingerprints import register_sources
 from tiler.inputs import SourceInfo
 from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.overwrite_check import check_names
-from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_facts, earlier_outputs, local_folder
+from tiler.io.result_folder import (
+    EVENTS,
+    REPORT,
+    RUN,
+    STORE,
+    earlier_facts,
+    earlier_outputs,
+    local_folder,
+)
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import (
     ExpectedStage,
@@ -57,7 +65,8 @@ from tiler.store import (
 STAGES = ("ingest", "filter", "grid", "export")
 
 
-@fork_server_running()  # Children that read headers and children that do tasks share the imports.
+# Children that read headers and children that do tasks share the imports.
+@fork_server_running()
 def run(
     inputs: Sequence[str],
     out: str | Path,
@@ -95,7 +104,8 @@ def run(
         import_dask()  # The import runs while the headers are read.
     plan = make_plan(inputs, config, products, known)
     with _opened(plan, inputs, out, products, listener) as job:
-        plan = job.plan  # Stages replace the plan of the job when they decide what it leaves open.
+        # Stages replace the plan of the job when they decide what it leaves open.
+        plan = job.plan
         _tell(job, until)
         try:
             _repaired(job, partial(_stages, job, until))
@@ -108,7 +118,9 @@ def run(
         result = _finished(job, plan, until, started)
         url = job.store.url
         if config.clean_store and until == "export" and (left := remove_store(url)):
-            listener(Note(f"{url}: the store was deleted; other files stay there: {', '.join(left)}"))
+            listener(
+                Note(f"{url}: the store was deleted; other files stay there: {', '.join(left)}")
+            )
     return result
 
 
@@ -123,7 +135,9 @@ def _check(config: RunConfig, products: str, until: str) -> None:
 
 
 @contextmanager
-def _opened(plan: Plan, inputs: Sequence[str], out: Path, products: str, listener: Listener) -> Iterator[Job]:
+def _opened(
+    plan: Plan, inputs: Sequence[str], out: Path, products: str, listener: Listener
+) -> Iterator[Job]:
     """Yield the job of a plan, with its folder, its store, and the locks of both."""
     _make_folder(out)
     if not is_url(products):
@@ -148,7 +162,8 @@ def _held(out: Path, products: str, url: str) -> Iterator[tuple[Lease, ...]]:
     """Hold the locks of OUT and of the store, since two runs on the same OUT may have different stores."""
     with ExitStack() as held:
         folders = [
-            held.enter_context(locked_folder(p)) for p in dict.fromkeys((str(out.resolve()), products))
+            held.enter_context(locked_folder(p))
+            for p in dict.fromkeys((str(out.resolve()), products))
         ]
         yield (*folders, held.enter_context(held_store(url)))
 
@@ -177,7 +192,8 @@ def _tell(job: Job, until: str) -> None:
     for text in plan.notes:
         listener(Note(text))
     left_out = [
-        f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.inputs.left_out
+        f"{path}: left out: {error.removeprefix(f'{path}: ')}"
+        for path, error in plan.inputs.left_out
     ]
     for text in (*left_out, *plan.warnings):
         listener(Warned(text))
@@ -195,9 +211,12 @@ def _tell(job: Job, until: str) -> None:
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
-    seconds = stage_seconds(plan, [raster.stage for raster in required_rasters(plan.config)], until)
+    seconds = stage_seconds(
+        plan, [raster.stage for raster in required_rasters(plan.config)], until
+    )
     stages = [
-        ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()
+        ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3))
+        for s, t in seconds.items()
     ]
     listener(JobStarted(stages))
 
@@ -210,7 +229,8 @@ def _record_failure(job: Job, error: BaseException) -> None:
     try:
         job.save(state)
     except ProcessingError:
-        # A full disk prevents this write, too. The error that ended the run is raised by the caller.
+        # A full disk prevents this write, too. The error that ended the run is raised by the
+        # caller.
         record_end(job.out, state, code)
 
 
@@ -226,7 +246,11 @@ def _finished(job: Job, plan: Plan, until: str, started: float) -> RunResult:
     summary = _report(job)
     job.listener(RunFinished(job.results.seconds))
     return RunResult(
-        job.record.exit_code, summary, job.record.computed == 0, without_secrets(job.products), plan
+        job.record.exit_code,
+        summary,
+        job.record.computed == 0,
+        without_secrets(job.products),
+        plan,
     )
 
 
@@ -237,7 +261,9 @@ def _report(job: Job) -> dict[str, Any]:
     try:
         write_report(job.out, summary, job.products)
     except Exception as error:  # noqa: BLE001 - The results exist after any error of the report.
-        text = f"{REPORT} could not be drawn: {error}; run `tiler report {job.out}` to try again"
+        text = (
+            f"{REPORT} could not be drawn: {error}; run `tiler report {job.out}` to try again"
+        )
         job.listener(Warned(text))
         job.record.notes.append(text)
         job.results.report = None
@@ -249,7 +275,9 @@ def _repaired(job: Job, stages: Callable[[], None]) -> None:
     """Run the stages. If objects of the store are damaged, repair it and run the stages again."""
     for number in range(ROUNDS + 1):
         job.record.failed = []
-        job.record.quarantined = [LeftOut(path, error) for path, error in job.plan.inputs.left_out]
+        job.record.quarantined = [
+            LeftOut(path, error) for path, error in job.plan.inputs.left_out
+        ]
         try:
             stages()
             return
@@ -293,6 +321,8 @@ def _make_folder(out: Path) -> None:
 def _with_store(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     """Return the plan and its store. The lattices and decisions of an existing store replace those of the plan."""
     if plan.config.overwrite or not store_exists(url):
-        return plan, create_store(url, plan.grid.meta, settled(plan), anew=plan.config.overwrite)
+        return plan, create_store(
+            url, plan.grid.meta, settled(plan), anew=plan.config.overwrite
+        )
     store = open_store(url)
     return settled_by(plan, store), store

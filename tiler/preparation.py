@@ -1,6 +1,7 @@
 """Preparation of the server of forks, which imports the workers' modules while this process imports its own.
 
-The functions contain the imports, since the server calls them by name and importing this module must be fast.
+The functions contain the imports, since the server calls them by name and importing this module
+must be fast.
 """
 
 from __future__ import annotations
@@ -63,5 +64,7 @@ def prepare_workers(config: RunConfig, products: str) -> bool:
     store = config.store or joined(products, STORE)
     if config.in_process or is_url(store) or os.path.exists(store):
         return False
-    prepare_children(import_reading, import_stages, import_method, load_kernels, import_libraries)
+    prepare_children(
+        import_reading, import_stages, import_method, load_kernels, import_libraries
+    )
     return True

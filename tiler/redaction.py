@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 _USERINFO = re.compile(
-    # This finds user and password of `ftp://anna:secret@host`. If the password contains an unescaped / ? # or @, the
-    # text after the colon is not a port. `Path` keeps one of the two slashes. In Azure's
-    # `abfs://container@account/path`, the text before the @ is a container and stays.
+    # This finds user and password of `ftp://anna:secret@host`. If the password contains an
+    # unescaped / ? # or @, the text after the colon is not a port. `Path` keeps one of the two
+    # slashes. In Azure's `abfs://container@account/path`, the text before the @ is a container
+    # and stays.
     r"""(?i)(\b(?!(?:abfs|wasb)s?:/+[^\s"'<>/:@]*@)[a-z][a-z0-9+.-]*:/{1,2})(?:[^\s"'<>/?#]*@|[^\s"'<>/?#@:[\]]*:(?!\d*(?:[/?#\s"'<>]|$))[^\s"'<>]*@)"""
 )
 _QUERY = re.compile(r"""(:/{1,2}[^\s"'<>?]*)\?[^\s"'<>]*[^\s"'<>:;,.)\]}\\]""")

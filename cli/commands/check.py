@@ -13,7 +13,17 @@ from cli.output import print_json, print_table, write_line
 from cli.session import TilerCommand
 
 FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
-HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "largest", "outliers")
+HEADINGS = (
+    "",
+    "points",
+    "RMSEV",
+    "mean",
+    "median",
+    "NMAD",
+    "95 % within",
+    "largest",
+    "outliers",
+)
 
 
 @click.command("check", cls=TilerCommand)
@@ -70,10 +80,11 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 def command(dtm: str, as_json: bool, **options: Any) -> int:
     """Measure accuracy, seams and strip alignment of a DTM.
 
-    A difference is the height of the DTM, interpolated bilinearly between pixel centres, minus the height of the
-    checkpoint. In the ASPRS standards, Edition 2, accuracy is the RMSE of the non-vegetated checkpoints (NVA) including
-    the error of the checkpoints themselves. A statement of accuracy needs at least 30 of these checkpoints. The RMSE of
-    vegetated checkpoints (VVA) is reported, but has no limit.
+    A difference is the height of the DTM, interpolated bilinearly between pixel centres, minus
+    the height of the checkpoint. In the ASPRS standards, Edition 2, accuracy is the RMSE of the
+    non-vegetated checkpoints (NVA) including the error of the checkpoints themselves. A
+    statement of accuracy needs at least 30 of these checkpoints. The RMSE of vegetated
+    checkpoints (VVA) is reported, but has no limit.
     """
     from tiler.api import check
 
@@ -96,9 +107,15 @@ def _print_report(report: Mapping[str, Any]) -> None:
 
     for requirement in report["requirements"]:
         unit = " m" if METRICS[requirement["name"]].is_length else ""
-        value = "not measured" if requirement["value"] is None else f"{requirement['value']:.4g}{unit}"
+        value = (
+            "not measured"
+            if requirement["value"] is None
+            else f"{requirement['value']:.4g}{unit}"
+        )
         state = "met" if requirement["met"] else "NOT met"
-        write_line(f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}")
+        write_line(
+            f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}"
+        )
     for path in report["figures"]:
         write_line(f"drawn   {path}")
 
@@ -135,7 +152,11 @@ def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
 def _print_seams(seams: Mapping[str, Any]) -> None:
     keys = ("mean_step", "largest_step", "mean_jump", "largest_jump")
     rows = [
-        (name.replace("_", " "), f"{seams[name]['pairs']:,}", *(_number(seams[name][key]) for key in keys))
+        (
+            name.replace("_", " "),
+            f"{seams[name]['pairs']:,}",
+            *(_number(seams[name][key]) for key in keys),
+        )
         for name in ("tiles", "beside_tiles", "blocks", "beside_blocks", "interior")
         if name in seams
     ]

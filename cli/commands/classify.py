@@ -46,12 +46,13 @@ NOT_PRINTED = ("parameters", "failed_tasks", "quarantined")
 def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any) -> int:
     """Classify the points of one file or of many, without a store.
 
-    If IN is one file, OUT.laz (or OUT.las) gets its points in the same order, with new classes. OUT.copc.laz gets them
-    in spatial order. If IN is several files, a folder or a glob, OUT is a folder and gets a LAZ file for each. Each
-    file is classified together with the points of its neighbours, so no file border is visible in the classes. Only
-    ground and low noise get new classes, unless --reclass all is given. A single file does not need a CRS: without one,
-    its coordinates are in metres, or in the unit of --units. If a tile fails, its points keep the classes of IN, the
-    output lists the tile, and the exit code is 5.
+    If IN is one file, OUT.laz (or OUT.las) gets its points in the same order, with new classes.
+    OUT.copc.laz gets them in spatial order. If IN is several files, a folder or a glob, OUT is
+    a folder and gets a LAZ file for each. Each file is classified together with the points of
+    its neighbours, so no file border is visible in the classes. Only ground and low noise get
+    new classes, unless --reclass all is given. A single file does not need a CRS: without one,
+    its coordinates are in metres, or in the unit of --units. If a tile fails, its points keep
+    the classes of IN, the output lists the tile, and the exit code is 5.
     """
     config = read_config(settings)
     from tiler.apps.classify import classify_file, classify_files, is_one_file

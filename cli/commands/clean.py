@@ -23,9 +23,10 @@ from cli.session import TilerCommand
 def command(out: str, store: str | None, as_json: bool) -> None:
     """Delete temporary data that later runs do not need.
 
-    Removes scratch files of killed runs, decoded points that the store also contains in sorted form, and outdated
-    indices. Afterwards the same `tiler run` still has nothing to do. If you add a file, a run decodes the files that
-    overlap it once more. `tiler run --clean-store` removes the whole store.
+    Removes scratch files of killed runs, decoded points that the store also contains in sorted
+    form, and outdated indices. Afterwards the same `tiler run` still has nothing to do. If you
+    add a file, a run decodes the files that overlap it once more. `tiler run --clean-store`
+    removes the whole store.
     """
     from tiler.apps.clean import clean
 
@@ -33,5 +34,7 @@ def command(out: str, store: str | None, as_json: bool) -> None:
     if as_json:
         print_json(asdict(cleaned))
         return
-    write_line(f"removed  {cleaned.removed_objects} objects, {cleaned.removed_bytes / 1e6:,.1f} MB")
+    write_line(
+        f"removed  {cleaned.removed_objects} objects, {cleaned.removed_bytes / 1e6:,.1f} MB"
+    )
     write_line(f"store    {cleaned.store_bytes / 1e6:,.1f} MB")

@@ -15,21 +15,24 @@ from tiler.config.presets import preset_text
 from tiler.errors import ConfigError
 from tiler.redaction import without_secrets
 
-HEAD = (
-    "# Settings of tiler for --config; options override them. A setting that is commented out has no value."
-)
+HEAD = "# Settings of tiler for --config; options override them. A setting that is commented out has no value."
 LAST = "parameters"  # a table, which must follow the plain values in TOML
 
 
 @click.command("config", cls=TilerCommand)
-@click.option("--template", is_flag=True, help="print all settings with help, unit and default [default: no]")
+@click.option(
+    "--template",
+    is_flag=True,
+    help="print all settings with help, unit and default [default: no]",
+)
 @config_options()
 def command(template: bool, **settings: Any) -> None:
     """Print the effective settings or a commented template.
 
-    Prints as TOML the settings that a command with the same options (and --config FILE.toml) would use, with every
-    parameter of the method. With --template it prints all settings and their meaning. With --preset NAME it prints the
-    file of the preset first. Options override --config, --config overrides --preset, --preset overrides the defaults.
+    Prints as TOML the settings that a command with the same options (and --config FILE.toml)
+    would use, with every parameter of the method. With --template it prints all settings and
+    their meaning. With --preset NAME it prints the file of the preset first. Options override
+    --config, --config overrides --preset, --preset overrides the defaults.
     """
     config = read_config(settings)
     if config.store is not None and config.store != without_secrets(config.store):
@@ -40,7 +43,11 @@ def command(template: bool, **settings: Any) -> None:
     lines = [HEAD]
     if name := config.preset:
         head = f"# The values of the preset {name} apply below, unless another setting overrides them. The preset:"
-        lines += ["#", head, *(f"#   {line}".rstrip() for line in preset_text(name).splitlines())]
+        lines += [
+            "#",
+            head,
+            *(f"#   {line}".rstrip() for line in preset_text(name).splitlines()),
+        ]
     lines.append("")
     for name in (n for n in SETTINGS if n != LAST):
         if template:
@@ -67,7 +74,9 @@ def toml_line(name: str, value: Any) -> str:
 def _parameter_lines(config: RunConfig, template: bool) -> list[str]:
     """Return the lines of the table with the effective value of each parameter of the method."""
     lines = (
-        [f"# parameters of the method {config.method}; `tiler methods` explains them"] if template else [""]
+        [f"# parameters of the method {config.method}; `tiler methods` explains them"]
+        if template
+        else [""]
     )
     lines.append("[parameters]")
     if config.method == "keep":
@@ -82,7 +91,8 @@ def _parameter_lines(config: RunConfig, template: bool) -> list[str]:
         if template:
             unit = f" [unit: {spec.metadata['unit']}]" if spec.metadata["unit"] else ""
             lines.append(f"# {spec.metadata['help']}{unit}")
-        # The template must not fix parameters for which a newer version or another method has other values.
+        # The template must not fix parameters for which a newer version or another method has
+        # other values.
         mark = "# " if template else ""
         lines.append(mark + toml_line(spec.name, getattr(params, spec.name)))
     return lines

@@ -47,8 +47,8 @@ SETTINGS = (
 def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     """Simulate a small city, run all stages on it, and score the result.
 
-    Writes the clouds of the city with reference classes and terrain to OUT/input, and the results of `tiler run` to
-    OUT. Prints the errors of the classes and of the DTM.
+    Writes the clouds of the city with reference classes and terrain to OUT/input, and the
+    results of `tiler run` to OUT. Prints the errors of the classes and of the DTM.
     """
     config = read_config(settings)
     from tiler.apps.demo import run_demo
@@ -59,6 +59,9 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     if as_json:
         print_json(asdict(result))
     elif not session.quiet:
-        for line in (*summary_lines(result.summary, out), *score_lines(result.classes, result.dtm)):
+        for line in (
+            *summary_lines(result.summary, out),
+            *score_lines(result.classes, result.dtm),
+        ):
             write_line(line)
     return result.exit_code

@@ -16,7 +16,17 @@ from tiler.config.parsing import parse_classes
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 
-SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo", "memory", "workers")
+SETTINGS = (
+    "method",
+    "parameters",
+    "sigma",
+    "kind",
+    "units",
+    "tile_size",
+    "halo",
+    "memory",
+    "workers",
+)
 
 
 @click.command("evaluate", cls=TilerCommand, progress=True)
@@ -42,7 +52,12 @@ SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo
     metavar="FOLDER",
     help="write a map of the errors of each cloud as GeoTIFF and PNG [default: none]",
 )
-@click.option("--map-cell", default="1", metavar="LENGTH", help="cell size of the maps [unit: m; default: 1]")
+@click.option(
+    "--map-cell",
+    default="1",
+    metavar="LENGTH",
+    help="cell size of the maps [unit: m; default: 1]",
+)
 @click.option("--dtm", type=click.Path(), metavar="DTM", help="DTM to score [default: none]")
 @click.option(
     "--true-dtm",
@@ -79,12 +94,13 @@ def command(
 ) -> None:
     """Score classes or a DTM against reference data.
 
-    Class 2 is ground, every other class is not. The type I error is the share of ground points that were lost, type II
-    the share of other points that were classified as ground, and total the share of all wrong points. Kappa is Cohen's
-    kappa. With --method, the classes of each CLOUD are the reference: the cloud is filtered without them and scored
-    against them. If a cloud already had classes of noise or water when it was filtered, and `--keep-classes none` was
-    not given, its score is too good. Clouds and references are paired by name, or by order if you give as many clouds
-    as references.
+    Class 2 is ground, every other class is not. The type I error is the share of ground points
+    that were lost, type II the share of other points that were classified as ground, and total
+    the share of all wrong points. Kappa is Cohen's kappa. With --method, the classes of each
+    CLOUD are the reference: the cloud is filtered without them and scored against them. If a
+    cloud already had classes of noise or water when it was filtered, and `--keep-classes none`
+    was not given, its score is too good. Clouds and references are paired by name, or by order
+    if you give as many clouds as references.
     """
     if (dtm is None) != (true_dtm is None):
         raise click.UsageError("--dtm and --true-dtm need each other; give both")
@@ -107,7 +123,9 @@ def command(
         scenes = evaluate.find_scenes(clouds, references or clouds) if clouds else []
         read = [path for scene in scenes for path in (scene.cloud, scene.reference)]
         rasters = [raster for raster in (dtm, true_dtm, dtm_sigma) if raster is not None]
-        evaluate.validate_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
+        evaluate.validate_targets(
+            difference, maps, [scene.name for scene in scenes], read, rasters
+        )
     scores: Mapping[str, Any] = {}
     if clouds:
         cell = parse_length(map_cell)
@@ -120,11 +138,18 @@ def command(
                 scores = evaluate.evaluate_scenes(pairs, ignored, request, listener)
             else:
                 config = read_config(settings)
-                scores = evaluate.filter_and_evaluate(clouds, config, ignored, request, listener)
+                scores = evaluate.filter_and_evaluate(
+                    clouds, config, ignored, request, listener
+                )
     if dtm is not None and true_dtm is not None:
         both, sigma = (Path(dtm), Path(true_dtm)), dtm_sigma or evaluate.sigma_beside(dtm)
         dtm_scores = call_isolated(
-            evaluate.evaluate_dtm, *both, difference, sigma, paths=both, memory_bytes=half_of_memory()
+            evaluate.evaluate_dtm,
+            *both,
+            difference,
+            sigma,
+            paths=both,
+            memory_bytes=half_of_memory(),
         )
         scores = {**scores, "dtm": dtm_scores}
     if as_json:
@@ -145,11 +170,16 @@ def _print_scores(scores: Mapping[str, Any]) -> None:
         (code, f"{c['points']:,}", f"{c['labelled_ground']:,}", percent_text(c["error"]))
         for code, c in scores["classes"].items()
     ]
-    print_table("by reference class", ("class", "points", "classified as ground", "error"), rows)
+    print_table(
+        "by reference class", ("class", "points", "classified as ground", "error"), rows
+    )
     scenes = scores["scenes"]
     if len(scenes) > 1:
         names = ("type_1", "type_2", "total", "kappa", "f1")
-        lines = [(s["name"], f"{s['points']:,}", *(percent_text(s[n]) for n in names)) for s in scenes]
+        lines = [
+            (s["name"], f"{s['points']:,}", *(percent_text(s[n]) for n in names))
+            for s in scenes
+        ]
         lines.append(("mean", "", *(percent_text(scores["mean"][n]) for n in names)))
         columns = ("scene", "points", "type I", "type II", "total", "kappa", "F1")
         print_table("by scene", columns, lines)

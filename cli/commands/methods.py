@@ -32,7 +32,10 @@ def command(name: str | None, as_json: bool) -> None:
     chosen = {n: m for n, m in METHODS.items() if name in (None, n)}
     if as_json:
         print_json(
-            {n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in chosen.items()}
+            {
+                n: {"summary": m.summary, "parameters": parameter_facts(m.params)}
+                for n, m in chosen.items()
+            }
         )
         return
     for n, method in chosen.items():
@@ -52,7 +55,9 @@ def command(name: str | None, as_json: bool) -> None:
 
 def parameter_facts(params: Any) -> list[dict[str, Any]]:
     """Return name, default and metadata of each field of a parameter dataclass."""
-    return [{"name": f.name, "default": f.default, **f.metadata} for f in dataclasses.fields(params)]
+    return [
+        {"name": f.name, "default": f.default, **f.metadata} for f in dataclasses.fields(params)
+    ]
 
 
 def _text(value: Any) -> str:

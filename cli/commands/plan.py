@@ -24,11 +24,12 @@ from cli.session import TilerCommand
 def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings: Any) -> None:
     """Show what a run would do and which resources it needs.
 
-    Prints the points, tiles, memory, disk space and time of `tiler run` with the same INPUT and options. It reads the
-    headers of the files and a few thousand points of each, and writes nothing. If a run would end with an error before
-    its first stage, the plan ends with the same error. With --scheduler it also checks the versions and memory of the
-    workers and their access to INPUT. With -o or --store it then checks whether they can write there: they write an
-    empty file, which is removed at once.
+    Prints the points, tiles, memory, disk space and time of `tiler run` with the same INPUT and
+    options. It reads the headers of the files and a few thousand points of each, and writes
+    nothing. If a run would end with an error before its first stage, the plan ends with the
+    same error. With --scheduler it also checks the versions and memory of the workers and their
+    access to INPUT. With -o or --store it then checks whether they can write there: they write
+    an empty file, which is removed at once.
     """
     config = read_config(settings)
     from tiler.io.locations import joined
@@ -43,7 +44,9 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
         store = config.store or (None if out is None else joined(out, STORE))
         plan, cluster = look_at_cluster(plan, store, out)
     if as_json:
-        print_json(plan_json(plan) | ({} if cluster is None else {"cluster": cluster.to_json()}))
+        print_json(
+            plan_json(plan) | ({} if cluster is None else {"cluster": cluster.to_json()})
+        )
         return
     for line in plan_lines(plan):
         write_line(line)

@@ -45,13 +45,19 @@ WITHOUT = (
 @config_options(only=[name for name in SETTINGS if name not in WITHOUT])
 @json_option
 def command(
-    inputs: tuple[str, ...], out: str, windows: int, size: str | None, as_json: bool, **settings: Any
+    inputs: tuple[str, ...],
+    out: str,
+    windows: int,
+    size: str | None,
+    as_json: bool,
+    **settings: Any,
 ) -> int:
     """Draw a quick preview of the terrain for these settings.
 
-    Processes a few windows of the clouds at full density as `tiler run` would with these settings. The picture has a
-    column per window, with hillshades of the surface (above) and of the terrain (below). It shows which objects stay in
-    the terrain, and which parts of the ground are missing.
+    Processes a few windows of the clouds at full density as `tiler run` would with these
+    settings. The picture has a column per window, with hillshades of the surface (above) and of
+    the terrain (below). It shows which objects stay in the terrain, and which parts of the
+    ground are missing.
     """
     config = read_config(settings)
     from tiler.apps.preview import make_preview
@@ -65,7 +71,12 @@ def command(
     with shown_progress() as listener:
         drawn_windows = make_preview(inputs, out, config, listener, number=windows, side_m=side)
     if as_json:
-        print_json({"picture": out, "windows": [dataclasses.asdict(window) for window in drawn_windows]})
+        print_json(
+            {
+                "picture": out,
+                "windows": [dataclasses.asdict(window) for window in drawn_windows],
+            }
+        )
     elif not session.quiet:
         write_line(f"{out}: surface above, terrain below; from left to right:")
         for window in drawn_windows:

@@ -17,7 +17,8 @@ from cli.session import TilerCommand
 def command(context: click.Context) -> int:
     """Install the QGIS plugin, or write it as an archive.
 
-    The plugin adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview, Classify, Check, Apply edits.
+    The plugin adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview,
+    Classify, Check, Apply edits.
     """
     if context.invoked_subcommand is None:
         for line in context.get_help().splitlines():
@@ -36,9 +37,9 @@ def command(context: click.Context) -> int:
 def install(profile: str) -> None:
     """Put the plugin into a profile of QGIS.
 
-    Replaces an earlier version of the plugin. If another folder has its name, the command ends with an error and does
-    not change that folder. The plugin gets the path of this command and a list of its settings. Run this command again
-    after an update of tiler.
+    Replaces an earlier version of the plugin. If another folder has its name, the command ends
+    with an error and does not change that folder. The plugin gets the path of this command and
+    a list of its settings. Run this command again after an update of tiler.
     """
     folder = installation.install(profile)
     write_line(f"installed  {folder}")
@@ -46,7 +47,9 @@ def install(profile: str) -> None:
         "next       start QGIS and tick tiler under Plugins > Manage and Install Plugins > Installed, or, for scripts:"
     )
     write_line("           qgis_process plugins enable tiler_qgis")
-    write_line("remove     with Uninstall Plugin in the same window, or by deleting that folder")
+    write_line(
+        "remove     with Uninstall Plugin in the same window, or by deleting that folder"
+    )
 
 
 @command.command("package", cls=TilerCommand)
@@ -59,8 +62,11 @@ def install(profile: str) -> None:
 def package(target: Path, upload: bool) -> None:
     """Write the plugin as an archive.
 
-    QGIS installs it under Plugins > Manage and Install Plugins > Install from ZIP. This plugin looks for tiler in
-    PATH, unless the path is set under Settings > Options > Processing > Providers > tiler.
+    QGIS installs it under Plugins > Manage and Install Plugins > Install from ZIP. This plugin
+    looks for tiler in PATH, unless the path is set under Settings > Options > Processing >
+    Providers > tiler.
     """
     installation.package(target, upload)
-    write_line(f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP")
+    write_line(
+        f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP"
+    )

@@ -55,7 +55,8 @@ def job_command(name: str, help: str, until: str) -> click.Command:
         config = read_config(settings)
         from tiler.preparation import prepare_workers
 
-        prepare_workers(config, out)  # the workers import their libraries while this process imports its own
+        # the workers import their libraries while this process imports its own
+        prepare_workers(config, out)
         from tiler.pipeline import run
 
         session = current_session()

@@ -21,7 +21,9 @@ def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: boo
     print_table("Kinds of places, of any size and seed", ("name", "what"), sites)
     rows = [(s.name, s.kind, str(s.seed), f"{s.side_m:g}", s.summary) for s in SCENES.values()]
     print_table(
-        "Scenes that methods are tuned and scored on", ("name", "kind", "seed", "size m", "what"), rows
+        "Scenes that methods are tuned and scored on",
+        ("name", "kind", "seed", "size m", "what"),
+        rows,
     )
     context.exit()
 
@@ -101,10 +103,12 @@ def command(
 ) -> None:
     """Simulate a cloud with reference classes and terrain.
 
-    OUT.laz gets the points of a simulated place with their ASPRS classes. Class 1 is cars and garden walls, 2 ground, 6
-    buildings and facades, 9 water, 14 wires, 15 towers and 17 bridges. Classes 3, 4 and 5 are plants below 1 m, below
-    3 m and higher. Classes 7 and 18 are blunders below the ground and in the air. OUT_dtm.tif next to OUT.laz gets the
-    reference terrain, also below objects. The cloud is simulated patch by patch, so memory does not limit its size.
+    OUT.laz gets the points of a simulated place with their ASPRS classes. Class 1 is cars and
+    garden walls, 2 ground, 6 buildings and facades, 9 water, 14 wires, 15 towers and 17
+    bridges. Classes 3, 4 and 5 are plants below 1 m, below 3 m and higher. Classes 7 and 18 are
+    blunders below the ground and in the air. OUT_dtm.tif next to OUT.laz gets the reference
+    terrain, also below objects. The cloud is simulated patch by patch, so memory does not limit
+    its size.
     """
     from tiler.core.units import parse_length
     from tiler.simulate.files import describe_scene, write_scene
@@ -113,7 +117,13 @@ def command(
         return None if text is None else float(parse_length(text))
 
     spec = describe_scene(
-        scene, kind, seed=seed, side_m=metres(size), density=density, sigma_m=metres(sigma), blunders=blunders
+        scene,
+        kind,
+        seed=seed,
+        side_m=metres(size),
+        density=density,
+        sigma_m=metres(sigma),
+        blunders=blunders,
     )
     session = current_session()
     with shown_progress() as listener:

@@ -17,9 +17,10 @@ from cli.session import TilerCommand
 def command(methods: tuple[str, ...], as_json: bool) -> None:
     """Compile the kernels of methods before their first run.
 
-    Compiles the kernels of each METHOD (of `auto` if you give none) and of the rasters, on all cores. Without this
-    command, the first run on a machine compiles the kernels that it needs while it reads the points. The machine code
-    is stored in NUMBA_CACHE_DIR if that is set, else in the user's cache folder.
+    Compiles the kernels of each METHOD (of `auto` if you give none) and of the rasters, on all
+    cores. Without this command, the first run on a machine compiles the kernels that it needs
+    while it reads the points. The machine code is stored in NUMBA_CACHE_DIR if that is set,
+    else in the user's cache folder.
     """
     from tiler.apps.warm import warm
 

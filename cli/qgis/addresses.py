@@ -1,6 +1,7 @@
 """Public addresses that the repository of QGIS plugins requires, read from the installed package.
 
-They are defined only in `pyproject.toml`: in the table ``[project.urls]`` and as ``email`` in ``authors``.
+They are defined only in `pyproject.toml`: in the table ``[project.urls]`` and as ``email`` in
+``authors``.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ def addresses() -> dict[str, str]:
         return {}
     urls = dict(entry.split(", ", 1) for entry in package_metadata.get_all("Project-URL") or ())
     address_by_key = {key: urls.get(name, "") for key, name in URLS.items()}
-    _, address_by_key[EMAIL] = parseaddr("".join(package_metadata.get_all("Author-email") or ()))
+    _, address_by_key[EMAIL] = parseaddr(
+        "".join(package_metadata.get_all("Author-email") or ())
+    )
     return {key: address for key, address in address_by_key.items() if address}
 
 

@@ -40,7 +40,9 @@ def plugin_files(command: str = "") -> dict[str, bytes]:
         for item in files("cli.qgis").joinpath("plugin").iterdir()
         if item.name.endswith((".py", ".txt", ".png")) or item.name == "LICENSE"
     }
-    content_by_name["metadata.txt"] = _metadata(content_by_name["metadata.txt"].decode()).encode()
+    content_by_name["metadata.txt"] = _metadata(
+        content_by_name["metadata.txt"].decode()
+    ).encode()
     content: dict[str, Any] = {
         "made_by": MARK,
         "command": command,
@@ -87,9 +89,14 @@ def package(target: Path, upload: bool = False) -> None:
     if upload:
         validate_addresses(addresses())
     if target.exists() and not _is_package(target):
-        raise ConfigError(f"{target}: already exists and is not a package of this plugin; give another name")
+        raise ConfigError(
+            f"{target}: already exists and is not a package of this plugin; give another name"
+        )
     try:
-        with atomic_path(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        with (
+            atomic_path(target) as part,
+            zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
+        ):
             for name, content in plugin_files().items():
                 entry = zipfile.ZipInfo(f"{FOLDER}/{name}", FIRST_TIME)
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
@@ -112,7 +119,11 @@ def find_own_command() -> str:
     """Return the path of the running command, or raise ConfigError."""
     called = Path(sys.argv[0])
     called_paths = [str(called.absolute())] if called.stem == "tiler" else []
-    for command in (*called_paths, os.path.join(sysconfig.get_path("scripts"), "tiler"), "tiler"):
+    for command in (
+        *called_paths,
+        os.path.join(sysconfig.get_path("scripts"), "tiler"),
+        "tiler",
+    ):
         if path := shutil.which(command):
             return os.path.abspath(path)
     raise ConfigError(

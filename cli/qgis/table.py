@@ -17,7 +17,13 @@ SHELLS = ("run", "preview", "classify", "check")
 """Commands that are algorithms of the plugin."""
 NOT_IN_QGIS = {"as_json", "progress", "verbose", "quiet", "in_process"}
 """Options that QGIS sets itself, or that are only for debugging."""
-PLACES = {"inputs": "INPUT", "source": "INPUT", "dtm": "INPUT", "out": "OUTPUT", "target": "OUTPUT"}
+PLACES = {
+    "inputs": "INPUT",
+    "source": "INPUT",
+    "dtm": "INPUT",
+    "out": "OUTPUT",
+    "target": "OUTPUT",
+}
 """Names in QGIS of the parameters that are inputs or outputs of a command."""
 KINDS = {("run", "out"): "new_folder", ("preview", "out"): "new_picture", ("classify", "target"): "new_cloud",
          ("run", "inputs"): "clouds", ("preview", "inputs"): "clouds", ("classify", "source"): "cloud",
@@ -41,7 +47,11 @@ LABELS = {
     "RECLASS": "Classes that change",
 }  # fmt: skip
 LABELS_OF = {
-    "preview": {"OUTPUT": "Picture", "SIZE": "Side of a window", "WINDOWS": "Largest number of windows"},
+    "preview": {
+        "OUTPUT": "Picture",
+        "SIZE": "Side of a window",
+        "WINDOWS": "Largest number of windows",
+    },
     "classify": {"INPUT": "Point cloud", "OUTPUT": "Classified cloud"},
     "check": {"INPUT": "Terrain model"},
 }
@@ -72,7 +82,11 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
     key = str(parameter.name)
     option = "" if isinstance(parameter, click.Argument) else parameter.opts[-1]
     name = PLACES.get(key) or option.removeprefix("--").replace("-", "_").upper()
-    label = LABELS_OF.get(command, {}).get(name) or LABELS.get(name) or name.replace("_", " ").capitalize()
+    label = (
+        LABELS_OF.get(command, {}).get(name)
+        or LABELS.get(name)
+        or name.replace("_", " ").capitalize()
+    )
     fields: dict[str, Any] = {
         "name": name, "key": key, "label": label, "option": option, "required": parameter.required, "unit": "",
         "advanced": key not in SHOWN_FIRST and key not in PLACES, "help": "", "choices": [], "default": None,
@@ -83,7 +97,11 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
     kind = KINDS.get((command, key)) or _kind(parameter)
     fields |= {"kind": kind, "help": getattr(parameter, "help", None) or ""}
     # The default of an output is a file in the working folder, which has no meaning in QGIS.
-    if parameter.default is not None and isinstance(parameter.default, str | int) and key not in PLACES:
+    if (
+        parameter.default is not None
+        and isinstance(parameter.default, str | int)
+        and key not in PLACES
+    ):
         fields["default"] = parameter.default
     if isinstance(parameter.type, click.IntRange):
         fields["minimum"], fields["maximum"] = parameter.type.min, parameter.type.max
@@ -134,4 +152,8 @@ def _kind(parameter: click.Parameter) -> str:
         return "files" if parameter.multiple else "file"
     if parameter.multiple:
         return "texts"
-    return "int" if isinstance(parameter.type, click.IntRange | click.types.IntParamType) else "text"
+    return (
+        "int"
+        if isinstance(parameter.type, click.IntRange | click.types.IntParamType)
+        else "text"
+    )

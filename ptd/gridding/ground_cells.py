@@ -1,6 +1,7 @@
 """Sums of points by cells, and variance of the points in a window of cells about their plane.
 
-Sums are whole numbers, so they do not depend on the order of points. The sums of a cell do not depend on other cells.
+Sums are whole numbers, so they do not depend on the order of points. The sums of a cell do not
+depend on other cells.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
 
 PLANE_POINTS = 6
-"""A plane with residuals needs at least this many points in a window: three more than a plane alone."""
+"""A plane with residuals needs at least this many points in a window: three more than a plane
+alone."""
 FLATTEST = 0.01
-"""Points lie on a line if the determinant of their spread is at most this share of the determinant of a disk."""
+"""Points lie on a line if the determinant of their spread is at most this share of the
+determinant of a disk."""
 SUMS = 10
 """Number of sums: number, x, y, z, xx, xy, xz, yy, yz, zz."""
 
@@ -50,7 +53,9 @@ class CellWindow(NamedTuple):
 
 
 @kernel
-def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[int, int, int]) -> Int64:
+def _sums(
+    x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[int, int, int]
+) -> Int64:
     """Return sums [10, rows, columns] of coordinates relative to ``start`` (absolute x and y, height)."""
     p, q, west, north, rows, columns, ox, oy = window
     sums = np.zeros((SUMS, rows, columns), np.int64)
@@ -59,7 +64,11 @@ def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[in
         row = north - ((as_int64(y[i]) + oy) * q) // p
         if not (0 <= column < columns and 0 <= row < rows):
             continue
-        dx, dy, dz = as_int64(x[i]) + ox - start[0], as_int64(y[i]) + oy - start[1], as_int64(z[i]) - start[2]
+        dx, dy, dz = (
+            as_int64(x[i]) + ox - start[0],
+            as_int64(y[i]) + oy - start[1],
+            as_int64(z[i]) - start[2],
+        )
         sums[0, row, column] += 1
         sums[1, row, column] += dx
         sums[2, row, column] += dy
@@ -74,7 +83,9 @@ def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[in
 
 
 @kernel
-def _plane_variance(sums: Int64, row: int, column: int, half: int, middle: tuple[int, int]) -> float:
+def _plane_variance(
+    sums: Int64, row: int, column: int, half: int, middle: tuple[int, int]
+) -> float:
     """Return the variance of heights about their plane in a window of cells, or -1 if the points define no plane.
 
     ``middle`` is the middle of the window relative to the start of the sums. Intermediate int64 sums may wrap, but
@@ -83,7 +94,12 @@ def _plane_variance(sums: Int64, row: int, column: int, half: int, middle: tuple
     top, bottom, left, right = row - half, row + half + 1, column - half, column + half + 1
     s = np.empty(SUMS, np.int64)
     for k in range(SUMS):
-        s[k] = sums[k, bottom, right] - sums[k, top, right] - sums[k, bottom, left] + sums[k, top, left]
+        s[k] = (
+            sums[k, bottom, right]
+            - sums[k, top, right]
+            - sums[k, bottom, left]
+            + sums[k, top, left]
+        )
     n = s[0]
     if n < PLANE_POINTS:
         return -1.0
@@ -142,7 +158,10 @@ def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -
     """
     x, y, z = (np.ascontiguousarray(axis) for axis in xyz)
     low = int(z.min()) if z.size else 0
-    start = window.west * window.p // window.q, (window.north - window.rows) * window.p // window.q
+    start = (
+        window.west * window.p // window.q,
+        (window.north - window.rows) * window.p // window.q,
+    )
     sums = integral(_sums(x, y, z, tuple(window), (*start, low)))
     halves = np.asarray(half_widths, np.int64)
     variances: Float64 = _plane_variances(sums, tuple(window), start, max(half_widths), halves)

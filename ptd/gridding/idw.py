@@ -1,8 +1,9 @@
 """Inverse distance weighting of the nearest points (Shepard, A two-dimensional interpolation function, 1968).
 
-Twelve neighbours have weights 1 / d2; a position on a point gets the height of the point. Heights are relative to the
-nearest neighbour. They are summed from near to far, and ties in the order of (x, y, z). So the result does not depend
-on the order of points, on the tile or on the frame.
+Twelve neighbours have weights 1 / d2; a position on a point gets the height of the point.
+Heights are relative to the nearest neighbour. They are summed from near to far, and ties in the
+order of (x, y, z). So the result does not depend on the order of points, on the tile or on the
+frame.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ Float64 = npt.NDArray[np.float64]
 NEIGHBOURS = 12
 
 
-def inverse_distance(x: Int32, y: Int32, z: Int32, pixels: Pixels, reach: float) -> tuple[Float64, Float64]:
+def inverse_distance(
+    x: Int32, y: Int32, z: Int32, pixels: Pixels, reach: float
+) -> tuple[Float64, Float64]:
     """Return heights at pixel centres, and the distance to the farthest neighbour of each.
 
     Parameters

@@ -1,7 +1,7 @@
 """Find the points nearest to the centre of each pixel, exactly.
 
-Points are binned by pixel and searched ring by ring. Ties are decided by the points themselves (distance, then x, y,
-z), so the result does not depend on order, tile or frame.
+Points are binned by pixel and searched ring by ring. Ties are decided by the points themselves
+(distance, then x, y, z), so the result does not depend on order, tile or frame.
 """
 
 from __future__ import annotations
@@ -126,7 +126,11 @@ def _look_in(
         if d2 > reach2 or (found == k and d2 > squared[k - 1]):
             continue
         slot = found if found < k else k - 1
-        if found == k and d2 == squared[slot] and not _before(x, y, z, i, as_int64(index[slot])):
+        if (
+            found == k
+            and d2 == squared[slot]
+            and not _before(x, y, z, i, as_int64(index[slot]))
+        ):
             continue
         while slot > 0 and (
             squared[slot - 1] > d2
@@ -158,9 +162,12 @@ def _search(
             near, near_indices = squared[row, column], index[row, column]
             ring = as_int64(empty[at_row, at_column])
             while True:
-                # All points nearer than this have been seen; one count allows for the rounded centre.
+                # All points nearer than this have been seen; one count allows for the rounded
+                # centre.
                 seen = (float(ring) - 0.5) * size - 1.0
-                if seen > reach or (n_found == k and seen > 0.0 and float(near[k - 1]) < seen * seen):
+                if seen > reach or (
+                    n_found == k and seen > 0.0 and float(near[k - 1]) < seen * seen
+                ):
                     break
                 if ring > max(height, width):
                     break
@@ -172,12 +179,16 @@ def _search(
                             cell = r * width + c
                             if starts[cell + 1] > starts[cell]:
                                 held, disk = (starts[cell], starts[cell + 1]), (cx, cy, reach2)
-                                n_found = _look_in(points, order, held, disk, near, near_indices, n_found)
+                                n_found = _look_in(
+                                    points, order, held, disk, near, near_indices, n_found
+                                )
                         c += 1 if whole or ring == 0 else 2 * ring
                 ring += 1
 
 
-def nearest_points(x: Int32, y: Int32, z: Int32, pixels: Pixels, k: int, reach: float) -> Nearest:
+def nearest_points(
+    x: Int32, y: Int32, z: Int32, pixels: Pixels, k: int, reach: float
+) -> Nearest:
     """The ``k`` nearest points of each pixel centre, within a distance.
 
     Parameters

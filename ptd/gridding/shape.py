@@ -1,10 +1,11 @@
 """Slope and shading from heights: pixels with their eight neighbours.
 
-Gradients are Horn's (1981, Hill shading and the reflectance map, Proc. IEEE 69(1), p. 18): a third-order finite
-difference, east and north, over the 3 x 3 pixels. Neighbours may have no height at the border of the survey, of the
-raster or of a hole. A missing side is mirrored through the centre from the opposite one, and a missing corner completes
-the parallelogram of its two sides, so planes stay exact to their last pixel. A direction in which neither neighbour is
-known counts as level.
+Gradients are Horn's (1981, Hill shading and the reflectance map, Proc. IEEE 69(1), p. 18): a
+third-order finite difference, east and north, over the 3 x 3 pixels. Neighbours may have no
+height at the border of the survey, of the raster or of a hole. A missing side is mirrored
+through the centre from the opposite one, and a missing corner completes the parallelogram of
+its two sides, so planes stay exact to their last pixel. A direction in which neither neighbour
+is known counts as level.
 """
 
 from __future__ import annotations
@@ -68,13 +69,15 @@ def slope_deg(east: Float64, north: Float64) -> Float64:
 def multidirectional_hillshade(east: Float64, north: Float64) -> Float64:
     """Return the shading from four suns as whole numbers from 1 (dark) to 255, NaN where the gradients are NaN.
 
-    The suns are in the west half of the sky, 45 degrees high, at `AZIMUTHS_DEG`. Each counts by the squared cosine of
-    the angle between its azimuth and the aspect, so that slopes of every direction are lit. The weights sum to 2.
+    The suns are in the west half of the sky, 45 degrees high, at `AZIMUTHS_DEG`. Each counts by
+    the squared cosine of the angle between its azimuth and the aspect, so that slopes of every
+    direction are lit. The weights sum to 2.
 
-    The source is Mark (1992, Multidirectional, oblique-weighted, shaded-relief image of the Island of Hawaii, USGS OFR
-    92-422), as `gdaldem hillshade -multidirectional` computes it. Mark has a squared sine, but gdaldem turns the aspect
-    by a quarter, so the sine becomes this cosine. As in gdaldem, shades are scaled to 1 + 254 times the cosine of
-    incidence, so level ground is 181.
+    The source is Mark (1992, Multidirectional, oblique-weighted, shaded-relief image of the
+    Island of Hawaii, USGS OFR 92-422), as `gdaldem hillshade -multidirectional` computes it.
+    Mark has a squared sine, but gdaldem turns the aspect by a quarter, so the sine becomes this
+    cosine. As in gdaldem, shades are scaled to 1 + 254 times the cosine of incidence, so level
+    ground is 181.
     """
     squared = east * east + north * north
     sin_h, cos_h = math.sin(math.radians(ALTITUDE_DEG)), math.cos(math.radians(ALTITUDE_DEG))

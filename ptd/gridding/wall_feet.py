@@ -1,6 +1,7 @@
 """Ground points at the foot of objects: remnants of walls and buildings in photogrammetric clouds.
 
-Image matching leaves such points on walls. Without the buildings, they would stay in the terrain as stumps.
+Image matching leaves such points on walls. Without the buildings, they would stay in the
+terrain as stumps.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ def _beside(
     out = np.zeros(x.size, np.bool_)
     for i in range(x.size):
         for cell in range(9):
-            slot = find_slot(slots, keys, width, height, columns[i] + cell % 3 - 1, rows[i] + cell // 3 - 1)
+            slot = find_slot(
+                slots, keys, width, height, columns[i] + cell % 3 - 1, rows[i] + cell // 3 - 1
+            )
             if slot < 0 or as_int64(tops[slot]) - z[i] < rise:
                 continue
             for k in range(starts[slot], starts[slot + 1]):
@@ -82,4 +85,6 @@ def near_objects(
     below = Xyz(*(np.ascontiguousarray(axis) for axis in ground))
     tops = np.maximum.reduceat(above.z, index.table.starts[:-1])
     cells_below = index.cell_indices(below.x, below.y)
-    return _beside(below, cells_below, above, tops, index.table, math.floor(reach * reach), rise)
+    return _beside(
+        below, cells_below, above, tops, index.table, math.floor(reach * reach), rise
+    )

@@ -19,8 +19,8 @@ def blocks(
 ) -> Iterator[tuple[Int64, Bool]]:
     """Divide points into square blocks of cells, each with all points within ``reach`` cells of the block.
 
-    No raster is larger than a block with its margin, however far apart the points are. A result that depends only on
-    points within the margin is the same for any blocks.
+    No raster is larger than a block with its margin, however far apart the points are. A result
+    that depends only on points within the margin is the same for any blocks.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
 """Certificates: the triangles of a window's TIN that points outside the window cannot change.
 
-Positions are uncertified if points outside the window could change the vertices there. A triangle is the same for any
-larger cloud if its circumcircle contains no uncertified position. If a decision used an uncertified triangle, the
-position of the tested point becomes uncertified too, since the point may or may not become a vertex. So the uncertified
-region grows round by round from the closed sides of the window. Everything that it has not reached is proven equal to
+Positions are uncertified if points outside the window could change the vertices there. A
+triangle is the same for any larger cloud if its circumcircle contains no uncertified position.
+If a decision used an uncertified triangle, the position of the tested point becomes uncertified
+too, since the point may or may not become a vertex. So the uncertified region grows round by
+round from the closed sides of the window. Everything that it has not reached is proven equal to
 the untiled run. The proof is in ``docs/filters.md``.
 """
 
@@ -47,7 +48,13 @@ class CheckedMesh(NamedTuple):
 
 @kernel
 def _add_positions(
-    mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]
+    mask: UInt8,
+    west: int,
+    south: int,
+    cell: int,
+    x: Int32Array,
+    y: Int32Array,
+    which: npt.NDArray[np.bool_],
 ) -> bool:
     """Make the positions of the chosen points uncertified, and return whether any of them was certified before."""
     changed = False
@@ -112,12 +119,17 @@ class _Sides(NamedTuple):
 
 @inlined
 def _circle_is_uncertified(
-    a: tuple[int, int], b: tuple[int, int], c: tuple[int, int], sides: _Sides, cell: float, distances: Float32
+    a: tuple[int, int],
+    b: tuple[int, int],
+    c: tuple[int, int],
+    sides: _Sides,
+    cell: float,
+    distances: Float32,
 ) -> bool:
     """Return whether the circle through three positions may contain an uncertified position.
 
-    A false yes is possible but rare, a false no is impossible. ``distances`` contains the distance in cells from
-    each cell to the nearest uncertified cell.
+    A false yes is possible but rare, a false no is impossible. ``distances`` contains the
+    distance in cells from each cell to the nearest uncertified cell.
     """
     ax, ay = float(a[0]), float(a[1])
     bx, by = float(b[0] - a[0]), float(b[1] - a[1])
@@ -143,26 +155,38 @@ def _disk_is_uncertified(
     column, row = (x - sides.raster[0]) / cell, (y - sides.raster[1]) / cell
     near_x = min(max(column, 0.0), float(distances.shape[1]))
     near_y = min(max(row, 0.0), float(distances.shape[0]))
-    # Let n be the raster's point nearest to a centre beyond it. The angle at n between the centre and any position in
-    # the raster is at least 90 degrees. So the squared distance from the centre to the position is at least the sum of
-    # their squared distances from n.
+    # Let n be the raster's point nearest to a centre beyond it. The angle at n between the
+    # centre and any position in the raster is at least 90 degrees. So the squared distance from
+    # the centre to the position is at least the sum of their squared distances from n.
     beyond2 = (column - near_x) ** 2 + (row - near_y) ** 2
     certified = float(
-        distances[min(int(near_y), distances.shape[0] - 1), min(int(near_x), distances.shape[1] - 1)]
+        distances[
+            min(int(near_y), distances.shape[0] - 1), min(int(near_x), distances.shape[1] - 1)
+        ]
     )
-    return radius >= (math.sqrt(beyond2 + certified * certified) if beyond2 > 0.0 else certified) * cell
+    return (
+        radius
+        >= (math.sqrt(beyond2 + certified * certified) if beyond2 > 0.0 else certified) * cell
+    )
 
 
 @kernel
-def _within(x: float, y: float, radius: float, sides: tuple[float, float, float, float]) -> bool:
+def _within(
+    x: float, y: float, radius: float, sides: tuple[float, float, float, float]
+) -> bool:
     """Return whether a disk lies within west, south, east, north."""
     return bool(
-        x - radius >= sides[0] and y - radius >= sides[1] and x + radius < sides[2] and y + radius < sides[3]
+        x - radius >= sides[0]
+        and y - radius >= sides[1]
+        and x + radius < sides[2]
+        and y + radius < sides[3]
     )
 
 
 @kernel
-def _uncertified_triangles(mesh: Mesh, sides: _Sides, cell: int, distances: Float32, out: UInt8) -> None:
+def _uncertified_triangles(
+    mesh: Mesh, sides: _Sides, cell: int, distances: Float32, out: UInt8
+) -> None:
     vertices, triangles = mesh
     for t in range(out.size):
         if is_ghost(triangles, t):
@@ -179,7 +203,13 @@ def _uncertified_triangles(mesh: Mesh, sides: _Sides, cell: int, distances: Floa
 
 @kernel
 def _uncertified_disks(
-    x: Int32Array, y: Int32Array, radius: float, sides: _Sides, cell: float, distances: Float32, out: Bool
+    x: Int32Array,
+    y: Int32Array,
+    radius: float,
+    sides: _Sides,
+    cell: float,
+    distances: Float32,
+    out: Bool,
 ) -> None:
     for i in range(x.size):
         out[i] = _disk_is_uncertified(float(x[i]), float(y[i]), radius, sides, cell, distances)
@@ -206,21 +236,28 @@ class UncertifiedRegion:
         self.active, self.known, self.box = known.closed, known, box
         span = max(box[2] - box[0], box[3] - box[1], 1)
         self.cell = (
-            max(int(scale.counts(UNCERTIFIED_CELL_M)), -(-span // MAX_RASTER)) if self.active else span
+            max(int(scale.counts(UNCERTIFIED_CELL_M)), -(-span // MAX_RASTER))
+            if self.active
+            else span
         )
         self.west, self.south = box[0], box[1]
         width, height = (box[2] - box[0]) // self.cell + 1, (box[3] - box[1]) // self.cell + 1
         self.mask = np.zeros((height, width), np.uint8)
         east, north = self.west + width * self.cell, self.south + height * self.cell
         self._sides = _Sides(
-            _floats(known), _floats(Window(self.west, self.south, east, north)), _floats(seed_window)
+            _floats(known),
+            _floats(Window(self.west, self.south, east, north)),
+            _floats(seed_window),
         )
         self._free = np.zeros((0, 0), np.float32)
         self._stale = True
 
     def add_box(self, west: int, south: int, east: int, north: int) -> None:
         """Make a half-open rectangle of local counts uncertified."""
-        c0, r0 = max((west - self.west) // self.cell, 0), max((south - self.south) // self.cell, 0)
+        c0, r0 = (
+            max((west - self.west) // self.cell, 0),
+            max((south - self.south) // self.cell, 0),
+        )
         c1, r1 = (
             max((east - 1 - self.west) // self.cell + 1, 0),
             max((north - 1 - self.south) // self.cell + 1, 0),
@@ -230,7 +267,9 @@ class UncertifiedRegion:
 
     def add_points(self, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]) -> bool:
         """Make the positions of points in a mask uncertified, and return whether any of them was certified before."""
-        new = self.active and _add_positions(self.mask, self.west, self.south, self.cell, x, y, which)
+        new = self.active and _add_positions(
+            self.mask, self.west, self.south, self.cell, x, y, which
+        )
         self._stale = self._stale or new
         return new
 
@@ -246,7 +285,9 @@ class UncertifiedRegion:
             return np.zeros(x.size, np.bool_)
         k = self.known
         beyond = (x < k.west) | (y < k.south) | (x >= k.east) | (y >= k.north)
-        column = np.clip((x.astype(np.int64) - self.west) // self.cell, 0, self.mask.shape[1] - 1)
+        column = np.clip(
+            (x.astype(np.int64) - self.west) // self.cell, 0, self.mask.shape[1] - 1
+        )
         row = np.clip((y.astype(np.int64) - self.south) // self.cell, 0, self.mask.shape[0] - 1)
         is_uncertified: npt.NDArray[np.bool_] = beyond | (self.mask[row, column] != 0)
         return is_uncertified
@@ -254,7 +295,8 @@ class UncertifiedRegion:
     def triangles(self, tin: Tin) -> UInt8:
         """Return 1 for each uncertified triangle, else 0: uint8 [triangles].
 
-        The circumcircle of an uncertified triangle may contain an uncertified position, or the triangle has no circle.
+        The circumcircle of an uncertified triangle may contain an uncertified position, or the
+        triangle has no circle.
         """
         out = np.zeros(tin.n_triangles, np.uint8)
         if self.active:
@@ -268,7 +310,9 @@ class UncertifiedRegion:
         """
         out = np.zeros(x.size, np.bool_)
         if self.active:
-            _uncertified_disks(x, y, float(radius), self._sides, float(self.cell), self._fresh(), out)
+            _uncertified_disks(
+                x, y, float(radius), self._sides, float(self.cell), self._fresh(), out
+            )
         return out
 
     def _fresh(self) -> Float32:

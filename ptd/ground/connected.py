@@ -51,7 +51,9 @@ def connected_surfaces(
     if tilts is None:
         block = max(*heights.shape, 1)
         tilts = np.zeros((1, 1), np.int64), np.zeros((1, 1), np.int64)
-    limits = np.stack([np.broadcast_to(np.float64(limit), tilts[0].shape) for limit in (straight, diagonal)])
+    limits = np.stack(
+        [np.broadcast_to(np.float64(limit), tilts[0].shape) for limit in (straight, diagonal)]
+    )
     return _fill(np.ascontiguousarray(heights), limits, gap, tilts[0], tilts[1], block)
 
 
@@ -82,7 +84,8 @@ def _fill(
                     if heights[r, c] == EMPTY:
                         continue
                     if surface[r, c] < 0:
-                        # In 64 bits: heights of opposite ends of int32 differ by more than it holds.
+                        # In 64 bits: heights of opposite ends of int32 differ by more than it
+                        # holds.
                         rise = np.int64(heights[r, c]) - np.int64(heights[row, column])
                         tilt = NORTH[way] * (
                             north[r // block, c // block] + north[row // block, column // block]

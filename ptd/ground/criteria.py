@@ -1,7 +1,7 @@
 """Axelsson's test of whether a point may join the facet in which it lies.
 
-Source: Axelsson (2000), DEM generation from laser scanner data using adaptive TIN models; the edge rules are those
-of Dong (2018), section 2.1.
+Source: Axelsson (2000), DEM generation from laser scanner data using adaptive TIN models; the
+edge rules are those of Dong (2018), section 2.1.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def facet_measures(
 ) -> Measures:
     """Measure the position of a point relative to a real facet.
 
-    Everything is computed relative to the facet's lexicographically smallest corner and in one order of the corners.
-    So the same facet and point give the same bits in any tile.
+    Everything is computed relative to the facet's lexicographically smallest corner and in one
+    order of the corners. So the same facet and point give the same bits in any tile.
 
     Returns
     -------
@@ -105,7 +105,9 @@ def facet_measures(
     to_b = (px - bx) * (px - bx) + (py - by) * (py - by) + (pz - bz) * (pz - bz)
     to_c = (px - cx) * (px - cx) + (py - cy) * (py - cy) + (pz - cz) * (pz - cz)
     nearest = math.sqrt(min(to_a, to_b, to_c))
-    edge2 = max(bx * bx + by * by, cx * cx + cy * cy, (cx - bx) * (cx - bx) + (cy - by) * (cy - by))
+    edge2 = max(
+        bx * bx + by * by, cx * cx + cy * cy, (cx - bx) * (cx - bx) + (cy - by) * (cy - by)
+    )
     return distance, nearest, nz * nz / n2, math.sqrt(edge2)
 
 
@@ -121,11 +123,14 @@ def within(distance: float, nearest: float, edge: float, limits: FacetLimits) ->
 
 
 @kernel
-def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> tuple[int, int, int]:
+def mirror_facet(
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int
+) -> tuple[int, int, int]:
     """Mirror a point in plan through the facet's highest corner.
 
-    Of equally high corners the lexicographically smallest counts. The height of the point stays. If it were mirrored as
-    well, a point beyond the edge of a terrace would be tested below the terrace.
+    Of equally high corners the lexicographically smallest counts. The height of the point
+    stays. If it were mirrored as well, a point beyond the edge of a terrace would be tested
+    below the terrace.
 
     Returns
     -------
@@ -139,8 +144,15 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
     for v in corners[1:]:
         higher = vertices[4 * v + 2] > vertices[4 * top + 2]
         tie = vertices[4 * v + 2] == vertices[4 * top + 2]
-        x0, y0, x1, y1 = vertices[4 * v], vertices[4 * v + 1], vertices[4 * top], vertices[4 * top + 1]
-        if higher or (tie and lexicographic_less(as_int64(x0), as_int64(y0), as_int64(x1), as_int64(y1))):
+        x0, y0, x1, y1 = (
+            vertices[4 * v],
+            vertices[4 * v + 1],
+            vertices[4 * top],
+            vertices[4 * top + 1],
+        )
+        if higher or (
+            tie and lexicographic_less(as_int64(x0), as_int64(y0), as_int64(x1), as_int64(y1))
+        ):
             top = v
     mx, my = 2 * vertices[4 * top] - x, 2 * vertices[4 * top + 1] - y
     return locate(vertices, triangles, mx, my, t), mx, my
@@ -150,7 +162,8 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
 def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> int:
     """Return the triangle across the edge of t on which (x, y) lies, or t if it lies on no edge or on a corner.
 
-    Which of the two triangles owns the position depends on both, so a result there depends on both.
+    Which of the two triangles owns the position depends on both, so a result there depends on
+    both.
     """
     row = 8 * t
     if is_ghost(triangles, t):
@@ -171,11 +184,17 @@ def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) 
 
 @kernel
 def accepts(
-    vertices: Int32Array, triangles: Int32Array, uncertified: UInt8, t: int, point: Point, limits: FacetLimits
+    vertices: Int32Array,
+    triangles: Int32Array,
+    uncertified: UInt8,
+    t: int,
+    point: Point,
+    limits: FacetLimits,
 ) -> tuple[bool, bool, bool]:
     """Test a point in the real triangle t by Axelsson's criteria.
 
-    At the position of a vertex, t may be any of its triangles, and only a point at the vertex's height passes.
+    At the position of a vertex, t may be any of its triangles, and only a point at the vertex's
+    height passes.
 
     Parameters
     ----------
@@ -238,6 +257,10 @@ def judge(
     v = coincident_vertex(vertices, triangles, mx, my, other)
     if v >= 0:
         return z == vertices[4 * v + 2], True, is_uncertified
-    is_uncertified = is_uncertified or uncertified[across(vertices, triangles, other, mx, my)] != 0
-    distance, nearest, cos2, edge = facet_measures(vertices, triangles, other, mx, my, z, limits.z_ratio)
+    is_uncertified = (
+        is_uncertified or uncertified[across(vertices, triangles, other, mx, my)] != 0
+    )
+    distance, nearest, cos2, edge = facet_measures(
+        vertices, triangles, other, mx, my, z, limits.z_ratio
+    )
     return within(distance, nearest, edge, limits), True, is_uncertified

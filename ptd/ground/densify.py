@@ -1,6 +1,7 @@
 """Progressive densification in batches: every round tests the candidates against one TIN, then inserts all that pass.
 
-The result of a round depends only on the set of candidates, not on their order (Chen 2023, 2.5).
+The result of a round depends only on the set of candidates, not on their order (Chen 2023,
+2.5).
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
 WAITING, VERTEX, REFUSED = 0, 1, 2
-"""States of a candidate: to be tested, in the TIN, never to be tested (such as an outlier or a roof)."""
+"""States of a candidate: to be tested, in the TIN, never to be tested (such as an outlier or a
+roof)."""
 
 
 class _Candidates(NamedTuple):
@@ -80,7 +82,9 @@ def _test_round(
         if is_ghost(triangles, t):
             uncertified_points[i] = uncertified_points[i] or uncertified[t] != 0
             continue
-        passed, elsewhere, is_uncertified = accepts(vertices, triangles, uncertified, t, (px, py, pz), limits)
+        passed, elsewhere, is_uncertified = accepts(
+            vertices, triangles, uncertified, t, (px, py, pz), limits
+        )
         again[i] = elsewhere
         uncertified_points[i] = uncertified_points[i] or is_uncertified
         if passed:
@@ -101,17 +105,31 @@ def _insert_points(
         i = chosen[k]
         if home[i] >= 0:
             hint = as_int64(home[i])
-        v = insert(vertices, triangles, counters, as_int64(x[i]), as_int64(y[i]), as_int64(z[i]), hint, stamp)
+        v = insert(
+            vertices,
+            triangles,
+            counters,
+            as_int64(x[i]),
+            as_int64(y[i]),
+            as_int64(z[i]),
+            hint,
+            stamp,
+        )
         hint = as_int64(max(vertices[4 * v + 3], 0))
 
 
 def densify(
-    tin: Tin, points: Xyz, state: UInt8, limits: FacetLimits, rounds: int, region: UncertifiedRegion
+    tin: Tin,
+    points: Xyz,
+    state: UInt8,
+    limits: FacetLimits,
+    rounds: int,
+    region: UncertifiedRegion,
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Densify a TIN in rounds until no candidate passes any more, or for `rounds` rounds.
 
-    The rounds continue while the uncertified region grows, even if no candidate passes, because outside the window
-    candidates may still pass.
+    The rounds continue while the uncertified region grows, even if no candidate passes, because
+    outside the window candidates may still pass.
 
     Parameters
     ----------
@@ -186,7 +204,9 @@ def densify_seeds(
         Number of rounds that were run.
     """
     x, y, z = points
-    region = UncertifiedRegion(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
+    region = UncertifiedRegion(
+        known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale
+    )
     seeds = choose_seeds(x, y, z, ~outlier, seed_cells, region)
     state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)
     state[seeds.chosen] = VERTEX

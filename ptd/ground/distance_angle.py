@@ -76,12 +76,19 @@ class TrialArrays(NamedTuple):
 
 @kernel
 def _gauge(
-    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float, largest: bool
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    z_ratio: float,
+    largest: bool,
 ) -> tuple[float, float]:
     """Return the unsigned distance to a real facet's plane, and the distance to its nearest or farthest corner.
 
-    Both are horizontal counts. The largest angle between the plane and the lines to the corners is that to the nearest
-    corner, and the smallest that to the farthest.
+    Both are horizontal counts. The largest angle between the plane and the lines to the corners
+    is that to the nearest corner, and the smallest that to the farthest.
     """
     distance, nearest, _cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, z_ratio)
     if largest:
@@ -106,16 +113,24 @@ def _usable(mesh: Mesh, n: int, rule: Rule) -> Bool:
 
 @kernel
 def _owner(
-    vertices: Int32Array, triangles: Int32Array, usable: Bool, uncertified: UInt8, t: int, x: int, y: int
+    vertices: Int32Array,
+    triangles: Int32Array,
+    usable: Bool,
+    uncertified: UInt8,
+    t: int,
+    x: int,
+    y: int,
 ) -> tuple[int, bool]:
     """Return the usable facet at a position that is not a vertex, or -1, and whether it is certified.
 
-    On an edge it is the facet that `locate` gives, or the one across the edge if only that is usable. The result is
-    certified only if both are usable and certified.
+    On an edge it is the facet that `locate` gives, or the one across the edge if only that is
+    usable. The result is certified only if both are usable and certified.
     """
     beside = across(vertices, triangles, t, x, y)
     owner = t if usable[t] else (beside if usable[beside] else -1)
-    return owner, bool(usable[t] and usable[beside] and uncertified[t] == 0 and uncertified[beside] == 0)
+    return owner, bool(
+        usable[t] and usable[beside] and uncertified[t] == 0 and uncertified[beside] == 0
+    )
 
 
 @kernel
@@ -166,14 +181,15 @@ def _count(
 class Trial:
     """A fixed TIN against which points are tested.
 
-    A facet with a circumradius above `widest_m` does not describe the ground within it, so its points are not tested.
-    This limits the data that a window needs for certified results. A facet that is not wide is certified if its circle
-    contains no uncertified position.
+    A facet with a circumradius above `widest_m` does not describe the ground within it, so its
+    points are not tested. This limits the data that a window needs for certified results. A
+    facet that is not wide is certified if its circle contains no uncertified position.
 
-    Where the facet of the window's TIN is wide, the TIN of the untiled run could have a facet that is not wide. The
-    vertices of such a facet lie within 2 `widest_m` of the position. If no uncertified position is that near, the
-    window's TIN would have this facet as well (`docs/filters.md`, Certificates). A position on an edge between a wide
-    facet and another one belongs to the other one.
+    Where the facet of the window's TIN is wide, the TIN of the untiled run could have a facet
+    that is not wide. The vertices of such a facet lie within 2 `widest_m` of the position. If
+    no uncertified position is that near, the window's TIN would have this facet as well
+    (`docs/filters.md`, Certificates). A position on an edge between a wide facet and another
+    one belongs to the other one.
 
     Parameters
     ----------
@@ -198,13 +214,21 @@ class Trial:
         self.tin, self.scale, self.radius = tin, scale, scale.counts(widest_m)
         self.usable = _usable(tin.mesh, tin.n_triangles, Rule(ANY_EDGE, self.radius))
         if self.usable.size:
-            uncertified = np.zeros(tin.n_triangles, np.uint8) if region is None else region.triangles(tin)
+            uncertified = (
+                np.zeros(tin.n_triangles, np.uint8) if region is None else region.triangles(tin)
+            )
             self._tested = TrialArrays(
                 tin.mesh, self.usable, uncertified, Locator.of(tin), scale.z_ratio, largest
             )
 
     def test(
-        self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, region: UncertifiedRegion
+        self,
+        x: Int32,
+        y: Int32,
+        z: Int32,
+        which: Bool,
+        threshold: Threshold,
+        region: UncertifiedRegion,
     ) -> tuple[Bool, Bool]:
         """Test the chosen points.
 

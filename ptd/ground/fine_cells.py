@@ -1,7 +1,7 @@
 """Points near a TIN, sorted into cells of 0.4 m and blocks of 5 x 5 cells, for `ptd.ground.fine_surface`.
 
-A point is stored as its index, the number of its block and the number of its cell in the block (13 bytes), not as its
-position.
+A point is stored as its index, the number of its block and the number of its cell in the block
+(13 bytes), not as its position.
 """
 
 from __future__ import annotations
@@ -86,7 +86,9 @@ def located_points(
         where = LocatedPoints(index, none.astype(np.int64), none.astype(np.uint8))
         return where, Blocks(np.zeros((0, 9), np.int32), none, none, nothing, nothing)
     lattice = CellLattice.of(CELL_M, scale)
-    keys, cell, width, height = _keys(points, index, lattice.p, lattice.q, lattice.origin_x, lattice.origin_y)
+    keys, cell, width, height = _keys(
+        points, index, lattice.p, lattice.q, lattice.origin_x, lattice.origin_y
+    )
     blocks, block = occupied(keys, width * height)
     where = LocatedPoints(index, block, cell)
     around = neighbours_of_blocks(blocks, width)
@@ -103,7 +105,9 @@ def _chosen(close: UInt8, uncertified: Bool) -> Int32:
 
 
 @kernel
-def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[Int64, UInt8, int, int]:
+def _keys(
+    points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int
+) -> tuple[Int64, UInt8, int, int]:
     """Return the key of each point's block, its cell, and the width and height of the raster of blocks.
 
     The raster has an empty column on both sides.
@@ -133,8 +137,9 @@ def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[
 def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
     """Return the indices of the 3 x 3 blocks around each block, row by row: int32 [m, 9].
 
-    The index is -1 for blocks that are not occupied. ``keys`` are sorted. Rasters have an empty column on both sides,
-    so the last block of a row and the first of the next never have adjacent keys.
+    The index is -1 for blocks that are not occupied. ``keys`` are sorted. Rasters have an empty
+    column on both sides, so the last block of a row and the first of the next never have
+    adjacent keys.
     """
     neighbours = np.full((keys.size, 9), -1, np.int32)
     for row in range(3):
@@ -171,7 +176,8 @@ def _counted(
 def pages_of_blocks(wanted: Bool, neighbours: Int32) -> tuple[Int32, int]:
     """Assign page numbers to the chosen blocks and their neighbours.
 
-    Returns each block's page (its index in `ptd.ground.fine_planes.Planes`) or -1, int32 [m], and the number of pages.
+    Returns each block's page (its index in `ptd.ground.fine_planes.Planes`) or -1, int32 [m],
+    and the number of pages.
     """
     pages, n = np.full(wanted.size, -1, np.int32), 0
     for k in range(wanted.size):

@@ -1,7 +1,7 @@
 """Planes through the lowest points of cells of 0.4 m: the surface of `ptd.ground.fine_surface`.
 
-Cells are stored by blocks of 5 x 5 cells, only for blocks with points to decide and their neighbours. So memory grows
-with the points, not with the area.
+Cells are stored by blocks of 5 x 5 cells, only for blocks with points to decide and their
+neighbours. So memory grows with the points, not with the area.
 """
 
 from __future__ import annotations
@@ -19,18 +19,23 @@ from ptd.ground.morphology import EMPTY
 from ptd.kernel import as_int64, inlined, kernel
 
 FILLED = 9
-"""A block is dense if at least this many of its 25 cells have a point near the TIN: about 3 points/m2."""
+"""A block is dense if at least this many of its 25 cells have a point near the TIN: about 3
+points/m2."""
 ENOUGH, ENOUGH_WIDE = 6, 9
-"""A plane of 3 x 3 cells needs at least the first number of them. If there are fewer, 5 x 5 cells need the second."""
+"""A plane of 3 x 3 cells needs at least the first number of them. If there are fewer, 5 x 5
+cells need the second."""
 AROUND = 2
-"""Number of cells that the wider planes extend to each side. At most `BLOCK_SIZE`, so the blocks around suffice."""
+"""Number of cells that the wider planes extend to each side. At most `BLOCK_SIZE`, so the
+blocks around suffice."""
 SPIKE_M = 0.07
-"""A cell more than this high above its plane, in metres, is left out of the planes around it."""
+"""A cell more than this high above its plane, in metres, is left out of the planes around
+it."""
 ROUGH_M = 0.1
-"""If cells scatter by more than this about their plane, in metres, the TIN decides, as at a step or a wall."""
+"""If cells scatter by more than this about their plane, in metres, the TIN decides, as at a
+step or a wall."""
 THIN = 0.05
-"""Cells lie on a line, so that there is no plane, if the determinant is at most this share of its largest possible
-value."""
+"""Cells lie on a line, so that there is no plane, if the determinant is at most this share of
+its largest possible value."""
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
@@ -74,7 +79,9 @@ class Planes(NamedTuple):
 
 
 @kernel
-def elect(points: Xyz, where: LocatedPoints, close: UInt8, pages: Int32, planes: Planes) -> None:
+def elect(
+    points: Xyz, where: LocatedPoints, close: UInt8, pages: Int32, planes: Planes
+) -> None:
     """Choose the lowest point near the TIN to represent each cell of a block with a page.
 
     Of equally low points the first in (x, y) is chosen.
@@ -95,7 +102,8 @@ def elect(points: Xyz, where: LocatedPoints, close: UInt8, pages: Int32, planes:
 
 
 PATCH = BLOCK_SIZE + 2 * AROUND
-"""Number of cells along a side of a patch: a block and the cells around it that its planes read."""
+"""Number of cells along a side of a patch: a block and the cells around it that its planes
+read."""
 MOMENTS = 10
 """Number of moments of a cell: n, x, y, z, xx, xy, yy, xz, yz, zz."""
 PATCH_ROW, BLOCK_ROW = PATCH * MOMENTS, BLOCK_SIZE * MOMENTS
@@ -105,7 +113,8 @@ PATCH_ROW, BLOCK_ROW = PATCH * MOMENTS, BLOCK_SIZE * MOMENTS
 class _Sums(NamedTuple):
     """Moments of cells in flat arrays, row by row, so that sums of rows are loops over one array.
 
-    All moments and their sums are whole numbers, so they are exact, and neither order nor frame changes them.
+    All moments and their sums are whole numbers, so they are exact, and neither order nor frame
+    changes them.
 
     Attributes
     ----------
@@ -152,7 +161,10 @@ def _fill_patch(
             for plane_index in range(first + first_column, first + end_column):
                 # A product instead of a branch, which the processor could predict wrongly.
                 n_points = float(np.int64(kept[plane_index]))
-                dx, dy = n_points * float(x[plane_index] - x0), n_points * float(y[plane_index] - y0)
+                dx, dy = (
+                    n_points * float(x[plane_index] - x0),
+                    n_points * float(y[plane_index] - y0),
+                )
                 dz = n_points * float(z[plane_index] - z0)
                 patch[m], patch[m + 1], patch[m + 2], patch[m + 3] = n_points, dx, dy, dz
                 patch[m + 4], patch[m + 5], patch[m + 6] = dx * dx, dx * dy, dy * dy
@@ -174,7 +186,9 @@ def _add_up(sums: _Sums) -> None:
         first = row * BLOCK_ROW
         for i in range(BLOCK_ROW):
             three[first + i] = (
-                three_rows[i + MOMENTS] + three_rows[i + 2 * MOMENTS] + three_rows[i + 3 * MOMENTS]
+                three_rows[i + MOMENTS]
+                + three_rows[i + 2 * MOMENTS]
+                + three_rows[i + 3 * MOMENTS]
             )
         for i in range(BLOCK_ROW):
             five[first + i] = (
@@ -184,11 +198,13 @@ def _add_up(sums: _Sums) -> None:
 
 
 @inlined
-def _plane(s: Float64, m: int, enough: int, x: int, y: int, z: int) -> tuple[float, float, float, float]:
+def _plane(
+    s: Float64, m: int, enough: int, x: int, y: int, z: int
+) -> tuple[float, float, float, float]:
     """Fit the plane of the cells whose sums begin at m.
 
-    Returns its rise to the east and to the north, its height above (x, y, z), and the scatter of the cells about it.
-    The scatter is -1 if the cells are too few or lie on a line.
+    Returns its rise to the east and to the north, its height above (x, y, z), and the scatter
+    of the cells about it. The scatter is -1 if the cells are too few or lie on a line.
     """
     n = s[m]
     if n < enough:
@@ -206,7 +222,9 @@ def _plane(s: Float64, m: int, enough: int, x: int, y: int, z: int) -> tuple[flo
 
 
 @inlined
-def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: PlaneLimits, kept: Bool) -> bool:
+def _fit_block(
+    planes: Planes, first: int, sums: _Sums, origin: int, limits: PlaneLimits, kept: Bool
+) -> bool:
     """Fit the planes of the cells of a block, remove spikes from ``kept``, and return whether there are any."""
     x, y, z, east, north, height = planes
     x0, y0, z0 = as_int64(x[origin]), as_int64(y[origin]), as_int64(z[origin])
@@ -228,7 +246,9 @@ def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: Pla
 
 
 @kernel
-def _touched(around: Int32, k: int, first: int, kept: Bool, planes: Planes, touched: Bool) -> None:
+def _touched(
+    around: Int32, k: int, first: int, kept: Bool, planes: Planes, touched: Bool
+) -> None:
     """Add the blocks whose planes read the spikes of block k to ``touched``."""
     for cell in range(CELLS):
         if kept[first + cell] or planes.z[first + cell] == EMPTY:

@@ -1,8 +1,9 @@
 """Ground of dense LiDAR clouds by a fine surface of local planes through the lowest points of cells of 0.4 m.
 
-A TIN of the lowest point of each cell of 1 m lies below the fine relief, so a band about it both loses ground and keeps
-low plants. Where points are dense enough, they are compared with planes through the lowest of the points near this TIN
-instead (`ptd.ground.fine_planes`). ``docs/filters.md`` describes the rules and the reasons for each of them.
+A TIN of the lowest point of each cell of 1 m lies below the fine relief, so a band about it
+both loses ground and keeps low plants. Where points are dense enough, they are compared with
+planes through the lowest of the points near this TIN instead (`ptd.ground.fine_planes`).
+``docs/filters.md`` describes the rules and the reasons for each of them.
 """
 
 from __future__ import annotations
@@ -42,20 +43,23 @@ from ptd.passes import Stats
 from ptd.tin.mesh import Tin
 
 REACH_M = 3 * BLOCK_SIZE * CELL_M
-"""Distance beyond which points do not change a point's label. The label depends on planes in the point's block and the
-eight around it, and these depend on points one block farther."""
+"""Distance beyond which points do not change a point's label. The label depends on planes in
+the point's block and the eight around it, and these depend on points one block farther."""
 NEAR_M, NEAR_SLOPE_M = 0.2, 0.5
-"""Largest distance from the TIN of points that may be ground: metres, plus metres per unit of slope."""
+"""Largest distance from the TIN of points that may be ground: metres, plus metres per unit of
+slope."""
 HIGHER_M = 0.2
 """Addition in metres to the limit of `NEAR` that gives the limit of `CROP` (`Closeness`)."""
 BELOW_M, ABOVE_M, ABOVE_SLOPE_M = 0.25, 0.1, 0.1
-"""Largest distances of ground below the plane, above it, and additionally above it per unit of slope."""
+"""Largest distances of ground below the plane, above it, and additionally above it per unit of
+slope."""
 CROP_BELOW_M, CROP_ABOVE_M, CROP_ON_M, CROP_SHARE = 0.1, 0.4, 0.05, 0.5
 """Limits of a crop.
 
-Points from `CROP_BELOW_M` below to `CROP_ABOVE_M` above the fine surface, in a block and those around it, are counted.
-In settled blocks all points that are not `FAR` from the TIN are counted, and those that are `ON` are on the surface. If
-less than `CROP_SHARE` of them is within `CROP_ON_M`, there is a crop, and no further points become ground.
+Points from `CROP_BELOW_M` below to `CROP_ABOVE_M` above the fine surface, in a block and those
+around it, are counted. In settled blocks all points that are not `FAR` from the TIN are
+counted, and those that are `ON` are on the surface. If less than `CROP_SHARE` of them is within
+`CROP_ON_M`, there is a crop, and no further points become ground.
 """
 
 Bool = npt.NDArray[np.bool_]
@@ -106,7 +110,9 @@ def _judge(
             continue
         rise_x, rise_y = float(east[plane_index]), float(north[plane_index])
         above = float(z[i] - cell_z[plane_index]) - height[plane_index]
-        above -= rise_x * float(x[i] - cell_x[plane_index]) + rise_y * float(y[i] - cell_y[plane_index])
+        above -= rise_x * float(x[i] - cell_x[plane_index]) + rise_y * float(
+            y[i] - cell_y[plane_index]
+        )
         if -heights.crop_below <= above <= heights.crop_above:
             seen[b] += 1
             on[b] += abs(above) <= heights.crop_on
@@ -154,7 +160,8 @@ def fine_ground(
     """
     where, blocks = located_points(points, close, uncertified, scale)
     if where.point.size == 0 or blocks.points.max() < FILLED:
-        return ground, uncertified  # No block can be dense, even if all uncertified points count.
+        # No block can be dense, even if all uncertified points count.
+        return ground, uncertified
     is_chosen = ~blocks.settled & (blocks.near >= FILLED)
     pages, n_pages = pages_of_blocks(is_chosen, blocks.around)
     ground, uncertified = ground.copy(), uncertified.copy()
@@ -204,5 +211,7 @@ class FineLabels(TinLabels):
         labels, uncertified, close = label_by_height(
             tin, self.locator, points, self.uncertified, self.rule, self.bands
         )
-        ground, uncertified = fine_ground(points, close, labels == GROUND, uncertified, self._scale)
+        ground, uncertified = fine_ground(
+            points, close, labels == GROUND, uncertified, self._scale
+        )
         return np.where(ground, np.uint8(GROUND), np.uint8(UNCLASSIFIED)), uncertified

@@ -13,9 +13,10 @@ _STEPS = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]
 def contour_reach(counts: npt.NDArray[np.int64], level: float) -> tuple[float, float] | None:
     """Return the largest first and second coordinate of the contour around the fullest bin.
 
-    Counts are values at the middles of their bins and are interpolated over triangles, two per square, as the paper
-    does with scattered points. Beyond the histogram they are 0. If there are several contours at the level, the one
-    around the fullest bin counts (the first of equal bins), because islands farther out are other populations.
+    Counts are values at the middles of their bins and are interpolated over triangles, two per
+    square, as the paper does with scattered points. Beyond the histogram they are 0. If there
+    are several contours at the level, the one around the fullest bin counts (the first of equal
+    bins), because islands farther out are other populations.
 
     Parameters
     ----------

@@ -26,8 +26,8 @@ UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 CLEAR = 1.0 - 1e-9
 """Factor just below 1 that outweighs rounding errors.
 
-A point within `CLEAR` times the smallest limit of all places is ground, and one beyond the largest limit / `CLEAR` is
-not.
+A point within `CLEAR` times the smallest limit of all places is ground, and one beyond the
+largest limit / `CLEAR` is not.
 """
 FAR, CROP, NEAR, ON = 0, 1, 2, 3
 """Degrees of closeness of a point to a TIN (`Closeness`)."""
@@ -59,7 +59,11 @@ def is_terrain(
         return False, False, is_uncertified
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, False, is_uncertified
+        return (
+            abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor,
+            False,
+            is_uncertified,
+        )
     beside = across(vertices, triangles, t, x, y)
     is_uncertified = is_uncertified or uncertified[beside] != 0
     measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
@@ -145,8 +149,8 @@ def _limits(bands: Bands) -> _Limits:
 class _Facet(NamedTuple):
     """A real triangle with corners in local counts, the smallest in (x, y) first.
 
-    It has only a few fields, because repeating some products per point is cheaper than keeping more numbers from point
-    to point.
+    It has only a few fields, because repeating some products per point is cheaper than keeping
+    more numbers from point to point.
     """
 
     t: int
@@ -170,14 +174,24 @@ def _facet(vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float) 
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     n2 = nx * nx + ny * ny + nz * nz
     cos2 = nz * nz / n2
-    return _Facet(t, a, b, c, (nx, ny, nz), math.sqrt(n2), math.sqrt(cos2), math.sqrt(max(1.0 - cos2, 0.0)))
+    return _Facet(
+        t,
+        a,
+        b,
+        c,
+        (nx, ny, nz),
+        math.sqrt(n2),
+        math.sqrt(cos2),
+        math.sqrt(max(1.0 - cos2, 0.0)),
+    )
 
 
 @inlined
 def _closeness(distance: float, cos: float, sin: float, close: Closeness) -> int:
     """Return the closeness of a point from its distance to a facet, and the cosine and sine of the facet's slope.
 
-    The distance to a facet is the height above it times the cosine of its slope, so the limits are multiplied too.
+    The distance to a facet is the height above it times the cosine of its slope, so the limits
+    are multiplied too.
     """
     near = close.near * cos + close.near_slope * sin
     on = distance <= close.on * cos + close.on_slope * sin
@@ -194,7 +208,10 @@ def _distance(f: _Facet, x: int, y: int, z: int, z_ratio: float) -> float:
 @kernel
 def _fits(f: _Facet, distance: float, x: int, y: int, bands: Bands) -> bool:
     """Return whether a point at a distance from a facet is ground by the limits of its place."""
-    return distance <= value_at(bands.floor, x, y) * f.cos + value_at(bands.per_slope, x, y) * f.sin
+    return (
+        distance
+        <= value_at(bands.floor, x, y) * f.cos + value_at(bands.per_slope, x, y) * f.sin
+    )
 
 
 @inlined
@@ -209,7 +226,9 @@ def _surely(f: _Facet, distance: float, limits: _Limits) -> tuple[bool, bool]:
 
 
 @kernel
-def _on_vertex(height: int, x: int, y: int, z: int, rule: LabelRule, bands: Bands) -> tuple[bool, int]:
+def _on_vertex(
+    height: int, x: int, y: int, z: int, rule: LabelRule, bands: Bands
+) -> tuple[bool, int]:
     """Return whether a point at the position of a vertex is ground by its height, and its closeness."""
     distance, close = abs(float(z - height)) * rule.limits.z_ratio, rule.close
     fits = distance <= value_at(bands.floor, x, y)
@@ -247,7 +266,14 @@ def _by_height(
 @inlined
 def _inside(f: _Facet, x: int, y: int) -> bool:
     """Return whether a position lies in a triangle, and not on its border."""
-    ax, ay, bx, by, cx, cy = f.a[0] - x, f.a[1] - y, f.b[0] - x, f.b[1] - y, f.c[0] - x, f.c[1] - y
+    ax, ay, bx, by, cx, cy = (
+        f.a[0] - x,
+        f.a[1] - y,
+        f.b[0] - x,
+        f.b[1] - y,
+        f.c[0] - x,
+        f.c[1] - y,
+    )
     return bool(ax * by - ay * bx > 0 and bx * cy - by * cx > 0 and cx * ay - cy * ax > 0)
 
 
@@ -270,8 +296,11 @@ def _label_by_height(
         if not _inside(facet, px, py):
             t = walk(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
             v = coincident_vertex(vertices, triangles, px, py, t)
-            if v >= 0:  # One point in ten is at a vertex. `locate` and `_by_height` would search again.
-                fits, close[i] = _on_vertex(as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands)
+            # One point in ten is at a vertex. `locate` and `_by_height` would search again.
+            if v >= 0:
+                fits, close[i] = _on_vertex(
+                    as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands
+                )
                 labels[i] = GROUND if fits else UNCLASSIFIED
                 uncertified_labels[i] = uncertified[t] != 0
                 continue
@@ -317,13 +346,18 @@ def _label(
 
 
 def label_points(
-    tin: Tin, locator: Locator, points: Xyz, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
+    tin: Tin,
+    locator: Locator,
+    points: Xyz,
+    uncertified: UInt8,
+    rule: LabelRule,
+    bands: Bands | None = None,
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Label points as ground or not by the finished TIN.
 
-    This step is not in the papers, which lose points in facets that take no more vertices (type I errors). The rule is
-    that of densification. In addition, a point within ``floor`` of its facet is ground at any angle, because near a
-    vertex, noise alone can cause any angle.
+    This step is not in the papers, which lose points in facets that take no more vertices (type
+    I errors). The rule is that of densification. In addition, a point within ``floor`` of its
+    facet is ground at any angle, because near a vertex, noise alone can cause any angle.
 
     Parameters
     ----------
@@ -353,7 +387,12 @@ def label_points(
 
 
 def label_by_height(
-    tin: Tin, locator: Locator, points: Xyz, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
+    tin: Tin,
+    locator: Locator,
+    points: Xyz,
+    uncertified: UInt8,
+    rule: LabelRule,
+    bands: Bands | None = None,
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
     """Label points like `label_points` by a rule with ``heights_only`` set.
 
@@ -361,7 +400,9 @@ def label_by_height(
     """
     if points.x.size and tin.n_triangles:
         bands = bands or Bands(everywhere(rule.floor), everywhere(rule.per_slope))
-        return _label_by_height(CheckedMesh(*tin.mesh, uncertified), locator, points, rule, bands)
+        return _label_by_height(
+            CheckedMesh(*tin.mesh, uncertified), locator, points, rule, bands
+        )
     n = points.x.size
     return np.full(n, UNCLASSIFIED, np.uint8), np.zeros(n, np.bool_), np.full(n, FAR, np.uint8)
 
@@ -381,7 +422,9 @@ class TinLabels(Model):
         self.stats, self.low, self._closed = stats, low, closed
         self.tin: Tin | None = None
 
-    def finish(self, tin: Tin, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None) -> None:
+    def finish(
+        self, tin: Tin, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
+    ) -> None:
         """Set the finished TIN and the rule of labelling. `label_points` describes the parameters."""
         self.tin, self.uncertified, self.rule, self.bands = tin, uncertified, rule, bands
         self.locator = Locator.of(tin)

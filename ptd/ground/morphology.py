@@ -1,8 +1,9 @@
 """Grey-scale openings with disks on minimum rasters, in which any cell may be empty.
 
-An empty cell has no height, so it neither lowers nor raises its neighbours. All results are integers, or follow from
-integers by the same few operations in each cell. The result of a cell depends only on its surroundings, not on where
-the raster starts or ends. So rasters of one lattice agree wherever both contain all data within the search distance.
+An empty cell has no height, so it neither lowers nor raises its neighbours. All results are
+integers, or follow from integers by the same few operations in each cell. The result of a cell
+depends only on its surroundings, not on where the raster starts or ends. So rasters of one
+lattice agree wherever both contain all data within the search distance.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ EMPTY = 2**31 - 1
 """Height of a cell without points."""
 
 OVERHANG = 1
-"""Largest distance in cells between the centre of a disk and a filled cell. With disks
-centred only on filled cells, too few disks would lie between sparse points, and openings would cut fine ridges. With
-disks centred anywhere outside the data, a disk could reach just onto a roof at the border, and the opening would keep
-the roof."""
+"""Largest distance in cells between the centre of a disk and a filled cell. With disks centred
+only on filled cells, too few disks would lie between sparse points, and openings would cut fine
+ridges. With disks centred anywhere outside the data, a disk could reach just onto a roof at the
+border, and the opening would keep the roof."""
 
 Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
@@ -99,15 +100,17 @@ def _fill_runs(runs: Int32, row: Int32, radius: int) -> tuple[int, int]:
 def _disk_minimum(heights: Int32, half_widths: Int64, levels: Int64, out: Int32) -> None:
     """Compute the minimum over a disk around each cell from runs of 2**level cells (Urbach and Wilkinson 2008).
 
-    Two runs cover each chord of the disk. The first chord is the widest. The runs of the rows that the disk touches are
-    kept in a ring buffer that stays in the cache. With sparse points most rows are empty, and others are filled over a
-    few columns, so all other cells are skipped.
+    Two runs cover each chord of the disk. The first chord is the widest. The runs of the rows
+    that the disk touches are kept in a ring buffer that stays in the cache. With sparse points
+    most rows are empty, and others are filled over a few columns, so all other cells are
+    skipped.
     """
     height, width = heights.shape
     radius = half_widths.size - 1
     span = 2 * radius + 1
     buffer = np.full((span, levels[0] + 1, width + 2 * radius), EMPTY, np.int32)
-    first, end = np.full(span, width), np.zeros(span, np.int64)  # filled columns of the rows in the buffer
+    # filled columns of the rows in the buffer
+    first, end = np.full(span, width), np.zeros(span, np.int64)
     for row in range(-radius, height):
         slot = (row + radius) % span
         first[slot], end[slot] = width, 0
@@ -120,7 +123,12 @@ def _disk_minimum(heights: Int32, half_widths: Int64, levels: Int64, out: Int32)
         lowest = out[row]
         lowest[:] = EMPTY
         for dy in range(radius + 1):
-            south, north, half, k = (row - dy) % span, (row + dy) % span, half_widths[dy], levels[dy]
+            south, north, half, k = (
+                (row - dy) % span,
+                (row + dy) % span,
+                half_widths[dy],
+                levels[dy],
+            )
             start = max(min(first[south], first[north]) - half, 0)
             n = min(max(end[south], end[north]) + half, width) - start
             if n <= 0:
@@ -153,7 +161,10 @@ def disk_minimum(heights: Int32, radius: float) -> Int32:
     levels = [(2 * w + 1).bit_length() - 1 for w in half_widths]
     out = np.empty(heights.shape, np.int32)
     _disk_minimum(
-        np.ascontiguousarray(heights), np.array(half_widths, np.int64), np.array(levels, np.int64), out
+        np.ascontiguousarray(heights),
+        np.array(half_widths, np.int64),
+        np.array(levels, np.int64),
+        out,
     )
     return out
 
@@ -188,21 +199,26 @@ def _open(heights: Int32, radius: float, filled: Bool, centres: Bool) -> Int32:
 
 
 @kernel
-def _keep_steepest(before: Int32, after: Int32, allowance: float, radius: float, steepest: Float32) -> None:
+def _keep_steepest(
+    before: Int32, after: Int32, allowance: float, radius: float, steepest: Float32
+) -> None:
     b, a, s = before.reshape(-1), after.reshape(-1), steepest.reshape(-1)
     for i in range(b.size):
         s[i] = max(s[i], np.float32((float(b[i]) - float(a[i]) - allowance) / radius))
 
 
-def steepest_drops(heights: Int32, radii: Sequence[float], allowance: float) -> tuple[Float32, Int32]:
+def steepest_drops(
+    heights: Int32, radii: Sequence[float], allowance: float
+) -> tuple[Float32, Int32]:
     """Open a raster with larger and larger disks and find the steepest drop of each cell from one opening to the next.
 
-    Each disk opens the original raster, not the last opening. So heights farther than twice the last radius do not
-    change a cell's result. Discrete disks are not unions of smaller ones, so repeated openings of the result would
-    erode a slope step by step.
+    Each disk opens the original raster, not the last opening. So heights farther than twice the
+    last radius do not change a cell's result. Discrete disks are not unions of smaller ones, so
+    repeated openings of the result would erode a slope step by step.
 
-    A cell drops by more than ``allowance + s * radius`` with some disk if its steepest drop is above s. So thresholds
-    that grow with the disk can be chosen after the openings, and can differ from cell to cell.
+    A cell drops by more than ``allowance + s * radius`` with some disk if its steepest drop is
+    above s. So thresholds that grow with the disk can be chosen after the openings, and can
+    differ from cell to cell.
 
     Parameters
     ----------

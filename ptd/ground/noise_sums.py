@@ -16,11 +16,11 @@ MAX_SIGMA_M = 0.3
 BIN_M = 0.001
 BINS = round(MAX_SIGMA_M / BIN_M) + 2
 MIN_SHARE = 0.005
-"""Least share of planar patches among cells with enough points. In a wood the few planar patches do not show the
-noise."""
+"""Least share of planar patches among cells with enough points. In a wood the few planar
+patches do not show the noise."""
 SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
-"""Quantile of the noise of all quarters of patches, and the factor by which it is multiplied to estimate the noise of
-the smoothest patches, even where no ground is visible."""
+"""Quantile of the noise of all quarters of patches, and the factor by which it is multiplied to
+estimate the noise of the smoothest patches, even where no ground is visible."""
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]

@@ -131,16 +131,29 @@ def isolated_in_height(
 
 
 def _search(
-    x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int, both: bool
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    scale: Scale,
+    radius_m: float,
+    depth_m: float,
+    group: int,
+    both: bool,
 ) -> npt.NDArray[np.bool_]:
     index = CellIndex(x, y, CellLattice.of(1.0, scale))
     search = _Search(scale.counts(radius_m), scale.counts_z(depth_m), group, both)
-    return _outliers(Xyz(x, y, z), index.table, index.cell_indices(x, y), int(np.ceil(radius_m)) + 1, search)
+    return _outliers(
+        Xyz(x, y, z), index.table, index.cell_indices(x, y), int(np.ceil(radius_m)) + 1, search
+    )
 
 
 def search_margin(radius_m: float, group: int, cell_m: float) -> int:
     """Return the radius of the search in cells of the lattice of lowest points, rounded up, or 0 without a search."""
-    return math.ceil(Fraction(repr(float(radius_m))) / Fraction(repr(float(cell_m)))) if group else 0
+    return (
+        math.ceil(Fraction(repr(float(radius_m))) / Fraction(repr(float(cell_m))))
+        if group
+        else 0
+    )
 
 
 class LowNoise:
@@ -157,7 +170,9 @@ class LowNoise:
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice) -> None:
         self._index = CellIndex(x, y, cells) if x.size else None
         if self._index is not None:
-            self._heights = np.maximum.reduceat(z[self._index.table.order], self._index.table.starts[:-1])
+            self._heights = np.maximum.reduceat(
+                z[self._index.table.order], self._index.table.starts[:-1]
+            )
 
     def holds(
         self, x: Int32, y: Int32, z: Int32, among: npt.NDArray[np.bool_] | None = None
@@ -165,7 +180,8 @@ class LowNoise:
         """Return a mask of the low-noise points, restricted to the points in ``among`` if it is given: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
-        is_low: npt.NDArray[np.bool_] = z <= self._heights.max()  # Most points are higher than all outliers.
+        # Most points are higher than all outliers.
+        is_low: npt.NDArray[np.bool_] = z <= self._heights.max()
         if among is not None:
             is_low &= among
         low = np.flatnonzero(is_low)

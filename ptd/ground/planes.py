@@ -26,9 +26,18 @@ def fit_plane(s: Int64, z_ratio: float) -> tuple[float, float, float, float]:
     n = float(s[0])
     mx, my, mz = s[1] / n, s[2] / n, s[3] / n
     xx, xy, yy = s[4] - n * mx * mx, s[5] - n * mx * my, s[6] - n * my * my
-    xz, yz, zz = (s[7] - n * mx * mz) * z_ratio, (s[8] - n * my * mz) * z_ratio, s[9] - n * mz * mz
+    xz, yz, zz = (
+        (s[7] - n * mx * mz) * z_ratio,
+        (s[8] - n * my * mz) * z_ratio,
+        s[9] - n * mz * mz,
+    )
     det = xx * yy - xy * xy
     if det <= 1e-6 * xx * yy:
         return 0.0, 0.0, 0.0, -1.0
     a, b = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
-    return a, b, mz * z_ratio - a * mx - b * my, max(zz * z_ratio * z_ratio - a * xz - b * yz, 0.0)
+    return (
+        a,
+        b,
+        mz * z_ratio - a * mx - b * my,
+        max(zz * z_ratio * z_ratio - a * xz - b * yz, 0.0),
+    )

@@ -1,14 +1,16 @@
 """Wide roofs: connected surfaces whose edges fall on all sides.
 
-A roof of any shape ends on all sides in a fall. Terrain continues somewhere: a hill at its foot, a terrace at its ends
-or over a ramp. A connected surface is classified as a whole, so no opening cuts a roof in two. A surface wider than a
-limit is terrain, whatever lies beyond, so heights beyond a fixed distance do not change the result.
+A roof of any shape ends on all sides in a fall. Terrain continues somewhere: a hill at its
+foot, a terrace at its ends or over a ramp. A connected surface is classified as a whole, so no
+opening cuts a roof in two. A surface wider than a limit is terrain, whatever lies beyond, so
+heights beyond a fixed distance do not change the result.
 
-A lower roof may lean on a higher one, so its edge does not fall on that side. Therefore the search is repeated without
-the roofs found before, and rays continue over them.
+A lower roof may lean on a higher one, so its edge does not fall on that side. Therefore the
+search is repeated without the roofs found before, and rays continue over them.
 
-A surface that the border of the data cuts may continue there. A narrower limit applies to it, and a surface that
-extends to opposite borders is terrain, for example an embankment across a corridor.
+A surface that the border of the data cuts may continue there. A narrower limit applies to it,
+and a surface that extends to opposite borders is terrain, for example an embankment across a
+corridor.
 """
 
 from __future__ import annotations
@@ -39,19 +41,21 @@ _AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
 """
 
 ROOF_CELL_M = 2.0
-"""Size of the cells of ground from which surfaces are made. They bridge the gaps of sparse clouds."""
+"""Size of the cells of ground from which surfaces are made. They bridge the gaps of sparse
+clouds."""
 ROOF_FALL_M = 1.5
 """Height difference above which ground is below a roof."""
 ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
 """Largest height difference of neighbours on a surface, for each search.
 
-The first searches find a hall, roofs that lean on it, and roofs that lean on those. If all steps were smaller
-than the fall, two flat roofs whose height difference lies between step and fall would each count as ground that is not
-below the other, so both could remain ground. Larger steps join a roof to
-terrain next to it. The last and smaller step separates them.
+The first searches find a hall, roofs that lean on it, and roofs that lean on those. If all
+steps were smaller than the fall, two flat roofs whose height difference lies between step and
+fall would each count as ground that is not below the other, so both could remain ground. Larger
+steps join a roof to terrain next to it. The last and smaller step separates them.
 """
 ROOF_GAP_M = 8.0
-"""Largest distance of neighbours on a surface. Higher parts of a building may separate the parts of a roof."""
+"""Largest distance of neighbours on a surface. Higher parts of a building may separate the
+parts of a roof."""
 ROOF_VIEW_M = 24.0
 """Length of the rays that search for other ground, beyond objects around a roof."""
 ROOF_SLOPE = 0.2
@@ -59,19 +63,22 @@ ROOF_SLOPE = 0.2
 ROOF_BELOW_SHARE = 0.9
 """Least share of the ground seen around a roof that lies below it."""
 ROOF_UNSEEN_SHARE = 0.6
-"""Largest share of the rays around a roof that meet no ground (trees, walls of courtyards, the border of the data)."""
+"""Largest share of the rays around a roof that meet no ground (trees, walls of courtyards, the
+border of the data)."""
 CUT_SIZE = 0.6
-"""Factor of the largest width for roofs that the border of the data cuts. They may be terraces that continue beyond
-it."""
+"""Factor of the largest width for roofs that the border of the data cuts. They may be terraces
+that continue beyond it."""
 
 BESIDE = 2
-"""A ray that meets no ground does not count as unseen or as leaving the data, only in the total, if a roof found before
-lies within this many cells of its start. This roof hides the ground."""
+"""A ray that meets no ground does not count as unseen or as leaving the data, only in the
+total, if a roof found before lies within this many cells of its start. This roof hides the
+ground."""
 CUT = 0.02
-"""If a larger share than this of a surface's rays leave the data, the border of the data cuts the surface."""
+"""If a larger share than this of a surface's rays leave the data, the border of the data cuts
+the surface."""
 THROUGH = 3
-"""A surface is terrain if at least this many of its rays leave the data on each of two opposite sides, because it
-continues through a narrow survey."""
+"""A surface is terrain if at least this many of its rays leave the data on each of two opposite
+sides, because it continues through a narrow survey."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,11 @@ class Plateaus:
 
     @classmethod
     def of(
-        cls, scale: Scale, widest_m: float, step_m: float = ROOF_FALL_M, cell_m: float = ROOF_CELL_M
+        cls,
+        scale: Scale,
+        widest_m: float,
+        step_m: float = ROOF_FALL_M,
+        cell_m: float = ROOF_CELL_M,
     ) -> Self:
         """Return the rule for roofs up to ``widest_m`` wide whose neighbouring cells differ by at most ``step_m``.
 
@@ -137,9 +148,9 @@ class Plateaus:
     def reach(self) -> int:
         """Distance in cells beyond which heights do not change the result.
 
-        If a surface continues beyond this distance, its part within the distance is already wider than `widest`,
-        because the last cell of this part is at most `gap` cells from the limit. One further cell is for the edges
-        (`on_plateaus`).
+        If a surface continues beyond this distance, its part within the distance is already
+        wider than `widest`, because the last cell of this part is at most `gap` cells from the
+        limit. One further cell is for the edges (`on_plateaus`).
         """
         return self.widest + max(self.gap, self.view) + 1
 
@@ -152,12 +163,14 @@ class _Rays(NamedTuple):
     slope: float
 
 
-def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, roof_rule: Plateaus) -> Bool:
+def on_plateaus(
+    z: Int32, ground: Bool, before: Bool, raster: CellRaster, roof_rule: Plateaus
+) -> Bool:
     """Find the ground points on surfaces above their surroundings: bool [n].
 
     These are all ground points in cells of such surfaces. A cell next to such a surface can
-    contain both ground and roof, and its lowest point is the ground. Points more than `Plateaus.fall` above this point
-    are on the roof, too.
+    contain both ground and roof, and its lowest point is the ground. Points more than
+    `Plateaus.fall` above this point are on the roof, too.
 
     Parameters
     ----------
@@ -174,10 +187,14 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, roof_r
     removed[raster.keys[before]] = True
     data = np.zeros(heights.size, np.bool_)
     data[raster.keys] = True
-    roof = plateaus(heights, roof_rule, removed.reshape(heights.shape), data.reshape(heights.shape))
+    roof = plateaus(
+        heights, roof_rule, removed.reshape(heights.shape), data.reshape(heights.shape)
+    )
     beside = scipy.ndimage.maximum_filter(roof, size=3, mode="constant", cval=False)
     higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > roof_rule.fall
-    is_on_plateau: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
+    is_on_plateau: Bool = ground & (
+        roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher
+    )
     return is_on_plateau
 
 
@@ -208,12 +225,22 @@ def plateaus(
     limit = math.floor(roof_rule.step) + 1  # heights are whole numbers
     surface, n = connected_surfaces(heights, limit, limit, roof_rule.gap)
     looks, box = _looks(
-        heights, surface, removed, data, passed, n, _Rays(roof_rule.view, roof_rule.fall, roof_rule.slope)
+        heights,
+        surface,
+        removed,
+        data,
+        passed,
+        n,
+        _Rays(roof_rule.view, roof_rule.fall, roof_rule.slope),
     )
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]
-    above = (seen > 0) & (looks[:, _FALLS] >= roof_rule.share * seen) & (unseen <= roof_rule.unseen * every)
+    above = (
+        (seen > 0)
+        & (looks[:, _FALLS] >= roof_rule.share * seen)
+        & (unseen <= roof_rule.unseen * every)
+    )
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     cut = border.sum(axis=1) > CUT * every
     ends = wide <= np.where(cut, roof_rule.widest_cut, roof_rule.widest)
@@ -246,7 +273,10 @@ def _looks(
                 box[number, :2], box[number, 2:] = row, column
             looks[number, _AREA] += 1
             box[number, 0], box[number, 1] = min(box[number, 0], row), max(box[number, 1], row)
-            box[number, 2], box[number, 3] = min(box[number, 2], column), max(box[number, 3], column)
+            box[number, 2], box[number, 3] = (
+                min(box[number, 2], column),
+                max(box[number, 3], column),
+            )
             for way in range(8):
                 met, joined = _BORDER + way, False
                 for steps in range(1, view + 1):

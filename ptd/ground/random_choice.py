@@ -32,20 +32,23 @@ def _mixed32(values: UInt32) -> UInt32:
 def point_hashes(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
     """Return a random number for each point from its absolute position and a salt: int32 [n].
 
-    Points at one (x, y) with different heights have different numbers. So ties in `random_per_cell` are only between
-    different positions in plan, or between equal points.
+    Points at one (x, y) with different heights have different numbers. So ties in
+    `random_per_cell` are only between different positions in plan, or between equal points.
     """
     with np.errstate(over="ignore"):
         east = (x.astype(np.int64) + cells.origin_x).view(np.uint64)
         north = (y.astype(np.int64) + cells.origin_y).view(np.uint64)
-        position_hashes = _mixed64(_mixed64(east + _mixed64(np.full(1, salt, np.uint64))) + north)
+        position_hashes = _mixed64(
+            _mixed64(east + _mixed64(np.full(1, salt, np.uint64))) + north
+        )
         return _mixed32(position_hashes.astype(np.uint32) ^ z.view(np.uint32)).view(np.int32)
 
 
 def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
     """Pick one random point of each occupied cell, in row-major order of the cells.
 
-    The pick depends only on the cell's own points and the salt, not on their order, the tile or the frame's offset.
+    The pick depends only on the cell's own points and the salt, not on their order, the tile or
+    the frame's offset.
 
     Parameters
     ----------
@@ -62,4 +65,6 @@ def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int)
     """
     if x.size == 0:
         return np.zeros(0, np.int32)
-    return lowest_per_cell(x, y, point_hashes(x, y, np.ascontiguousarray(z), cells, salt), cells)
+    return lowest_per_cell(
+        x, y, point_hashes(x, y, np.ascontiguousarray(z), cells, salt), cells
+    )

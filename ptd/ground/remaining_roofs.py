@@ -1,7 +1,7 @@
 """Roofs that remain in a terrain model, found by the rule that removes roofs from a cloud (`ptd.ground.plateaus`).
 
-Between a roof and the ground next to it the model is an interpolated ramp, which would join both. So steep cells do not
-count as ground, because the cloud has no ground there.
+Between a roof and the ground next to it the model is an interpolated ramp, which would join
+both. So steep cells do not count as ground, because the cloud has no ground there.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ def remaining_roofs(
 ) -> list[RemainingRoof]:
     """Find the connected surfaces of a terrain model that lie above their surroundings.
 
-    Each search depends on heights up to `reach_m` from a cell, and on the roofs found by the searches before.
+    Each search depends on heights up to `reach_m` from a cell, and on the roofs found by the
+    searches before.
 
     Parameters
     ----------
@@ -64,7 +65,10 @@ def remaining_roofs(
         is_roof |= plateaus(ground, roof_rule, is_roof, known)
     numbers, _ = scipy.ndimage.label(is_roof, np.ones((3, 3)))
     boxes = scipy.ndimage.find_objects(numbers)
-    roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))
+    roofs = (
+        _measured(numbers[box] == number, box, cell_m)
+        for number, box in enumerate(boxes, start=1)
+    )
     return [roof for roof in roofs if roof.width_m >= min_width_m]
 
 

@@ -1,23 +1,27 @@
 """Noise of a cloud's heights: root mean square of the residuals of planes (Dong 2018, eq. 1), and its density.
 
-The paper averages nine patches picked by hand. Here patches are the cells of a lattice of `PATCH_M` anchored at CRS
-coordinate 0. A patch counts if it passes three tests:
+The paper averages nine patches picked by hand. Here patches are the cells of a lattice of
+`PATCH_M` anchored at CRS coordinate 0. A patch counts if it passes three tests:
 
-- *Many* points: at least `MIN_POINTS`, and `MIN_POINTS_PER_QUARTER` in each quarter of the cell.
-- *Planar*: the root mean square of the residuals is at most `MAX_SIGMA_M`, and no residual exceeds `MAX_RESIDUAL` times
-  the root mean square. The residual variance of separate planes for the quarters is at least `MIN_VARIANCE_SHARE` of
-  that of the one plane, so a bend or a step is less than the noise.
-- *Ground*: the plane is no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M`
-  below it.
+- *Many* points: at least `MIN_POINTS`, and `MIN_POINTS_PER_QUARTER` in each quarter of the
+  cell.
+- *Planar*: the root mean square of the residuals is at most `MAX_SIGMA_M`, and no residual
+  exceeds `MAX_RESIDUAL` times the root mean square. The residual variance of separate planes
+  for the quarters is at least `MIN_VARIANCE_SHARE` of that of the one plane, so a bend or a
+  step is less than the noise.
+- *Ground*: the plane is no steeper than 45 degrees, and no patch within `REACH_CELLS` cells
+  lies more than `DROP_M` below it.
 
-There is no noise value if less than a share `MIN_SHARE` of the cells with `MIN_POINTS` pass the other tests.
+There is no noise value if less than a share `MIN_SHARE` of the cells with `MIN_POINTS` pass the
+other tests.
 
-The noise is the lower quartile of the patches' values (`ptd.ground.noise_sums`). Lawns, fields and low plants pass all
-tests and may be most of the patches, while no patch is smoother than a hard surface. Sums are of integers, and each
-patch belongs to the core with its first point, so neither tiles nor the order of points change the result.
+The noise is the lower quartile of the patches' values (`ptd.ground.noise_sums`). Lawns, fields
+and low plants pass all tests and may be most of the patches, while no patch is smoother than a
+hard surface. Sums are of integers, and each patch belongs to the core with its first point, so
+neither tiles nor the order of points change the result.
 
-Deviations from eq. 1: the sum of squares is divided by N - 3, not N (a fitted plane follows its points), and the
-average is a quartile.
+Deviations from eq. 1: the sum of squares is divided by N - 3, not N (a fitted plane follows its
+points), and the average is a quartile.
 """
 
 from __future__ import annotations
@@ -42,7 +46,8 @@ STEEPEST = 1.0
 DROP_M = 2.0
 REACH_CELLS = 5
 REACH_M = PATCH_M * (REACH_CELLS + 1)
-"""Margin around the core that a window needs so that `measure` gives the same result with any tiles."""
+"""Margin around the core that a window needs so that `measure` gives the same result with any
+tiles."""
 MIN_QUARTER_PLANE_POINTS = 12
 """Least number of points in a quarter of a patch for measuring its roughness by a plane."""
 TALLEST_M = 8.0
@@ -55,8 +60,9 @@ Float64 = npt.NDArray[np.float64]
 class _Moments(NamedTuple):
     """Sums over the points of each cell.
 
-    The moments of each quarter, int64 [cells, 4, MOMENTS], are relative to the cell's south-western corner (x, y) and
-    its lowest point. The first point of a cell is the southernmost one, or the westernmost of several.
+    The moments of each quarter, int64 [cells, 4, MOMENTS], are relative to the cell's
+    south-western corner (x, y) and its lowest point. The first point of a cell is the
+    southernmost one, or the westernmost of several.
     """
 
     x: Int64
@@ -69,13 +75,20 @@ class _Moments(NamedTuple):
 
 @kernel
 def _sums(
-    points: Xyz, slot: Int64, corners: tuple[Int64, Int64], size: tuple[int, int], tallest: float
+    points: Xyz,
+    slot: Int64,
+    corners: tuple[Int64, Int64],
+    size: tuple[int, int],
+    tallest: float,
 ) -> _Moments:
     """Compute the moments of cells of size p / q counts, only n and z for cells taller than a limit."""
     x, y, z = points
     corner_x, corner_y = corners
     p, q = size
-    low, high = np.full(corner_x.size, 2**40, np.int64), np.full(corner_x.size, -(2**40), np.int64)
+    low, high = (
+        np.full(corner_x.size, 2**40, np.int64),
+        np.full(corner_x.size, -(2**40), np.int64),
+    )
     sums = np.zeros((corner_x.size, 4, MOMENTS), np.int64)
     first = np.full(corner_x.size, -1, np.int64)
     for i in range(x.size):
@@ -86,7 +99,11 @@ def _sums(
             first[k] = i
     for i in range(x.size):
         k = slot[i]
-        dx, dy, dz = np.int64(x[i]) - corner_x[k], np.int64(y[i]) - corner_y[k], np.int64(z[i]) - low[k]
+        dx, dy, dz = (
+            np.int64(x[i]) - corner_x[k],
+            np.int64(y[i]) - corner_y[k],
+            np.int64(z[i]) - low[k],
+        )
         quarter = 2 * int(2 * q * dy >= p) + int(2 * q * dx >= p)
         if high[k] - low[k] <= tallest:
             add_point(sums[k, quarter], dx, dy, dz)
@@ -97,7 +114,9 @@ def _sums(
 
 
 @kernel
-def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_ratio: float) -> Float64:
+def _patches(
+    moments: _Moments, whole: Int64, tallest: float, largest: float, z_ratio: float
+) -> Float64:
     """Return the planes a, b, c of cells with many points that are planar, and their noise, in horizontal counts.
 
     The noise of all other cells is -1.
@@ -115,7 +134,11 @@ def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_
         a, b, c, squares = fit_plane(whole[k], z_ratio)
         variance = squares / (n - 3)
         cos = 1.0 / math.sqrt(1.0 + a * a + b * b)
-        if squares < 0.0 or math.sqrt(variance) * cos > largest or a * a + b * b > STEEPEST * STEEPEST:
+        if (
+            squares < 0.0
+            or math.sqrt(variance) * cos > largest
+            or a * a + b * b > STEEPEST * STEEPEST
+        ):
             continue
         parts = 0.0
         for quarter in range(4):
@@ -123,7 +146,12 @@ def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_
             parts = parts + left if left >= 0.0 and parts >= 0.0 else -1.0
         if parts / (n - 12 if n > 12 else 1) < MIN_VARIANCE_SHARE * variance and squares > 0.0:
             continue
-        planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3] = a, b, c, math.sqrt(variance) * cos
+        planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3] = (
+            a,
+            b,
+            c,
+            math.sqrt(variance) * cos,
+        )
     return planes
 
 
@@ -143,7 +171,9 @@ def _quarters(sums: Int64, z_ratio: float) -> Float64:
 
 
 @kernel
-def _drop_bent(points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_ratio: float) -> None:
+def _drop_bent(
+    points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_ratio: float
+) -> None:
     """Remove the patches with a point beyond `MAX_RESIDUAL` times the noise."""
     x, y, z = points
     worst = np.zeros(planes.shape[0])
@@ -173,7 +203,8 @@ def _is_ground(
 ) -> Bool:
     """Return a mask of the patches that are ground.
 
-    A patch is not ground if the mean height of a nearby cell with many points is far below its plane.
+    A patch is not ground if the mean height of a nearby cell with many points is far below its
+    plane.
     """
     low = moments.low
     ground = planes[:, 3] >= 0.0
@@ -186,7 +217,10 @@ def _is_ground(
             while j < keys.size and keys[j] <= keys[k] + row * width + REACH_CELLS:
                 if whole[j, 0] >= MIN_POINTS:
                     mean = (whole[j, 3] / whole[j, 0] + (low[j] - low[k])) * z_ratio
-                    px, py = moments.x[j] - moments.x[k] + size / 2, moments.y[j] - moments.y[k] + size / 2
+                    px, py = (
+                        moments.x[j] - moments.x[k] + size / 2,
+                        moments.y[j] - moments.y[k] + size / 2,
+                    )
                     if mean < a * px + b * py + c - drop:
                         ground[k] = False
                 j += 1
@@ -241,7 +275,8 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
         return Patches(none, none, none, never, never, none, np.zeros((0, 4), np.int64))
     cells = CellLattice.of(PATCH_M, scale)
     inside = core.contains(x, y)
-    # With a margin of columns around the occupied ones, a key beyond the raster is never a cell of another row.
+    # With a margin of columns around the occupied ones, a key beyond the raster is never a cell
+    # of another row.
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
     point_keys = cell_keys(x, y, cells, col0, row0, width)

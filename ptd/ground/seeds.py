@@ -12,9 +12,10 @@ from ptd.frame import CellLattice
 from ptd.ground.certificates import UncertifiedRegion
 
 RING = 2
-"""Width in cells of the ring of virtual seeds around occupied cells. A circle through or around a data point with a
-radius above sqrt(2) cells would contain a whole cell within two cells of the point, and so a seed. So an empty circle
-(one without vertices) has a radius of at most sqrt(2) cells and extends less than three cells from the data."""
+"""Width in cells of the ring of virtual seeds around occupied cells. A circle through or around
+a data point with a radius above sqrt(2) cells would contain a whole cell within two cells of
+the point, and so a seed. So an empty circle (one without vertices) has a radius of at most
+sqrt(2) cells and extends less than three cells from the data."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,10 @@ def choose_seeds(
         )
         _add_uncertified_cells(certified_cells, uncertified_cells, cells, region)
     half = cells.p // (2 * cells.q)
-    points = [(cells.west(c) + half, cells.south(r) + half, h) for (c, r), h in sorted(virtual.items())]
+    points = [
+        (cells.west(c) + half, cells.south(r) + half, h)
+        for (c, r), h in sorted(virtual.items())
+    ]
     return Seeds(chosen, np.array(points, np.int32).reshape(-1, 3))
 
 
@@ -115,17 +119,22 @@ def _add_uncertified_cells(
 ) -> None:
     """Make the cells uncertified that may have another seed in the untiled run.
 
-    These are cells that are not wholly known, and empty cells within the ring around them. A point beyond the border
-    could add or remove the virtual seed of an empty cell near it, or change its height. The same applies to cells near
-    cells with points of uncertified eligibility (`uncertified`). Cells of `filled` contain a point that is certainly
-    eligible.
+    These are cells that are not wholly known, and empty cells within the ring around them. A
+    point beyond the border could add or remove the virtual seed of an empty cell near it, or
+    change its height. The same applies to cells near cells with points of uncertified
+    eligibility (`uncertified`). Cells of `filled` contain a point that is certainly eligible.
     """
     known, deep = region.known.inside(cells), region.known.inside(cells, RING)
     reached = uncertified.union(*(_neighbours(cell, RING) for cell in uncertified))
     west, south, east, north = region.box
     for row in range(cells.row(south), cells.row(north - 1) + 1):
         for column in range(cells.column(west), cells.column(east - 1) + 1):
-            box = cells.west(column), cells.south(row), cells.west(column + 1), cells.south(row + 1)
+            box = (
+                cells.west(column),
+                cells.south(row),
+                cells.west(column + 1),
+                cells.south(row + 1),
+            )
             if known.contains_box(*box) and (column, row) in filled:
                 continue
             if not deep.contains_box(*box) or (column, row) in reached:

@@ -67,8 +67,14 @@ def _slopes(sums: Int64, reach: int, cells: Int64, out: Float64) -> None:
         if math.isnan(centre):
             out[i] = 0.0
             continue
-        west, east = _mean(sums, row, column - reach, reach), _mean(sums, row, column + reach, reach)
-        south, north = _mean(sums, row - reach, column, reach), _mean(sums, row + reach, column, reach)
+        west, east = (
+            _mean(sums, row, column - reach, reach),
+            _mean(sums, row, column + reach, reach),
+        )
+        south, north = (
+            _mean(sums, row - reach, column, reach),
+            _mean(sums, row + reach, column, reach),
+        )
         right, up = _rise(west, centre, east), _rise(south, centre, north)
         out[i] = math.sqrt(right * right + up * up) / reach
 
@@ -107,9 +113,10 @@ class Boxes:
     def slopes(self, reach: int, cells: Int64) -> Float64:
         """Return the slope at some cells of a surface that may have empty cells, from the means of boxes.
 
-        There are five boxes of half width `reach`: around the cell, and around the cells that lie `reach` cells to the
-        east, west, north and south of it. Along each axis the steeper of the two sides counts. At the edge of a
-        terrace or the foot of a slope, a mean of both would hide the slope.
+        There are five boxes of half width `reach`: around the cell, and around the cells that
+        lie `reach` cells to the east, west, north and south of it. Along each axis the steeper
+        of the two sides counts. At the edge of a terrace or the foot of a slope, a mean of both
+        would hide the slope.
 
         Parameters
         ----------

@@ -1,8 +1,8 @@
 """Ground of photogrammetric clouds: one robust height per cell, and a surface of limited curvature.
 
-Dense image matching gives many points. Their heights scatter to both sides and contain blunders, single ones and
-clumps, so the lowest point of a cell is a poor estimate of the ground. The modules work on rasters of cells of 1 m, or
-2 m in sparse clouds:
+Dense image matching gives many points. Their heights scatter to both sides and contain
+blunders, single ones and clumps, so the lowest point of a cell is a poor estimate of the
+ground. The modules work on rasters of cells of 1 m, or 2 m in sparse clouds:
 
 cells
     One robust height per cell.
@@ -23,16 +23,19 @@ growth
 voting
     Comparison of points with the surface, after a vote of their neighbours.
 last_look, decision_trees
-    Correction of labels from the surroundings of each point, by decision trees that were fitted to known labels.
+    Correction of labels from the surroundings of each point, by decision trees that were fitted
+    to known labels.
 passes, by_size
-    These steps as passes of `ptd.methods.auto.method`, also where cells of 1 m and cells of 2 m meet.
+    These steps as passes of `ptd.methods.auto.method`, also where cells of 1 m and cells of 2 m
+    meet.
 place_figures
     Density, noise and size of the cells of each place.
 survey, penetration
     Source of a cloud: laser scanning or dense image matching.
 robust_cells, facets
-    The papers' methods on the same cells, and the comparison of all points with the TIN of the ground cells they find.
+    The papers' methods on the same cells, and the comparison of all points with the TIN of the
+    ground cells they find.
 
-The passes start from the noise of each place, which is measured on the smoothest patches around it
-(`ptd.ground.noise_by_place`).
+The passes start from the noise of each place, which is measured on the smoothest patches around
+it (`ptd.ground.noise_by_place`).
 """

@@ -1,7 +1,7 @@
 """Passes of photogrammetric clouds where cells of 1 m and 2 m meet.
 
-Each pass works on the cells of each size separately. A point is labelled with the cells of the size that its
-place (a square of 256 m, `ptd.places`) uses.
+Each pass works on the cells of each size separately. A point is labelled with the cells of the
+size that its place (a square of 256 m, `ptd.places`) uses.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from ptd.places import PLACES, near, of_places
 
 Float64 = npt.NDArray[np.float64]
 OfSize = Callable[[Points, Scale, State, float], Model]
-"""Function of a pass that fits the cells of one size, from elected points, scale, state and size in metres."""
+"""Function of a pass that fits the cells of one size, from elected points, scale, state and
+size in metres."""
 
 
 def needed(xyz: Int32, size_m: float, state: State, scale: Scale) -> Bool:
@@ -52,8 +53,8 @@ def of_each_size(
 ) -> Model:
     """Fit the cells of each size in a window and return one model of them.
 
-    If ``cells`` is true, the model labels cells, each with the model of its size. Otherwise it labels points, each with
-    the model of the cell size of its place.
+    If ``cells`` is true, the model labels cells, each with the model of its size. Otherwise it
+    labels points, each with the model of the cell size of its place.
     """
     present = cell_sizes(state[PLACES]) or CELL_SIZES_M[:1]
     if len(present) == 1:
@@ -61,10 +62,13 @@ def of_each_size(
     sizes_m = size_of_cells(points, scale)
     near_places = near(state[PLACES], core, scale)
     requested_sizes = (
-        cell_sizes(near_places) if cells else {known(figures, CELL_SIZE) for figures in near_places.values()}
+        cell_sizes(near_places)
+        if cells
+        else {known(figures, CELL_SIZE) for figures in near_places.values()}
     )
     models = {
-        size_m: of_size(points.take(sizes_m == size_m), scale, state, size_m) for size_m in requested_sizes
+        size_m: of_size(points.take(sizes_m == size_m), scale, state, size_m)
+        for size_m in requested_sizes
     }
     return ModelOfCells(models, scale) if cells else ModelOfPoints(models, scale, state)
 
@@ -75,7 +79,9 @@ class ModelOfCells(Model):
     def __init__(self, models: Mapping[float, Model], scale: Scale) -> None:
         self._models, self._scale = models, scale
         names = {name: 0 for model in models.values() for name in model.stats}
-        self.stats = {name: sum(model.stats[name] for model in models.values()) for name in names}
+        self.stats = {
+            name: sum(model.stats[name] for model in models.values()) for name in names
+        }
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label each cell with the model of its size."""
@@ -100,10 +106,15 @@ class ModelOfPoints(ModelOfCells):
         That model is passed all points, because points of other places around it vote as well.
         """
         labels, uncertified = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
-        place_sizes = of_places(self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale)
+        place_sizes = of_places(
+            self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale
+        )
         for size_m, model in self._models.items():
             of_size = place_sizes == size_m
             if of_size.any():
                 model_labels, model_uncertified = model.label(points)
-                labels[of_size], uncertified[of_size] = model_labels[of_size], model_uncertified[of_size]
+                labels[of_size], uncertified[of_size] = (
+                    model_labels[of_size],
+                    model_uncertified[of_size],
+                )
         return labels, uncertified

@@ -1,14 +1,17 @@
 """Closed canopy of photogrammetric clouds: areas where crowns hide the ground or were classified as ground.
 
-Images show no ground below closed crowns. Two properties of the points distinguish crowns from other surfaces:
+Images show no ground below closed crowns. Two properties of the points distinguish crowns from
+other surfaces:
 
-- The ground surface is *wavy* where it climbed onto crowns. In most of the surroundings, residuals of planes over 9 m
-  are some decimetres, and its slopes scatter in every direction. A fold, a dam or a cliff bends one way only, steep
-  terrain falls one way only, and lava and grass leave smaller residuals. Crowns are bounded: over 25 m the surface is
-  not much rougher. The surface consists of the crowns, so little stands above it. The surface next to trees on a steep
-  slope bends as well, but these trees stand above it.
-- Cells are *tall* if they stand above the ground that was found. Of tall cells, those that are rough over 5 m may be
-  crowns. Halls are not rough. Adjacent roofs are rough, but many of their cells lie in one plane with their neighbours.
+- The ground surface is *wavy* where it climbed onto crowns. In most of the surroundings,
+  residuals of planes over 9 m are some decimetres, and its slopes scatter in every direction. A
+  fold, a dam or a cliff bends one way only, steep terrain falls one way only, and lava and
+  grass leave smaller residuals. Crowns are bounded: over 25 m the surface is not much rougher.
+  The surface consists of the crowns, so little stands above it. The surface next to trees on a
+  steep slope bends as well, but these trees stand above it.
+- Cells are *tall* if they stand above the ground that was found. Of tall cells, those that are
+  rough over 5 m may be crowns. Halls are not rough. Adjacent roofs are rough, but many of their
+  cells lie in one plane with their neighbours.
 
 The canopy is the area that wavy and tall cells cover together, with small openings filled. A square must fit into it: a
 smaller one if half of it is wavy, a larger one otherwise, because gardens and gables are rough, too. In the canopy,
@@ -17,8 +20,8 @@ without a step. Pits in crowns do not stay: they are far shallower than the tree
 measured where the ground at their foot is visible. Every sum ends at a fixed distance, so cells farther than
 `reach_cells` do not change the result.
 
-Colours are not used, because a store contains them only for the few methods that need them. ``docs/filters.md`` reports
-what colours would add, and which canopies are found and missed.
+Colours are not used, because a store contains them only for the few methods that need them.
+``docs/filters.md`` reports what colours would add, and which canopies are found and missed.
 """
 
 from __future__ import annotations
@@ -37,12 +40,14 @@ from ptd.matched.surface import Surface
 Float64 = npt.NDArray[np.float64]
 
 AROUND_M = 25.0
-"""Side of the squares in which shares and the scatter of slopes are computed: they contain several crowns."""
+"""Side of the squares in which shares and the scatter of slopes are computed: they contain
+several crowns."""
 WAVE_WINDOW_M, MIN_WAVE_RESIDUAL_M = 9.0, 0.3
-"""Side of the windows of planes over several crowns, and the residual above which a surface is rough over them. Noise
-and grass leave smaller residuals, and mostly rocks do, too."""
+"""Side of the windows of planes over several crowns, and the residual above which a surface is
+rough over them. Noise and grass leave smaller residuals, and mostly rocks do, too."""
 TEXTURE_M, TEXTURE = 5.0, 0.3
-"""Side of the windows of planes over a crown, and the residual above which a tall cell may be a crown."""
+"""Side of the windows of planes over a crown, and the residual above which a tall cell may be a
+crown."""
 TALL_M = 1.0
 """Minimum height of a crown above the ground. Lower plants do not hide the ground."""
 SLOPE_M = 2.0
@@ -50,40 +55,45 @@ SLOPE_M = 2.0
 ROUGH_SHARE, SCATTER, ONE_WAY = 0.6, 0.17, 0.8
 """Limits of a wavy surface: share of rough cells around, scatter of slopes, and evenness of their direction.
 
-The share is larger than `ROUGH_SHARE`. The standard deviation of the slopes, in the direction in which they scatter
-least, is larger than `SCATTER`. The length of the mean slope is less than `ONE_WAY` times the mean length.
+The share is larger than `ROUGH_SHARE`. The standard deviation of the slopes, in the direction
+in which they scatter least, is larger than `SCATTER`. The length of the mean slope is less than
+`ONE_WAY` times the mean length.
 """
 BOUNDED = 0.3
-"""Ratio of residuals of planes over `WAVE_WINDOW_M` to those over `AROUND_M` that crowns exceed, because they are
-bounded. On bare slopes, ridges and rocks the residuals continue to grow with the window."""
+"""Ratio of residuals of planes over `WAVE_WINDOW_M` to those over `AROUND_M` that crowns
+exceed, because they are bounded. On bare slopes, ridges and rocks the residuals continue to
+grow with the window."""
 OVER, TILT = 2.0, 1.1
 """Ratio of the residuals of all cells to those of the surface, and ratio of the scatter of slopes to their mean.
 
-A surface that runs over crowns consists of them, so all cells are less than `OVER` times as rough as the surface. Cells
-are rougher where plants stand above a surface that they drag up. The condition applies only where slopes scatter by at
-most `TILT` times their mean: steep ground bends in many ways next to what stands on it.
+A surface that runs over crowns consists of them, so all cells are less than `OVER` times as
+rough as the surface. Cells are rougher where plants stand above a surface that they drag up.
+The condition applies only where slopes scatter by at most `TILT` times their mean: steep ground
+bends in many ways next to what stands on it.
 """
 CLOSED_M = 7.0
 """Side of openings that are part of a canopy."""
 WAVY_SQUARE_M, WAVY_SHARE, TALL_SIZE_M = 24.0, 0.5, 40.0
-"""Side of the squares that fit into a canopy of wavy cells, the share of wavy cells that they need, and side of the
-squares that fit into any other canopy."""
+"""Side of the squares that fit into a canopy of wavy cells, the share of wavy cells that they
+need, and side of the squares that fit into any other canopy."""
 PLANE_CELLS, PLANE_M, PLANE_SHARE = 3, 0.15, 0.25
 """Limits of roofs: cells on a side of the windows of planes, largest residual of a plane, and share of planes.
 
-Tall cells are roofs if more than this share of those in a square of `TALL_SIZE_M` is planes. Crowns have hardly any.
+Tall cells are roofs if more than this share of those in a square of `TALL_SIZE_M` is planes.
+Crowns have hardly any.
 """
 GROWN_M, STEEPEST = 8.0, 0.3
-"""Distance in metres to which seen ground continues into a canopy of wavy cells, and its largest slope from cell to
-cell."""
+"""Distance in metres to which seen ground continues into a canopy of wavy cells, and its
+largest slope from cell to cell."""
 
 
 PIT_M, WIDE_M, TREES_M, PIT_SHARE = 15.0, 6.0, 160.0, 0.5
 """Sides of three squares, and part of the height of trees below which an opening is a pit and not ground.
 
-The depth of ground is measured from the highest crown in the first square. A wide opening is one into which the second
-square fits. The mean depth of the ground in wide openings of the third square is the height of the trees. The largest
-depth would not do: it may be that of ground at the foot of a cliff.
+The depth of ground is measured from the highest crown in the first square. A wide opening is
+one into which the second square fits. The mean depth of the ground in wide openings of the
+third square is the height of the trees. The largest depth would not do: it may be that of
+ground at the foot of a cliff.
 """
 
 
@@ -131,7 +141,8 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
     there, around = np.isfinite(heights), _Squares(cell_m)
     known_surface = np.where(there & np.isfinite(surface.narrowing), surface.height, np.nan)
     wavy = _wavy(heights, known_surface, around)
-    tall = there & ~ground & ~(heights - surface.height < TALL_M)  # true where the surface is NaN, too
+    # true where the surface is NaN, too
+    tall = there & ~ground & ~(heights - surface.height < TALL_M)
     closed = around.closed(wavy | tall & _rough(heights, cell_m), CLOSED_M)
     half = around.mean(wavy.astype(np.float64), there, WAVY_SQUARE_M) > WAVY_SHARE
     climbed = there & around.opened(closed, WAVY_SQUARE_M) & half
@@ -148,8 +159,12 @@ def may_be(heights: Float64, cell_m: float) -> Bool:
     around = _Squares(cell_m)
     rough = _rough_around(residuals(heights, _odd_cells(WAVE_WINDOW_M, cell_m)), around)
     closed = around.closed(rough | _rough(heights, cell_m), CLOSED_M)
-    half = around.mean(rough.astype(np.float64), np.isfinite(heights), WAVY_SQUARE_M) > WAVY_SHARE
-    may_have_canopy: Bool = around.opened(closed, WAVY_SQUARE_M) & half | around.opened(closed, TALL_SIZE_M)
+    half = (
+        around.mean(rough.astype(np.float64), np.isfinite(heights), WAVY_SQUARE_M) > WAVY_SHARE
+    )
+    may_have_canopy: Bool = around.opened(closed, WAVY_SQUARE_M) & half | around.opened(
+        closed, TALL_SIZE_M
+    )
     return may_have_canopy
 
 
@@ -163,7 +178,8 @@ def _rough_around(residual: Float64, around: _Squares) -> Bool:
     """Return the cells with more than `ROUGH_SHARE` rough cells around, from residuals over several crowns."""
     known = np.isfinite(residual)
     has_rough_around: Bool = known & (
-        around.mean((residual > MIN_WAVE_RESIDUAL_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE
+        around.mean((residual > MIN_WAVE_RESIDUAL_M).astype(np.float64), known, AROUND_M)
+        > ROUGH_SHARE
     )
     return has_rough_around
 
@@ -201,8 +217,9 @@ def _roofs(heights: Float64, tall: Bool, around: _Squares) -> Bool:
 def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64]:
     """Describe the slopes around each cell.
 
-    Returns the standard deviation of the slopes in the direction in which they scatter least, the length of the mean
-    slope as a fraction of the mean length, and the length of the mean slope.
+    Returns the standard deviation of the slopes in the direction in which they scatter least,
+    the length of the mean slope as a fraction of the mean length, and the length of the mean
+    slope.
     """
     far = _far(around.cell_m)
     north, east = np.full(found.shape, np.nan), np.full(found.shape, np.nan)
@@ -216,7 +233,11 @@ def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64
         return around.mean(values, known, AROUND_M)
 
     x, y = mean(east), mean(north)
-    xx, yy, xy = mean(east * east) - x * x, mean(north * north) - y * y, mean(east * north) - x * y
+    xx, yy, xy = (
+        mean(east * east) - x * x,
+        mean(north * north) - y * y,
+        mean(east * north) - x * y,
+    )
     least = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
     tilt = np.hypot(x, y)
     one_way = tilt / np.maximum(mean(np.hypot(east, north)), 1e-9)
@@ -259,18 +280,23 @@ class _Squares:
         """Return the mean of the known values around each cell, or 0 where none is known."""
         weights = np.ones(_odd_cells(size_m, self.cell_m))
 
-        # Each square is summed separately, because running sums depend on where the raster begins.
+        # Each square is summed separately, because running sums depend on where the raster
+        # begins.
         def total(of: Float64) -> Float64:
             along: Float64 = scipy.ndimage.correlate1d(of, weights, axis=1, mode="constant")
             sums: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
             return sums
 
-        return total(np.where(known, values, 0.0)) / np.maximum(total(known.astype(np.float64)), 1.0)
+        return total(np.where(known, values, 0.0)) / np.maximum(
+            total(known.astype(np.float64)), 1.0
+        )
 
     def highest(self, values: Float64, size_m: float) -> Float64:
         """Return the highest value around each cell, with minus infinity beyond the raster."""
         size = _odd_cells(size_m, self.cell_m)
-        highest_values: Float64 = scipy.ndimage.maximum_filter(values, size, mode="constant", cval=-np.inf)
+        highest_values: Float64 = scipy.ndimage.maximum_filter(
+            values, size, mode="constant", cval=-np.inf
+        )
         return highest_values
 
     def closed(self, cells: Bool, size_m: float) -> Bool:

@@ -25,19 +25,23 @@ from ptd.passes import Int32, Model, Partial, Points, State, UInt8, add_notes
 from ptd.places import PLACES, of_places, on_cells
 
 BORDER_M = 8.0
-"""Distance from a canopy, in metres, within which the surface may differ from the surface with crowns."""
+"""Distance from a canopy, in metres, within which the surface may differ from the surface with
+crowns."""
 
 Float64 = npt.NDArray[np.float64]
 
 BLOCK_M = 64.0
-"""Side of the blocks by which covered cells are counted; their lattice is anchored at CRS coordinate 0."""
+"""Side of the blocks by which covered cells are counted; their lattice is anchored at CRS
+coordinate 0."""
 
 
 def below_canopy(
     with_crowns: surface.Surface, without: surface.Surface, covered: Bool, cell_m: float
 ) -> surface.Surface:
     """Return the surface without crowns in a canopy and within `BORDER_M` of it, and the one with crowns elsewhere."""
-    near = scipy.ndimage.maximum_filter(covered, 2 * round(BORDER_M / cell_m) + 1, mode="constant")
+    near = scipy.ndimage.maximum_filter(
+        covered, 2 * round(BORDER_M / cell_m) + 1, mode="constant"
+    )
     both = zip(without, with_crowns, strict=True)
     return surface.Surface(*(np.where(near, new, old) for new, old in both))
 
@@ -45,7 +49,9 @@ def below_canopy(
 def _widened(core: Window, more: float) -> Window:
     """Return the core extended by a number of counts to all sides."""
     counts = math.ceil(more)
-    return Window(core.west - counts, core.south - counts, core.east + counts, core.north + counts)
+    return Window(
+        core.west - counts, core.south - counts, core.east + counts, core.north + counts
+    )
 
 
 @dataclass(frozen=True)
@@ -59,17 +65,22 @@ class CanopyPass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (surface.reach_cells(size_m) + canopy_reach_cells(size_m) + 3) * size_m for size_m in CELL_SIZES_M
+        (surface.reach_cells(size_m) + canopy_reach_cells(size_m) + 3) * size_m
+        for size_m in CELL_SIZES_M
     )
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CanopyModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CanopyModel:
         """Find the canopy among the cells of each size, and count its cells in the core."""
         of_size = partial(self.of_size, core=core)
         model = by_size.of_each_size(of_size, points, core, scale, state, cells=True)
         is_in_core = core.contains(points.xyz[0], points.xyz[1])
         return CanopyModel(model, points.take(is_in_core), scale, state)
 
-    def of_size(self, points: Points, scale: Scale, state: State, size_m: float, core: Window) -> Codes:
+    def of_size(
+        self, points: Points, scale: Scale, state: State, size_m: float, core: Window
+    ) -> Codes:
         """Compute the surface of the cells of one size as if there were no canopy, and test it."""
         cells, codes = CellLattice.of(size_m, scale), points.known_labels()
         if not (codes != OBJECT).any():
@@ -80,11 +91,14 @@ class CanopyPass(MatchedPass):
         coded = flat.reshape(raster.heights.shape)
         metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
         is_near_core = _widened(core, scale.counts(size_m)).contains(*points.xyz[:2])
-        # Without cells that a canopy may cover, no surface is needed. The surface is nearly all of the work.
+        # Without cells that a canopy may cover, no surface is needed. The surface is nearly all
+        # of the work.
         if not may_be(metres, size_m).reshape(-1)[raster.keys[is_near_core]].any():
             return Codes(raster, codes, cells)
         left = np.where(coded == OBJECT, EMPTY, raster.heights).astype(np.int32)
-        noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
+        noise = on_cells(
+            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
+        )
         ground = surface.ground_surface(
             left, coded == TERRAIN, noise, scale, raster.row, raster.column, size_m
         )
@@ -97,7 +111,9 @@ class CanopyPass(MatchedPass):
     def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add ``canopy`` to the state: its share of the area with points, None if there are no points."""
         parts = list(partials)
-        area, covered = (sum(part[name] for part in parts) for name in ("area_m2", "covered_m2"))
+        area, covered = (
+            sum(part[name] for part in parts) for name in ("area_m2", "covered_m2")
+        )
         after = {**state, "canopy": {"share": covered / area if area else None}}
         if not covered:
             return after
@@ -111,8 +127,8 @@ class CanopyPass(MatchedPass):
 class CanopyModel(Model):
     """Codes of the cells, and the area of the core that a canopy covers.
 
-    Where both cell sizes occur, only cells of the size of their place get the code `COVERED`. Cells of the other size
-    only give context.
+    Where both cell sizes occur, only cells of the size of their place get the code `COVERED`.
+    Cells of the other size only give context.
     """
 
     def __init__(self, model: Model, core_cells: Points, scale: Scale, state: State) -> None:
@@ -129,7 +145,9 @@ class CanopyModel(Model):
 
     def _of_place(self, points: Points) -> Bool:
         """Return a mask of the cells whose size is that of their place."""
-        place_sizes = of_places(self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale)
+        place_sizes = of_places(
+            self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale
+        )
         same: Bool = place_sizes == by_size.size_of_cells(points, self._scale)
         return same
 

@@ -12,7 +12,8 @@ from ptd.cells import Int32, Int64
 from ptd.ground.morphology import Bool
 
 HIGH_MM = 1000
-"""Height above the surface up to which low plants are distinguished from what is certainly not ground."""
+"""Height above the surface up to which low plants are distinguished from what is certainly not
+ground."""
 
 Float64 = npt.NDArray[np.float64]
 
@@ -36,9 +37,9 @@ class Around:
 CELL_FEATURES = (
     "noise", "slope", "bend_2", "bend_5", "bend_10", "low_5", "low_10", "high_5", "high_10", "ground_5",
 )  # fmt: skip
-"""Features of a cell. The first five are noise and slope of the surface, and its height above its mean within 2, 5 and
-10 m. The others are the shares of low plants and of higher objects among the cells within 5 and 10 m, and of ground
-within 5 m."""
+"""Features of a cell. The first five are noise and slope of the surface, and its height above
+its mean within 2, 5 and 10 m. The others are the shares of low plants and of higher objects
+among the cells within 5 and 10 m, and of ground within 5 m."""
 CELL_REACH_M = 10.0
 """Distance beyond which cells do not change these features."""
 STEEPEST = 5.0
@@ -51,7 +52,12 @@ def reach_cells(cell_m: float) -> int:
 
 
 def around_cells(
-    heights_m: Float64, there: Bool, ground_m: Float64, sigma_m: Float64, band_m: Float64, cell_m: float
+    heights_m: Float64,
+    there: Bool,
+    ground_m: Float64,
+    sigma_m: Float64,
+    band_m: Float64,
+    cell_m: float,
 ) -> Around:
     """Compute the features of each cell.
 
@@ -69,7 +75,9 @@ def around_cells(
         Size of the cells in metres.
     """
     known = there & ~np.isnan(ground_m)
-    surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(np.int64)
+    surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(
+        np.int64
+    )
     residual = np.where(known, np.rint(1000 * heights_m) - surface, 0).astype(np.int64)
     band = np.maximum(np.rint(1000 * np.nan_to_num(band_m)), 1).astype(np.int64)
 
@@ -80,19 +88,25 @@ def around_cells(
     def bend(metres: float) -> Int64:
         r = round(metres / cell_m)
         near = np.maximum(_boxes(known, r), 1)
-        bend_mm: Int64 = np.clip(surface - _boxes(np.where(known, surface, 0), r) // near, -30_000, 30_000)
+        bend_mm: Int64 = np.clip(
+            surface - _boxes(np.where(known, surface, 0), r) // near, -30_000, 30_000
+        )
         return bend_mm
 
     low = known & (residual > band) & (residual < HIGH_MM)
     high = known & (residual >= HIGH_MM)
     ground = known & (np.abs(residual) < band)
     north, east = np.gradient(ground_m, cell_m)
-    slope = np.where(known, np.nan_to_num(np.rint(1000 * np.minimum(np.hypot(north, east), STEEPEST))), 0)
+    slope = np.where(
+        known, np.nan_to_num(np.rint(1000 * np.minimum(np.hypot(north, east), STEEPEST))), 0
+    )
     features = (
         band, np.rint(1000 * sigma_m), slope, bend(2.0), bend(5.0), bend(CELL_REACH_M), share(low, 5.0),
         share(low, CELL_REACH_M), share(high, 5.0), share(high, CELL_REACH_M), share(ground, 5.0),
     )  # fmt: skip
-    return Around(np.stack(features, axis=-1).reshape(-1, len(features)).astype(np.int32), there.shape[1])
+    return Around(
+        np.stack(features, axis=-1).reshape(-1, len(features)).astype(np.int32), there.shape[1]
+    )
 
 
 def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:

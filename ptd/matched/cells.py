@@ -18,24 +18,26 @@ from ptd.kernel import kernel
 from ptd.places import Field, on_cells
 
 CELL_M = 1.0
-"""Size of a cell, which limits the detail of the surface. The noise of tens of points averages out in a cell, and a car
-fills several cells."""
+"""Size of a cell, which limits the detail of the surface. The noise of tens of points averages
+out in a cell, and a car fills several cells."""
 SPARSE_M2 = 3.0
-"""Density in points per square metre below which cells are wider: in most cells of 1 m no two points would agree."""
+"""Density in points per square metre below which cells are wider: in most cells of 1 m no two
+points would agree."""
 SPARSE_CELL_M = 2.0
 """Size of the cells of clouds below that density."""
 MODE_SIGMAS = 4.0
-"""Height of the window that moves up from a cell's lowest point, in standard deviations of the noise."""
+"""Height of the window that moves up from a cell's lowest point, in standard deviations of the
+noise."""
 STEEPEST = 2.0
 """Steepest slope between neighbouring cells that is subtracted before heights are compared."""
 STEEPEST_AT_GAPS = 0.7
-"""Steepest slope that is subtracted if one neighbour has no height, as at the edge of a wood: the slope to the other
-neighbour may be that of a wall."""
+"""Steepest slope that is subtracted if one neighbour has no height, as at the edge of a wood:
+the slope to the other neighbour may be that of a wall."""
 UNKNOWN = 2**40
 """Rise that stands for an unknown one; no real rise is as large."""
 MODE_SHARE, MODE_POINTS = 0.1, 2
-"""Share and number of a cell's points that a window needs. The lowest such window is the surface of the cell, as single
-blunders are fewer."""
+"""Share and number of a cell's points that a window needs. The lowest such window is the
+surface of the cell, as single blunders are fewer."""
 FEW = 128
 """Largest number of points in a cell that are sorted by counting."""
 
@@ -46,7 +48,8 @@ Float64 = npt.NDArray[np.float64]
 def by_cell(keys: Int64, n_cells: int) -> tuple[Int64, Int32]:
     """Sort points by cell (counting sort).
 
-    Returns ``starts`` and ``order``: the points of cell ``k`` are ``order[starts[k]:starts[k + 1]]``.
+    Returns ``starts`` and ``order``: the points of cell ``k`` are ``order[starts[k]:starts[k +
+    1]]``.
     """
     starts = np.zeros(n_cells + 1, np.int64)
     for key in keys:
@@ -73,7 +76,9 @@ def _lowest_mode(values: Int32, width: int, share: float, least: int) -> tuple[i
         while last < n and values[last] - values[first] <= width:
             last += 1
         if last - first >= need:
-            return (values[(first + last - 1) // 2] + values[(first + last) // 2]) // 2, last - first
+            return (
+                values[(first + last - 1) // 2] + values[(first + last) // 2]
+            ) // 2, last - first
     return 0, 0
 
 
@@ -81,7 +86,8 @@ def _lowest_mode(values: Int32, width: int, share: float, least: int) -> tuple[i
 def _sort(values: Int32, room: Int32) -> None:
     """Sort a few values in place, each by the number of smaller values.
 
-    This needs no branches, so it is faster than a sort that swaps pairs. More than `FEW` values are sorted by numpy.
+    This needs no branches, so it is faster than a sort that swaps pairs. More than `FEW` values
+    are sorted by numpy.
     """
     n = values.size
     if n > FEW:
@@ -128,8 +134,8 @@ class _ByCell(NamedTuple):
 def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts_z: float) -> int:
     """Return the rise over two cells along an axis, or `UNKNOWN` if it is too steep or no neighbour has a height.
 
-    If only one neighbour has a height, the rise to it counts twice. ``cell_counts_z`` is the size of a cell in vertical
-    counts.
+    If only one neighbour has a height, the rise to it counts twice. ``cell_counts_z`` is the
+    size of a cell in vertical counts.
     """
     before, after = counts[k - step] > 0, counts[k + step] > 0
     if before and after:
@@ -169,9 +175,12 @@ def _tilted_heights(
         span_x = float(centre_x[k % columns + 1] - centre_x[k % columns - 1])
         span_y = float(centre_y[k // columns + 1] - centre_y[k // columns - 1])
         values = buffer[:n]
-        for i in range(n):  # Whole numbers are divided as floats, which is faster, and exact below 2**52.
+        # Whole numbers are divided as floats, which is faster, and exact below 2**52.
+        for i in range(n):
             j = order[begin + i]
-            rise = math.floor(eastward * (x[j] - cx) / span_x) + math.floor(northward * (y[j] - cy) / span_y)
+            rise = math.floor(eastward * (x[j] - cx) / span_x) + math.floor(
+                northward * (y[j] - cy) / span_y
+            )
             values[i] = z[j] - rise
         _sort(values, room)
         height, agree = _lowest_mode(values, window[k], MODE_SHARE, MODE_POINTS)
@@ -215,19 +224,27 @@ def cell_heights(
     keys = cell_keys(x, y, cells, col0, row0, columns)
     starts, order = by_cell(keys, columns * rows)
     noise = on_cells(sigma_m, cells, row0, col0, (rows, columns)).ravel()
-    window = np.maximum(np.rint(scale.counts_z(1.0) * (MODE_SIGMAS * noise)), 1.0).astype(np.int64)
+    window = np.maximum(np.rint(scale.counts_z(1.0) * (MODE_SIGMAS * noise)), 1.0).astype(
+        np.int64
+    )
     level, counts = _level_heights(z, starts, order, window)
     centre_x = np.array(
-        [(cells.west(col0 + i) + cells.west(col0 + i + 1)) // 2 for i in range(columns)], np.int64
+        [(cells.west(col0 + i) + cells.west(col0 + i + 1)) // 2 for i in range(columns)],
+        np.int64,
     )
     centre_y = np.array(
-        [(cells.south(row0 + i) + cells.south(row0 + i + 1)) // 2 for i in range(rows)], np.int64
+        [(cells.south(row0 + i) + cells.south(row0 + i + 1)) // 2 for i in range(rows)],
+        np.int64,
     )
     points = _ByCell(x, y, z, starts, order)
-    heights = _tilted_heights(points, centre_x, centre_y, window, scale.counts_z(cell_m), level, counts)
+    heights = _tilted_heights(
+        points, centre_x, centre_y, window, scale.counts_z(cell_m), level, counts
+    )
     filled_cells = np.flatnonzero(counts)
     cx, cy = centre_x[filled_cells % columns], centre_y[filled_cells // columns]
-    is_within_bounds = (cx >= bounds.west) & (cx < bounds.east) & (cy >= bounds.south) & (cy < bounds.north)
+    is_within_bounds = (
+        (cx >= bounds.west) & (cx < bounds.east) & (cy >= bounds.south) & (cy < bounds.north)
+    )
     return np.stack(
         [cx[is_within_bounds], cy[is_within_bounds], heights[filled_cells[is_within_bounds]]]
     ).astype(np.int32)
@@ -256,17 +273,19 @@ class CellHeights:
 EMPTY = 2**31 - 1
 """Height of a cell without a surface."""
 ALIGN = 8
-"""Multiple of cells of the lattice at which rasters begin, so that all rasters have the same blocks of cells."""
+"""Multiple of cells of the lattice at which rasters begin, so that all rasters have the same
+blocks of cells."""
 MARGIN = 4
-"""Minimum number of empty cells on each side of a raster. Kernels that read neighbours of cells stay inside it, and
-every raster ends in empty cells."""
+"""Minimum number of empty cells on each side of a raster. Kernels that read neighbours of cells
+stay inside it, and every raster ends in empty cells."""
 
 
 def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:
     """Return the raster of elected cells, given as int32 [3, n] local counts of at least one cell."""
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     column, row = (
-        (first - MARGIN) // ALIGN * ALIGN for first in (cells.column(int(x.min())), cells.row(int(y.min())))
+        (first - MARGIN) // ALIGN * ALIGN
+        for first in (cells.column(int(x.min())), cells.row(int(y.min())))
     )
     width, height = (
         cells.column(int(x.max())) - column + 1 + MARGIN,

@@ -1,13 +1,14 @@
 """Terrain that looks like the crowns of a closed canopy: smooth over a crown's top, rough from crown to crown.
 
-Images show no ground below closed crowns, and a surface over crowns bends no more than hills do. The growth of its
-roughness with the window identifies it: residuals of planes are some decimetres over 9 m, several times those over 3 m.
-Rocks, rough grass and noise are rough over 3 m already, and smooth hills over neither. Where a cliff or a gorge bends
-the terrain, its slopes fall one way; slopes of crowns fall all ways.
+Images show no ground below closed crowns, and a surface over crowns bends no more than hills
+do. The growth of its roughness with the window identifies it: residuals of planes are some
+decimetres over 9 m, several times those over 3 m. Rocks, rough grass and noise are rough over 3
+m already, and smooth hills over neither. Where a cliff or a gorge bends the terrain, its slopes
+fall one way; slopes of crowns fall all ways.
 
-In a DTM with pixels of 1 m, 62 % of the blocks in the closed forest of a drone survey look like crowns. The share is
-4 % in a village in a gorge, and 0 to 2 % in seven semi-real scenes, a park and rough fields. In a lava field, 1 of
-15 blocks looks like crowns.
+In a DTM with pixels of 1 m, 62 % of the blocks in the closed forest of a drone survey look like
+crowns. The share is 4 % in a village in a gorge, and 0 to 2 % in seven semi-real scenes, a park
+and rough fields. In a lava field, 1 of 15 blocks looks like crowns.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ SMALL, LARGE = 3, 9
 BLOCK = 24
 """Side in cells of the blocks, each of which looks like crowns or does not."""
 ROUGH_M, SMOOTHER = 0.3, 0.35
-"""Limits of a block that looks like crowns: the median residual over large windows exceeds `ROUGH_M`, and the median
-ratio of residuals over small and large windows is below `SMOOTHER`."""
+"""Limits of a block that looks like crowns: the median residual over large windows exceeds
+`ROUGH_M`, and the median ratio of residuals over small and large windows is below
+`SMOOTHER`."""
 ONE_WAY = 0.7
-"""Ratio of the length of a block's mean gradient to the mean length of its gradients. From this ratio on, its slopes
-fall one way."""
+"""Ratio of the length of a block's mean gradient to the mean length of its gradients. From this
+ratio on, its slopes fall one way."""
 MIN_FILLED = 0.3
 
 Float64 = npt.NDArray[np.float64]
@@ -99,8 +101,9 @@ def one_way(down: Float64, right: Float64) -> float:
 def residuals(heights: Float64, size: int) -> Float64:
     """Return the root mean square of the residuals of planes in windows around each cell: float64 [rows, columns].
 
-    It is NaN where the cell is empty or fewer than half of the cells of its window have a height. Every window is
-    summed separately and in the same order, so the position of the raster's edge does not matter.
+    It is NaN where the cell is empty or fewer than half of the cells of its window have a
+    height. Every window is summed separately and in the same order, so the position of the
+    raster's edge does not matter.
     """
     held = np.isfinite(heights)
     weight, z = held.astype(np.float64), np.where(held, heights, 0.0)
@@ -117,12 +120,21 @@ def residuals(heights: Float64, size: int) -> Float64:
     n = total(weight, one, one)
     points = np.maximum(n, 1.0)
     mx, my, mz = (
-        total(v, x, y) / points for v, x, y in ((weight, away, one), (weight, one, away), (z, one, one))
+        total(v, x, y) / points
+        for v, x, y in ((weight, away, one), (weight, one, away), (z, one, one))
     )
-    xx, yy = total(weight, squared, one) / points - mx * mx, total(weight, one, squared) / points - my * my
-    xy, zz = total(weight, away, away) / points - mx * my, total(z * z, one, one) / points - mz * mz
+    xx, yy = (
+        total(weight, squared, one) / points - mx * mx,
+        total(weight, one, squared) / points - my * my,
+    )
+    xy, zz = (
+        total(weight, away, away) / points - mx * my,
+        total(z * z, one, one) / points - mz * mz,
+    )
     xz, yz = total(z, away, one) / points - mx * mz, total(z, one, away) / points - my * mz
     determinant = np.maximum(xx * yy - xy * xy, 1e-9)
     a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
-    residual = np.sqrt(np.maximum(zz - a * xz - b * yz, 0.0) * points / np.maximum(points - 3, 1.0))
+    residual = np.sqrt(
+        np.maximum(zz - a * xz - b * yz, 0.0) * points / np.maximum(points - 3, 1.0)
+    )
     return np.where(held & (n >= size**2 / 2), residual, np.nan)

@@ -46,8 +46,8 @@ def last_look_trees() -> DecisionTrees:
 def scores(features: Int32, trees: DecisionTrees) -> Int32:
     """Return the sum of the leaves of each point, from its row of features: int32 [n].
 
-    All seven questions of a tree are evaluated, for several points at a time. Without branches this is faster than
-    evaluating the three that matter.
+    All seven questions of a tree are evaluated, for several points at a time. Without branches
+    this is faster than evaluating the three that matter.
     """
     feature, threshold, leaf = trees
     columns = features.T.copy()
@@ -56,7 +56,15 @@ def scores(features: Int32, trees: DecisionTrees) -> Int32:
         f, limit, value = feature[t * NODES :], threshold[t * NODES :], leaf[t * LEAVES :]
         x0, x1, x2, x3 = columns[f[0]], columns[f[1]], columns[f[2]], columns[f[3]]
         x4, x5, x6 = columns[f[4]], columns[f[5]], columns[f[6]]
-        t0, t1, t2, t3, t4, t5, t6 = limit[0], limit[1], limit[2], limit[3], limit[4], limit[5], limit[6]
+        t0, t1, t2, t3, t4, t5, t6 = (
+            limit[0],
+            limit[1],
+            limit[2],
+            limit[3],
+            limit[4],
+            limit[5],
+            limit[6],
+        )
         v0, v1, v2, v3, v4, v5, v6, v7 = (
             value[0],
             value[1],

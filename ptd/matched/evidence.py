@@ -1,10 +1,11 @@
 """Evidence in the fields of a cloud's points on its source: laser scanning or dense image matching.
 
-There are three pieces of evidence: traces of a sensor, intensities and colours. Each counts once, and is skipped if a
-format has no such field. A weight is the natural logarithm of the odds that the cloud is photogrammetric. Weights add
-up, and their sum gives the confidence of the answer. All but `SEVERAL` were fitted to the fields of 114 real clouds of
-known origin (`tests/benchmarks/kind_weights.py`). 111 of these clouds are decided correctly if their own producer is
-left out of the fit.
+There are three pieces of evidence: traces of a sensor, intensities and colours. Each counts
+once, and is skipped if a format has no such field. A weight is the natural logarithm of the
+odds that the cloud is photogrammetric. Weights add up, and their sum gives the confidence of
+the answer. All but `SEVERAL` were fitted to the fields of 114 real clouds of known origin
+(`tests/benchmarks/kind_weights.py`). 111 of these clouds are decided correctly if their own
+producer is left out of the fit.
 """
 
 from __future__ import annotations
@@ -20,22 +21,25 @@ import numpy.typing as npt
 LIDAR, DIM = "lidar", "dim"
 
 SEVERAL, TRACE, NO_TRACE = -5.0, -2.3, 0.1
-"""Weights of several returns, of other traces of a sensor, and of no trace. `SEVERAL` was not fitted: of 126 clouds, 0
-of 32 photogrammetric ones and 74 of 94 LiDAR ones have several returns."""
+"""Weights of several returns, of other traces of a sensor, and of no trace. `SEVERAL` was not
+fitted: of 126 clouds, 0 of 32 photogrammetric ones and 74 of 94 LiDAR ones have several
+returns."""
 OWN_INTENSITY, NO_INTENSITY, GREY_INTENSITY = -3.5, -0.2, 1.4
 COLOUR, NO_COLOUR = 2.4, -1.5
-"""Weights of colours and of missing colours. The fit gives -2.2 for missing colours. They weigh less here, because only
-coloured photogrammetric clouds are published."""
+"""Weights of colours and of missing colours. The fit gives -2.2 for missing colours. They weigh
+less here, because only coloured photogrammetric clouds are published."""
 
 SEVERAL_SHARE = 0.001
-"""Several returns are evidence for LiDAR if at least this share of the points is one of several."""
+"""Several returns are evidence for LiDAR if at least this share of the points is one of
+several."""
 TRACED_SHARE = 0.2
 """A trace of a sensor has its full weight if at least this share of the area has it."""
 SAME = 0.95
-"""Intensities are the grey of the colours if they correlate at least this well; at most 0.71 in LiDAR clouds."""
+"""Intensities are the grey of the colours if they correlate at least this well; at most 0.71 in
+LiDAR clouds."""
 TIMES_PER_POINT = 0.01
-"""Number of different GPS times per point above which a sensor measured them: each block of a photogrammetric cloud has
-a single time."""
+"""Number of different GPS times per point above which a sensor measured them: each block of a
+photogrammetric cloud has a single time."""
 SURE = 0.9
 """Minimum confidence with which the fields of the points decide alone."""
 MAX_CONFIDENCE = 0.99
@@ -118,13 +122,20 @@ class Evidence:
         several = None
         if returns is not None:
             n_returns = np.asarray(returns)[:, 1]
-            several = float(np.mean(n_returns[n_returns > 0] > 1)) if np.any(n_returns) else None
-        differing = [None if v is None else _differs(np.asarray(v)) for v in (scan_angle, source_id, *flags)]
+            several = (
+                float(np.mean(n_returns[n_returns > 0] > 1)) if np.any(n_returns) else None
+            )
+        differing = [
+            None if v is None else _differs(np.asarray(v))
+            for v in (scan_angle, source_id, *flags)
+        ]
         differing.append(None if gps_time is None else _measured(np.asarray(gps_time)))
         known = [differs for differs in differing if differs is not None]
         colours = None if rgb is None else np.asarray(rgb, np.float64)
         measured, grey = _intensities(intensity, colours)
-        return cls(several, float(any(known)) if known else None, measured, grey, _coloured(colours))
+        return cls(
+            several, float(any(known)) if known else None, measured, grey, _coloured(colours)
+        )
 
     @classmethod
     def merged(cls, parts: Iterable[tuple[Self, float]]) -> Self:
@@ -145,13 +156,17 @@ class Evidence:
 
     def _sensor(self) -> Piece | None:
         if self.several is not None and self.several >= SEVERAL_SHARE:
-            return Piece(SEVERAL, f"{percent(self.several)} % of the points are one of several returns")
+            return Piece(
+                SEVERAL, f"{percent(self.several)} % of the points are one of several returns"
+            )
         if self.several is None and self.trace is None:
             return None
         traced = min((self.trace or 0.0) / TRACED_SHARE, 1.0)
         weight = traced * TRACE + (1 - traced) * NO_TRACE
         if weight < 0:
-            return Piece(weight, "GPS times, scan angles or flight lines differ from point to point")
+            return Piece(
+                weight, "GPS times, scan angles or flight lines differ from point to point"
+            )
         return Piece(weight, "returns, GPS times, angles and flight lines show no sensor")
 
     def _intensity(self) -> Piece | None:
@@ -163,7 +178,11 @@ class Evidence:
             GREY_INTENSITY * self.grey_intensity,
             NO_INTENSITY * none,
         )
-        texts = ("intensities were measured", "the intensities are the grey of the colours", "no intensities")
+        texts = (
+            "intensities were measured",
+            "the intensities are the grey of the colours",
+            "no intensities",
+        )
         strongest = max(range(3), key=lambda i: abs(weights[i]))
         return Piece(sum(weights), texts[strongest])
 
@@ -182,9 +201,13 @@ def concluded(pieces: Iterable[Piece]) -> Finding:
     all_pieces = list(pieces)
     score = sum(piece.weight for piece in all_pieces)
     side = 1.0 if score >= 0 else -1.0
-    speaking = sorted((p for p in all_pieces if side * p.weight > 0), key=lambda p: -abs(p.weight))
+    speaking = sorted(
+        (p for p in all_pieces if side * p.weight > 0), key=lambda p: -abs(p.weight)
+    )
     sure = min(1 / (1 + math.exp(-abs(score))), MAX_CONFIDENCE)
-    return Finding(DIM if score >= 0 else LIDAR, sure, "; ".join(piece.text for piece in speaking[:2]))
+    return Finding(
+        DIM if score >= 0 else LIDAR, sure, "; ".join(piece.text for piece in speaking[:2])
+    )
 
 
 def decided_by(evidence: Evidence) -> Finding | None:

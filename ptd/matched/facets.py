@@ -1,6 +1,7 @@
 """Heights of cells on a TIN of ground cells.
 
-Facets that are too wide are ignored, so vertices beyond a fixed distance do not change a height.
+Facets that are too wide are ignored, so vertices beyond a fixed distance do not change a
+height.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
 MAX_CIRCUMRADIUS_M = 30.0
-"""Largest circumradius of a facet that gives the height of the ground. Voids up to twice this radius wide are
-spanned."""
+"""Largest circumradius of a facet that gives the height of the ground. Voids up to twice this
+radius wide are spanned."""
 ANY_EDGE = 2**62
 """Square of a length that no edge reaches."""
 
@@ -31,8 +32,9 @@ Float64 = npt.NDArray[np.float64]
 def reach_m() -> float:
     """Return the distance in metres beyond which vertices do not change a height.
 
-    A facet is the same as in an untiled run if no vertex of the whole cloud lies in its circumcircle
-    (`docs/filters.md`, Certificates). No point of the circle is farther than two radii from a position in the facet.
+    A facet is the same as in an untiled run if no vertex of the whole cloud lies in its
+    circumcircle (`docs/filters.md`, Certificates). No point of the circle is farther than two
+    radii from a position in the facet.
     """
     return 2.0 * MAX_CIRCUMRADIUS_M + 1.0
 
@@ -65,7 +67,8 @@ def _between_vertices(
 ) -> None:
     """Interpolate the heights of cells into `found`.
 
-    On an edge the heights on its two facets may differ by rounding. The higher one of facets that pass the rule counts.
+    On an edge the heights on its two facets may differ by rounding. The higher one of facets
+    that pass the rule counts.
     """
     t = as_int64(0)
     for i in range(x.size):

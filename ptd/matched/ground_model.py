@@ -21,9 +21,11 @@ from ptd.passes import Int32, Model, Points, State, Stats, UInt8
 from ptd.places import PLACES, Field, field
 
 GROUND_M, GROUND_SIGMAS = 0.15, 2.0
-"""Largest distance of ground from the surface after the vote: metres, plus this multiple of the local noise."""
+"""Largest distance of ground from the surface after the vote: metres, plus this multiple of the
+local noise."""
 LOW_M, LOW_SIGMAS = 0.5, 4.0
-"""Depth below the surface beyond which a point is low noise: metres, plus this multiple of the local noise."""
+"""Depth below the surface beyond which a point is low noise: metres, plus this multiple of the
+local noise."""
 CLEAR_M = 2.0
 """Points at least this far above or below the surface do not vote."""
 
@@ -32,7 +34,10 @@ Float64 = npt.NDArray[np.float64]
 
 def vote_radius_m(state: State, scale: Scale) -> Field:
     """Return the radius in metres of the neighbourhood that votes, which follows from the density of the place."""
-    radii = {name: [voting.radius_m(known(figures, DENSITY))] for name, figures in state[PLACES].items()}
+    radii = {
+        name: [voting.radius_m(known(figures, DENSITY))]
+        for name, figures in state[PLACES].items()
+    }
     return field(radii, 0, scale, voting.RADIUS_M[1])
 
 
@@ -82,14 +87,18 @@ class Ground:
         counts_per_metre = self.scale.counts_z(1.0)
         parts_per_metre = voting.PARTS * counts_per_metre
         height, sigma, narrowing = self.surface
-        above, residual = _heights_above(x, y, z, height, self.position, counts_per_metre, parts_per_metre)
+        above, residual = _heights_above(
+            x, y, z, height, self.position, counts_per_metre, parts_per_metre
+        )
         asked = np.abs(above) < CLEAR_M  # NaN, where there is no surface, gives False.
         voted = voting.votes(x, y, residual, asked, self.radius_m, self.sigma_m, self.scale)
         limits = _Limits(sigma, narrowing, GROUND_M)
         labels = _classes(x, y, above, voted, limits, self.position, parts_per_metre)
         if self.around is None:
             return labels
-        heights = last_look.Heights.of(x, y, above, np.where(asked, voted / parts_per_metre, above), labels)
+        heights = last_look.Heights.of(
+            x, y, above, np.where(asked, voted / parts_per_metre, above), labels
+        )
         cell = _cell_of(x, y, self.position, *height.shape)
         return last_look.relabelled(heights, cell, self.around, self.scale, last_look_trees())
 
@@ -102,13 +111,20 @@ class GroundModel(Model):
 
     @classmethod
     def of(
-        cls, found: surface.Surface, raster: CellHeights, cells: CellLattice, scale: Scale, state: State
+        cls,
+        found: surface.Surface,
+        raster: CellHeights,
+        cells: CellLattice,
+        scale: Scale,
+        state: State,
     ) -> GroundModel:
         """Return the model of a surface on the cells of a raster."""
         position = RasterPosition(
             cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row
         )
-        ground = Ground(found, position, scale, noise_m(state, scale), vote_radius_m(state, scale))
+        ground = Ground(
+            found, position, scale, noise_m(state, scale), vote_radius_m(state, scale)
+        )
         return cls(ground, {"cells": int(raster.keys.size)})
 
     def with_last_look(self, raster: CellHeights, cell_m: float) -> GroundModel:
@@ -119,7 +135,9 @@ class GroundModel(Model):
         there = raster.heights != EMPTY
         band_m = band(
             fitted_surface.sigma,
-            np.where(np.isnan(fitted_surface.narrowing), surface.NARROWEST, fitted_surface.narrowing),
+            np.where(
+                np.isnan(fitted_surface.narrowing), surface.NARROWEST, fitted_surface.narrowing
+            ),
         )
         around = cell_features.around_cells(
             raster.heights / ground.scale.counts_z(1.0),
@@ -167,9 +185,14 @@ def _cell_of(x: Int32, y: Int32, position: RasterPosition, rows: int, columns: i
     """Return the index of each point's cell in the flattened raster, or of the nearest cell for points outside."""
     cell_indices = np.empty(x.size, np.int32)
     for k in range(x.size):
-        column = int(np.floor((as_int64(x[k]) + position.origin_x) / position.cell)) - position.column
+        column = (
+            int(np.floor((as_int64(x[k]) + position.origin_x) / position.cell))
+            - position.column
+        )
         row = int(np.floor((as_int64(y[k]) + position.origin_y) / position.cell)) - position.row
-        cell_indices[k] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
+        cell_indices[k] = min(max(row, 0), rows - 1) * columns + min(
+            max(column, 0), columns - 1
+        )
     return cell_indices
 
 
@@ -190,7 +213,9 @@ def _heights_above(
     """
     above, residual = np.empty(x.size, np.float64), np.zeros(x.size, np.int32)
     for k in range(x.size):
-        above[k] = z[k] / counts_per_metre - _between(surface, as_int64(x[k]), as_int64(y[k]), position)
+        above[k] = z[k] / counts_per_metre - _between(
+            surface, as_int64(x[k]), as_int64(y[k]), position
+        )
         if abs(above[k]) < CLEAR_M:
             residual[k] = np.int32(np.rint(above[k] * parts_per_metre))
     return above, residual

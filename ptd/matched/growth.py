@@ -1,14 +1,15 @@
 """Growth of the ground up to the edges of terraces and banks, below which a hull of limited curvature passes.
 
-A hull reaches the top of a step some metres behind its edge. So ground grows there cell by cell. A cell above the
-surface joins in one of three cases:
+A hull reaches the top of a step some metres behind its edge. So ground grows there cell by
+cell. A cell above the surface joins in one of three cases:
 
-- It lies on the plane through the ground cells next to it. Objects on the ground rise from it at a wall, so they do not
-  lie on the plane of the cells next to them.
-- It is level with the ground cells that touch it. At the top of a bank the plane of the bank passes above the level
-  cells behind its edge, and there are too few level cells to define another plane.
-- It is terrain as a whole (`ptd.matched.objects`) and lies between ground cells on opposite sides and below the upper
-  one. The faces of banks do not lie on a plane either.
+- It lies on the plane through the ground cells next to it. Objects on the ground rise from it
+  at a wall, so they do not lie on the plane of the cells next to them.
+- It is level with the ground cells that touch it. At the top of a bank the plane of the bank
+  passes above the level cells behind its edge, and there are too few level cells to define
+  another plane.
+- It is terrain as a whole (`ptd.matched.objects`) and lies between ground cells on opposite
+  sides and below the upper one. The faces of banks do not lie on a plane either.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from ptd.matched.cells import CELL_M
 GROWS_M = 8.0
 """Largest distance to which ground grows."""
 MAX_HEIGHT_M = 3.0
-"""Largest height above the surface of a cell that joins: roofs of houses on slopes may continue the terrain above."""
+"""Largest height above the surface of a cell that joins: roofs of houses on slopes may continue
+the terrain above."""
 PLANE_CELLS = 2
 """Largest distance of the ground cells of a plane, in cells along rows and along columns."""
 PLANE_SQUARE = 5
@@ -34,18 +36,18 @@ LEAST = 6
 BESIDE = 2
 """Minimum number of adjacent ground cells for a cell to join in the first two cases."""
 BETWEEN_CELLS, BETWEEN_SHARE = 3, 0.7
-"""Largest distance in cells of ground cells on opposite sides, and the share of the way from the lower to the upper one
-up to which a cell between them joins."""
+"""Largest distance in cells of ground cells on opposite sides, and the share of the way from
+the lower to the upper one up to which a cell between them joins."""
 LEVEL = 3.0
-"""Weight of a slope of 0 in the fit of a plane, in cells squared: a few cells in a row do not determine the slope
-across it."""
+"""Weight of a slope of 0 in the fit of a plane, in cells squared: a few cells in a row do not
+determine the slope across it."""
 NEAR_M, NEAR_SIGMAS = 0.12, 1.5
-"""Maximum distance of a cell from the plane: metres, plus this multiple of the local noise. It is multiplied by the
-narrowing, so it is smaller among plants."""
+"""Maximum distance of a cell from the plane: metres, plus this multiple of the local noise. It
+is multiplied by the narrowing, so it is smaller among plants."""
 
 LEVEL_SHARE = 0.7
-"""Fraction of that distance within which a cell is level with those that touch it. It is less than 1, because among
-plants a level neighbour is found nearly everywhere."""
+"""Fraction of that distance within which a cell is level with those that touch it. It is less
+than 1, because among plants a level neighbour is found nearly everywhere."""
 
 Float64 = npt.NDArray[np.float64]
 
@@ -81,7 +83,10 @@ def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
         for dx in range(-PLANE_CELLS, PLANE_CELLS + 1):
             square = dx * dx + dy * dy
             if square <= PLANE_SQUARE and ground[row + dy, column + dx]:
-                w, z = 1.0 / (1.0 + 0.3 * square), height[row + dy, column + dx] - height[row, column]
+                w, z = (
+                    1.0 / (1.0 + 0.3 * square),
+                    height[row + dy, column + dx] - height[row, column],
+                )
                 n += 1
                 s, sx, sy, sz = s + w, sx + w * dx, sy + w * dy, sz + w * z
                 sxx, sxy, syy = sxx + w * dx * dx, sxy + w * dx * dy, syy + w * dy * dy
@@ -164,8 +169,9 @@ def grown(
 ) -> Float64:
     """Return the heights of cells that join the ground: float64 [rows, columns].
 
-    The height is halfway between the cell and the plane, or between the cell and the mean of the level cells that touch
-    it. Cells on a face keep their height. It is NaN where no cell joins.
+    The height is halfway between the cell and the plane, or between the cell and the mean of
+    the level cells that touch it. Cells on a face keep their height. It is NaN where no cell
+    joins.
 
     Parameters
     ----------

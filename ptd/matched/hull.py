@@ -1,11 +1,13 @@
 """The highest surface below cells that bends down no more than a given curvature, like a stiff cloth from below.
 
-The hull is the union of all paraboloids of this curvature that fit below the cells. It passes below objects narrower
-than ``2 * sqrt(2 * height / curvature)`` and follows terrain that bends less. A paraboloid may cut through a few cells,
-so that a clump of blunders does not hold it down. Paraboloids are computed up to a limited distance from their centres.
-On slopes they are tilted like the terrain at large, so that their centres lie below the cells that they touch. All
-paraboloids with centres in a block of cells have one tilt, so the hull lies a little lower in hollows. Heights are
-whole numbers, and cells beyond a fixed distance do not change the hull at a cell.
+The hull is the union of all paraboloids of this curvature that fit below the cells. It passes
+below objects narrower than ``2 * sqrt(2 * height / curvature)`` and follows terrain that bends
+less. A paraboloid may cut through a few cells, so that a clump of blunders does not hold it
+down. Paraboloids are computed up to a limited distance from their centres. On slopes they are
+tilted like the terrain at large, so that their centres lie below the cells that they touch. All
+paraboloids with centres in a block of cells have one tilt, so the hull lies a little lower in
+hollows. Heights are whole numbers, and cells beyond a fixed distance do not change the hull at
+a cell.
 """
 
 from __future__ import annotations
@@ -25,19 +27,22 @@ from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.separable import hull_around_every_cell
 
 CUT_M2 = 3.0
-"""Area that a paraboloid may cut through, at least one cell: a clump of blunders fills no more."""
+"""Area that a paraboloid may cut through, at least one cell: a clump of blunders fills no
+more."""
 BLOCK_M = 8.0
-"""Side of the blocks of cells. A block whose lowest cell is too high to matter is skipped. The lowest cells of blocks
-give the slope of the terrain."""
+"""Side of the blocks of cells. A block whose lowest cell is too high to matter is skipped. The
+lowest cells of blocks give the slope of the terrain."""
 TILT_BLOCKS, ROOFS_TILT_BLOCKS = 1.0, 2.0
-"""Standard deviation, in blocks, of the surroundings from which a slope is computed. The second is for cells that still
-contain large roofs, which must not tilt the hull below them."""
+"""Standard deviation, in blocks, of the surroundings from which a slope is computed. The second
+is for cells that still contain large roofs, which must not tilt the hull below them."""
 TILT_RADIUS, MIN_WEIGHT = 5, 1e-3
-"""Distance in blocks at which those surroundings end, and weight of their cells above which there is a slope."""
+"""Distance in blocks at which those surroundings end, and weight of their cells above which
+there is a slope."""
 LOWEST = -(2**31) + 1
 """Height of the hull where there is no paraboloid."""
 NONE = 2**30
-"""Number above the top of any paraboloid and below that of an empty cell: heights are less than 1,000 km."""
+"""Number above the top of any paraboloid and below that of an empty cell: heights are less than
+1,000 km."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,9 @@ class Envelope:
     def falls(self, scale: Scale) -> Int64:
         """Return the fall of a paraboloid by cells from its centre along a row: vertical counts, int64 [radius + 1]."""
         steps = self.cell_m * np.arange(self.radius + 1)
-        falls: Int64 = np.rint(self.curvature / 2 * steps**2 * scale.counts_z(1.0)).astype(np.int64)
+        falls: Int64 = np.rint(self.curvature / 2 * steps**2 * scale.counts_z(1.0)).astype(
+            np.int64
+        )
         return falls
 
 
@@ -98,7 +105,9 @@ def block_cells(cell_m: float) -> int:
 @kernel
 def _block_minima(heights: Int32, block: int) -> Int32:
     rows, columns = heights.shape
-    lowest = np.full(((rows + block - 1) // block, (columns + block - 1) // block), EMPTY, np.int32)
+    lowest = np.full(
+        ((rows + block - 1) // block, (columns + block - 1) // block), EMPTY, np.int32
+    )
     for row in range(rows):
         for column in range(columns):
             b = lowest[row // block, column // block]
@@ -119,14 +128,18 @@ def tilts(heights: Int32, std_blocks: float, block: int) -> tuple[Int64, Int64]:
     slopes = []
     for axis in (0, 1):
         ahead, behind = np.roll(mean, -1, axis), np.roll(mean, 1, axis)
-        known = (np.roll(weight, -1, axis) > MIN_WEIGHT) & (np.roll(weight, 1, axis) > MIN_WEIGHT)
+        known = (np.roll(weight, -1, axis) > MIN_WEIGHT) & (
+            np.roll(weight, 1, axis) > MIN_WEIGHT
+        )
         slope = np.where(known, (ahead - behind) / (2 * block), 0.0)
         slopes.append(np.rint(slope[margin:-margin, margin:-margin]).astype(np.int64))
     return slopes[0], slopes[1]
 
 
 def _smooth(values: Float64, std: float) -> Float64:
-    smoothed: Float64 = scipy.ndimage.gaussian_filter(values, std, mode="constant", radius=TILT_RADIUS)
+    smoothed: Float64 = scipy.ndimage.gaussian_filter(
+        values, std, mode="constant", radius=TILT_RADIUS
+    )
     return smoothed
 
 
@@ -179,7 +192,10 @@ def _lowest_limits(
         for bc in range(west, east_end):
             if lowest[br, bc] + least + falls_east[bc] >= limit:
                 continue
-            c0, c1 = max(bc * block, c - radius), min(bc * block + block, c + radius + 1, columns)
+            c0, c1 = (
+                max(bc * block, c - radius),
+                min(bc * block + block, c + radius + 1, columns),
+            )
             for rr in range(r0, r1):
                 fall = falls[abs(rr - r)] - north * (rr - r)
                 for cc in range(c0, c1):
@@ -213,7 +229,13 @@ def _raise(hull: Int32, top: int, profile: Int32) -> None:
 
 @kernel
 def _union(
-    heights: Int32, blocks: _Blocks, falls: Int64, stride: int, row0: int, column0: int, cut: int
+    heights: Int32,
+    blocks: _Blocks,
+    falls: Int64,
+    stride: int,
+    row0: int,
+    column0: int,
+    cut: int,
 ) -> Int32:
     """Return the height of the highest paraboloid over each cell, or LOWEST where there is none."""
     rows, columns = heights.shape
@@ -244,7 +266,12 @@ def _union(
 
 
 def lower_envelope(
-    heights: Int32, envelope: Envelope, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
+    heights: Int32,
+    envelope: Envelope,
+    scale: Scale,
+    row: int,
+    column: int,
+    tilt_blocks: float = TILT_BLOCKS,
 ) -> Int32:
     """Compute the hull below a raster of cells.
 
@@ -265,7 +292,11 @@ def lower_envelope(
     int32 [rows, columns]
         Heights of the hull in vertical counts; `LOWEST` where there is no paraboloid.
     """
-    falls, stride, lowest = envelope.falls(scale), envelope.stride, _block_minima(heights, envelope.block)
+    falls, stride, lowest = (
+        envelope.falls(scale),
+        envelope.stride,
+        _block_minima(heights, envelope.block),
+    )
     north, east = tilts(heights, tilt_blocks, envelope.block)
     if stride == 1:
         return hull_around_every_cell(

@@ -1,18 +1,21 @@
 """The last look at each point of a photogrammetric cloud: decision trees check its label.
 
-The label by the surface compares one height with one threshold. The last look also reads the heights of the neighbours:
-how many of them are ground, how they scatter, how far the point lies above their ground, and how many stand just above.
-It reads the cells of the surface up to 10 m away as well. Decision trees turn these features into the log-odds of
-ground. A script fitted them to scenes with known labels (``tests/benchmarks/last_look_weights.py``). Rules limit the
+The label by the surface compares one height with one threshold. The last look also reads the
+heights of the neighbours: how many of them are ground, how they scatter, how far the point lies
+above their ground, and how many stand just above. It reads the cells of the surface up to 10 m
+away as well. Decision trees turn these features into the log-odds of ground. A script fitted
+them to scenes with known labels (``tests/benchmarks/last_look_weights.py``). Rules limit the
 changes:
 
-- Low noise stays. A point that is not ground stays so if it lies farther than `MAX_DISTANCE_M` from the surface.
+- Low noise stays. A point that is not ground stays so if it lies farther than `MAX_DISTANCE_M`
+  from the surface.
 - A label changes only if the odds against it are large enough (`CHANGE_ODDS`).
 - No label changes if all points around are ground, or none is.
 
-Features are whole numbers in millimetres or thousandths. They follow from sums of whole numbers over windows of limited
-size on a lattice that is anchored at 0, so neither tiles nor the order of points change any result. A window is the
-smallest one with `MIN_POINTS` points, so it follows the density of the place.
+Features are whole numbers in millimetres or thousandths. They follow from sums of whole numbers
+over windows of limited size on a lattice that is anchored at 0, so neither tiles nor the order
+of points change any result. A window is the smallest one with `MIN_POINTS` points, so it
+follows the density of the place.
 """
 
 from __future__ import annotations
@@ -37,8 +40,8 @@ from ptd.passes import UInt8
 CELL_M = 0.25
 """Size of the cells in which points are counted."""
 MIN_POINTS, WIDEST = 20, 5
-"""Least number of points in a window, and largest r. A window is a square with 2 r + 1 cells on a side, where r is the
-smallest number that gives enough points."""
+"""Least number of points in a window, and largest r. A window is a square with 2 r + 1 cells on
+a side, where r is the smallest number that gives enough points."""
 REACH_M = (2 * WIDEST + 1) * CELL_M
 """Distance from a point within which the wider window, with 4 r + 1 cells on a side, ends."""
 MAX_DISTANCE_M = 0.5
@@ -46,23 +49,24 @@ MAX_DISTANCE_M = 0.5
 CHANGE_ODDS = 1.5
 """Minimum odds against a label for a change of the label."""
 CLEAR_MM = 2000
-"""Limit at which heights above and below the surface are cut off, because trees and roofs need not be distinguished."""
+"""Limit at which heights above and below the surface are cut off, because trees and roofs need
+not be distinguished."""
 LOW_MM = 200
 """Height above the surface from which low plants are counted, up to `HIGH_MM`."""
 
 PART, BLOCK = 16, 8
-"""Cells on a side of a part, which is at least as wide as `REACH_M`, and parts on a side of a block. Only one block is
-in memory."""
+"""Cells on a side of a part, which is at least as wide as `REACH_M`, and parts on a side of a
+block. Only one block is in memory."""
 COUNT, ON_GROUND, SUM, SQUARES, GROUND_SUM, LOW, HIGH, SUMS = range(8)
-"""Indices of the sums per cell, and their number: points, ground points, heights, squared heights, heights of ground
-points, low plants, higher points."""
+"""Indices of the sums per cell, and their number: points, ground points, heights, squared
+heights, heights of ground points, low plants, higher points."""
 POINT_FEATURES = ("height", "deviation", "in_bands")
 WINDOW_FEATURES = (
     "ground", "mean", "spread", "above_ground", "wide_ground", "wide_mean", "wide_spread", "wide_above_ground",
     "low", "high",
 )  # fmt: skip
-"""Features of the window, of the wider window, and of plants in the window. The height of the point above the mean of
-the ground points in a window is `NO_GROUND_MM` if there are none."""
+"""Features of the window, of the wider window, and of plants in the window. The height of the
+point above the mean of the ground points in a window is `NO_GROUND_MM` if there are none."""
 NO_GROUND_MM = 2 * CLEAR_MM
 """Height that no difference of two heights exceeds."""
 NOT_OF_CELLS = len(POINT_FEATURES) + len(WINDOW_FEATURES)
@@ -94,7 +98,9 @@ class Heights:
     labels: UInt8
 
     @classmethod
-    def of(cls, x: Int32, y: Int32, above_m: Float64, voted_m: Float64, labels: UInt8) -> Heights:
+    def of(
+        cls, x: Int32, y: Int32, above_m: Float64, voted_m: Float64, labels: UInt8
+    ) -> Heights:
         """Convert heights in metres, which are NaN where there is no surface."""
         return cls(x, y, _millimetres(above_m), _millimetres(voted_m), labels)
 
@@ -114,7 +120,11 @@ def _millimetres(metres: Float64) -> Int32:
     """Return heights in whole millimetres, cut off at `CLEAR_MM`, which also stands for NaN."""
     millimetres = np.empty(metres.size, np.int32)
     for k in range(metres.size):
-        cut = min(max(1000.0 * metres[k], -CLEAR_MM), CLEAR_MM) if metres[k] == metres[k] else CLEAR_MM
+        cut = (
+            min(max(1000.0 * metres[k], -CLEAR_MM), CLEAR_MM)
+            if metres[k] == metres[k]
+            else CLEAR_MM
+        )
         millimetres[k] = np.int32(np.rint(cut))
     return millimetres
 
@@ -165,7 +175,9 @@ def _describe(sums: Int64, i: int, j: int, r: int, voted: int, found: Int32) -> 
     mean = _within(sums, SUM, i, j, r) / n
     found[0] = 1000 * of_ground // n
     found[1] = math.floor(mean)
-    found[2] = math.floor(math.sqrt(max(_within(sums, SQUARES, i, j, r) / n - mean * mean, 0.0)))
+    found[2] = math.floor(
+        math.sqrt(max(_within(sums, SQUARES, i, j, r) / n - mean * mean, 0.0))
+    )
     found[3] = NO_GROUND_MM
     if of_ground > 0:
         found[3] = math.floor(voted - _within(sums, GROUND_SUM, i, j, r) / of_ground)
@@ -173,7 +185,12 @@ def _describe(sums: Int64, i: int, j: int, r: int, voted: int, found: Int32) -> 
 
 @kernel
 def _features(
-    index: Int32, points: _Points, sums: Int64, first: tuple[int, int], cell: Int32, around: Int32
+    index: Int32,
+    points: _Points,
+    sums: Int64,
+    first: tuple[int, int],
+    cell: Int32,
+    around: Int32,
 ) -> tuple[Int32, Int32]:
     """Return the indices of the points that may change, and their features: int32 [m], int32 [m, features].
 
@@ -186,7 +203,9 @@ def _features(
     features = np.empty((index.size, NOT_OF_CELLS + around.shape[1] - 1), np.int32)
     for k in index:
         ground = labels[k] == GROUND
-        if not (ground or (labels[k] == UNCLASSIFIED and abs(voted[k]) < 1000 * MAX_DISTANCE_M)):
+        if not (
+            ground or (labels[k] == UNCLASSIFIED and abs(voted[k]) < 1000 * MAX_DISTANCE_M)
+        ):
             continue
         i, j, r = row[k] - south, column[k] - west, 1
         while r < WIDEST and _within(sums, COUNT, i, j, r) < MIN_POINTS:
@@ -224,19 +243,29 @@ def features_by_block(
     cells = CellLattice.of(CELL_M, scale)
     x, y = heights.x, heights.y
     west, south = (
-        (first // PART - 1) * PART for first in (cells.column(int(x.min())), cells.row(int(y.min())))
+        (first // PART - 1) * PART
+        for first in (cells.column(int(x.min())), cells.row(int(y.min())))
     )
     columns, rows = (
         (last - first) // PART + 2
-        for last, first in ((cells.column(int(x.max())), west), (cells.row(int(y.max())), south))
+        for last, first in (
+            (cells.column(int(x.max())), west),
+            (cells.row(int(y.max())), south),
+        )
     )
     column, row = _columns_and_rows(x, y, cells.grid(west, south))
     points = _Points(column, row, heights.own, heights.voted, heights.labels)
-    starts, order = by_cell(row.astype(np.int64) // PART * columns + column // PART, columns * rows)
+    starts, order = by_cell(
+        row.astype(np.int64) // PART * columns + column // PART, columns * rows
+    )
     for i in range(1, rows - 1, BLOCK):
         for j in range(1, columns - 1, BLOCK):
             inside = _of_parts(
-                starts, order, columns, (i, min(i + BLOCK, rows - 1)), (j, min(j + BLOCK, columns - 1))
+                starts,
+                order,
+                columns,
+                (i, min(i + BLOCK, rows - 1)),
+                (j, min(j + BLOCK, columns - 1)),
             )
             if inside.size == 0:
                 continue
@@ -267,11 +296,16 @@ def _of_parts(
     starts: Int64, order: Int32, columns: int, rows: tuple[int, int], across: tuple[int, int]
 ) -> Int32:
     """Return the indices of the points of the parts in half-open ranges of rows and columns."""
-    lines = [order[starts[i * columns + across[0]] : starts[i * columns + across[1]]] for i in range(*rows)]
+    lines = [
+        order[starts[i * columns + across[0]] : starts[i * columns + across[1]]]
+        for i in range(*rows)
+    ]
     return np.concatenate(lines)
 
 
-def relabelled(heights: Heights, cell: Int32, around: Around, scale: Scale, trees: DecisionTrees) -> UInt8:
+def relabelled(
+    heights: Heights, cell: Int32, around: Around, scale: Scale, trees: DecisionTrees
+) -> UInt8:
     """Return the labels after the last look. `features_by_block` describes the parameters."""
     labels = heights.labels.copy()
     if labels.size == 0:

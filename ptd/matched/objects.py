@@ -1,9 +1,10 @@
 """Large objects of photogrammetric clouds: connected surfaces whose edges fall, each classified as a whole.
 
-A surface consists of connected cells whose heights differ little from one to the next. At the rim of a roof or a crown
-the height falls. At the rim of ground it rises (walls, trunks), or ground continues. So a surface is classified by its
-rim and by the share of it that lies on a stiff hull (`ptd.matched.hull`): a hall's roof does not, a terrace does. A
-surface wider than a limit is terrain, so cells beyond a fixed distance do not change the result.
+A surface consists of connected cells whose heights differ little from one to the next. At the
+rim of a roof or a crown the height falls. At the rim of ground it rises (walls, trunks), or
+ground continues. So a surface is classified by its rim and by the share of it that lies on a
+stiff hull (`ptd.matched.hull`): a hall's roof does not, a terrace does. A surface wider than a
+limit is terrain, so cells beyond a fixed distance do not change the result.
 """
 
 from __future__ import annotations
@@ -22,25 +23,27 @@ from ptd.matched.hull import ROOFS_TILT_BLOCKS, block_cells, tilts
 Float64 = npt.NDArray[np.float64]
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
-"""Limits of the height difference of neighbours on a surface, in metres and in multiples of the noise. The larger limit
-counts."""
+"""Limits of the height difference of neighbours on a surface, in metres and in multiples of the
+noise. The larger limit counts."""
 DIAGONAL = 1.4
 """Factor of that limit for neighbours across corners."""
 NEAR_M, NEAR_SHARE = 1.0, 0.2
-"""Height above the stiff hull below which a cell is near it, and share of such cells below which a surface may be
-an object."""
+"""Height above the stiff hull below which a cell is near it, and share of such cells below
+which a surface may be an object."""
 FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
 """Limits of an object's rim: more than `FALL_SHARE` of its cells have another surface at least `FALL_M` lower within
 `FALL_CELLS` cells."""
 ALL_FALLS, FALL_LEAST = 0.9, 0.4
-"""The rim falls nearly everywhere if the falling cells exceed both `ALL_FALLS` of the rim cells that are not close to
-objects found before, and `FALL_LEAST` of all rim cells. Such a surface may be an object even if it lies near the hull,
-because the hull climbs onto wide halls."""
+"""The rim falls nearly everywhere if the falling cells exceed both `ALL_FALLS` of the rim cells
+that are not close to objects found before, and `FALL_LEAST` of all rim cells. Such a surface
+may be an object even if it lies near the hull, because the hull climbs onto wide halls."""
 CUT_NEAR = 0.5
-"""A surface whose rim falls nearly everywhere, but which partly ends at the border of the data, is not an object if at
-least this share of its cells lies near the hull: the fall may be a quay or a bank."""
+"""A surface whose rim falls nearly everywhere, but which partly ends at the border of the data,
+is not an object if at least this share of its cells lies near the hull: the fall may be a quay
+or a bank."""
 AREA_M2 = 40.0
-"""Area of the smallest object that is classified as a whole; less stiff hulls pass below smaller ones."""
+"""Area of the smallest object that is classified as a whole; less stiff hulls pass below
+smaller ones."""
 MAX_WIDTH_M = 200.0
 """Width above which a surface is terrain."""
 TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
@@ -48,15 +51,16 @@ TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
 `TERRAIN_M`, and at most `TERRAIN_FALLS` of its rim falls. At most `TERRAIN_RIM` of its cells may be rim, because the
 top of a wood is full of gaps."""
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
-"""Limits of the ground of a small survey: it is wider than this in both directions, this share of it is near the hull,
-and its rim falls as little as that of wide terrain. In a strip or a garden, plants next to the border are
-near the hull and would contribute too much."""
+"""Limits of the ground of a small survey: it is wider than this in both directions, this share
+of it is near the hull, and its rim falls as little as that of wide terrain. In a strip or a
+garden, plants next to the border are near the hull and would contribute too much."""
 INSIDE_SHARE, INSIDE_M2, YARD_M2 = 0.5, 1000.0, 10.0
 """Limits of enclosed surfaces, for example equipment on a roof, which are classified even if they are small.
 
-More than `INSIDE_SHARE` of the rim lies next to objects found before. Surfaces of `INSIDE_M2` or more are not enclosed:
-they may be terraces among houses. From `YARD_M2` on, objects that rise from the surface do not count: it may be a
-courtyard, or ground that is visible between crowns. Smaller surfaces are parts of walls.
+More than `INSIDE_SHARE` of the rim lies next to objects found before. Surfaces of `INSIDE_M2`
+or more are not enclosed: they may be terraces among houses. From `YARD_M2` on, objects that
+rise from the surface do not count: it may be a courtyard, or ground that is visible between
+crowns. Smaller surfaces are parts of walls.
 """
 
 
@@ -85,9 +89,17 @@ def _rims(
                 continue
             height = np.int64(heights[row, column])
             if counts[number, 0] == 0:
-                box[number, 0], box[number, 1], box[number, 2], box[number, 3] = row, row, column, column
+                box[number, 0], box[number, 1], box[number, 2], box[number, 3] = (
+                    row,
+                    row,
+                    column,
+                    column,
+                )
             box[number, 1] = row
-            box[number, 2], box[number, 3] = min(box[number, 2], column), max(box[number, 3], column)
+            box[number, 2], box[number, 3] = (
+                min(box[number, 2], column),
+                max(box[number, 3], column),
+            )
             counts[number, 0] += 1
             counts[number, 1] += height - hull[row, column] < near
             edge, cut = False, False
@@ -104,10 +116,16 @@ def _rims(
             counts[number, 2] += 1
             falls, inside, level = False, False, False
             for r in range(max(row - FALL_CELLS, 0), min(row + FALL_CELLS + 1, rows)):
-                for c in range(max(column - FALL_CELLS, 0), min(column + FALL_CELLS + 1, columns)):
+                for c in range(
+                    max(column - FALL_CELLS, 0), min(column + FALL_CELLS + 1, columns)
+                ):
                     inside |= removed[r, c]
                     level |= removed[r, c] and heights[r, c] < height + fall
-                    falls |= surface[r, c] >= 0 and surface[r, c] != number and heights[r, c] < height - fall
+                    falls |= (
+                        surface[r, c] >= 0
+                        and surface[r, c] != number
+                        and heights[r, c] < height - fall
+                    )
             counts[number, 3] += falls
             counts[number, 4] += inside
             counts[number, 6] += level
@@ -120,7 +138,12 @@ def reach_cells(cell_m: float) -> int:
 
 
 def judged(
-    heights: Int32, hull: Int32, removed: Bool, sigma_m: float | Float64, scale: Scale, cell_m: float = CELL_M
+    heights: Int32,
+    hull: Int32,
+    removed: Bool,
+    sigma_m: float | Float64,
+    scale: Scale,
+    cell_m: float = CELL_M,
 ) -> tuple[Bool, Bool]:
     """Find the cells of large objects and the cells of surfaces that are terrain.
 
@@ -162,7 +185,9 @@ def judged(
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= MAX_WIDTH_M)
-    wide = (width_m > TERRAIN_M) | (sizes_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
+    wide = (width_m > TERRAIN_M) | (sizes_m.min(axis=0) > ON_HULL_M) & (
+        near >= ON_HULL_SHARE * area
+    )
     terrain = wide & (fallen <= TERRAIN_FALLS) & (rim <= TERRAIN_RIM * area) & ~objects | (
         width_m > MAX_WIDTH_M
     )

@@ -43,10 +43,14 @@ class CellPass(OneSizePass):
     elects: bool = True
     influence_radius_m: float | None = 2 * SPARSE_CELL_M
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CellModel:
         """Compute the heights of all cells of the core."""
         around = _widened(core, scale)
-        return CellModel(cell_heights(points.xyz, around, scale, noise_m(state, scale), cell_m(state)))
+        return CellModel(
+            cell_heights(points.xyz, around, scale, noise_m(state, scale), cell_m(state))
+        )
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,9 @@ class PlaceCellPass(MatchedPass):
     elects: bool = True
     influence_radius_m: float | None = CellPass.influence_radius_m
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CellModel:
         """Compute the heights of all cells of the core, the smaller cells first."""
         around, noise = _widened(core, scale), noise_m(state, scale)
         cells_by_size = [np.zeros((3, 0), np.int32)]
@@ -114,7 +120,9 @@ class ObjectPass(MatchedPass):
         """Title of the pass, by whether it finds large objects or objects within them."""
         return "find large objects" if self.name == "objects" else "find objects within others"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         """Classify the surfaces of the cells that do not belong to objects yet."""
         return by_size.of_each_size(self.of_size, points, core, scale, state, cells=True)
 
@@ -133,8 +141,12 @@ class ObjectPass(MatchedPass):
         is_object[raster.keys[codes == OBJECT]] = True
         removed = is_object.reshape(raster.heights.shape)
         stiff = replace(surface.STIFF, cell_m=size_m)
-        hull = lower_envelope(raster.heights, stiff, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
-        noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
+        hull = lower_envelope(
+            raster.heights, stiff, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS
+        )
+        noise = on_cells(
+            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
+        )
         large, terrain = objects.judged(raster.heights, hull, removed, noise, scale, size_m)
         codes[large.reshape(-1)[raster.keys]] = OBJECT
         codes[terrain.reshape(-1)[raster.keys]] = TERRAIN
@@ -152,14 +164,20 @@ class SurfacePass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (surface.reach_cells(size_m) + islands.reach_cells(size_m) + cell_features.reach_cells(size_m))
+        (
+            surface.reach_cells(size_m)
+            + islands.reach_cells(size_m)
+            + cell_features.reach_cells(size_m)
+        )
         * size_m
         for size_m in CELL_SIZES_M
     )
     label_margin_m: float = voting.REACH_M + last_look.REACH_M
     refine: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         """Fit the surface to the cells that belong neither to large objects nor to crowns."""
         return by_size.of_each_size(self.of_size, points, core, scale, state, cells=False)
 
@@ -176,19 +194,27 @@ class SurfacePass(MatchedPass):
         everything = raster.heights
         heights = np.where(codes & CODE == OBJECT, EMPTY, everything).astype(np.int32)
         raster = replace(raster, heights=heights, keys=raster.keys[left])
-        noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
+        noise = on_cells(
+            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
+        )
 
         def ground(heights: Int32) -> surface.Surface:
             terrain = (codes & CODE == TERRAIN) & (heights != EMPTY)
-            return surface.ground_surface(heights, terrain, noise, scale, raster.row, raster.column, size_m)
+            return surface.ground_surface(
+                heights, terrain, noise, scale, raster.row, raster.column, size_m
+            )
 
         fitted_surface, crowns = ground(raster.heights), (codes & CROWN) > 0
         if crowns.any():
-            raster = replace(raster, heights=np.where(crowns, EMPTY, raster.heights).astype(np.int32))
+            raster = replace(
+                raster, heights=np.where(crowns, EMPTY, raster.heights).astype(np.int32)
+            )
             fitted_surface = below_canopy(
                 fitted_surface, ground(raster.heights), crowns | (codes >= COVERED), size_m
             )
-        fitted_surface = islands.without_islands(fitted_surface, raster.heights, everything, scale, size_m)
+        fitted_surface = islands.without_islands(
+            fitted_surface, raster.heights, everything, scale, size_m
+        )
         model = GroundModel.of(fitted_surface, raster, cells, scale, state)
         return model.with_last_look(raster, size_m) if self.refine else model
 

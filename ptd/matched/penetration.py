@@ -1,8 +1,9 @@
 """Counts of cells that a sensor penetrates: points lie far below other points, as under plants in a LiDAR cloud.
 
-Image matching gives one surface. Its points lie above each other only next to walls, which are lines in the plan. In an
-area where nothing stands, no sensor penetrates a cell, so the counts show nothing there. Each cell belongs to the core
-with its lowest point, so the counts of tiles add up. There are three kinds of cells:
+Image matching gives one surface. Its points lie above each other only next to walls, which are
+lines in the plan. In an area where nothing stands, no sensor penetrates a cell, so the counts
+show nothing there. Each cell belongs to the core with its lowest point, so the counts of tiles
+add up. There are three kinds of cells:
 
 - *Cells* have a size of `CELL_M`, on a lattice anchored at CRS coordinate 0. A cell has a *gap* if at least `GAP_BINS`
   successive bins of height between two of its points are empty. Bins are `BIN_M` high and begin at the cell's lowest
@@ -41,7 +42,8 @@ MIN_MIXED, MIN_POINTS, MAX_POINTS = 3, 6, 96
 OVERHANG_CELLS_M = (0.5, 1.0, 2.0, 4.0)
 HANGING_FEWEST, HANGING_MOST, HANGING_GAP_M = 24, 192, 1.0
 REACH_M = 3 * WIDE_M
-"""Margin around the core within which `seen_through` needs all points to give the same counts with any tiles."""
+"""Margin around the core within which `seen_through` needs all points to give the same counts
+with any tiles."""
 
 COUNTS = (
     "looks",
@@ -148,7 +150,9 @@ def _seen_through(keys: Int64, gap: Bool, in_core: Bool, width: int, least: int)
     return n
 
 
-def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True) -> dict[str, int]:
+def seen_through(
+    xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
+) -> dict[str, int]:
     """Count the cells of a core, and those that are seen through.
 
     Parameters
@@ -186,7 +190,9 @@ def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> d
     n_cells = n_overhangs = 0
     for size_m in OVERHANG_CELLS_M if x.size else ():
         raster = _Raster.of(size_m, x, y, z, scale)
-        asked, hanging = _hanging(z, *by_cell(raster.slot, raster.keys.size), scale.counts_z(HANGING_GAP_M))
+        asked, hanging = _hanging(
+            z, *by_cell(raster.slot, raster.keys.size), scale.counts_z(HANGING_GAP_M)
+        )
         is_in_core = core.contains(x[raster.lowest], y[raster.lowest])
         n_cells += int((is_in_core & asked).sum())
         n_overhangs += int((is_in_core & hanging).sum())

@@ -2,9 +2,9 @@
 
 A place is a square of 256 m (`ptd.places`).
 
-Cells of photogrammetric clouds have a size of 1 m, or of 2 m where points are sparse. A point gets the same label as if
-the whole survey had cells of the size of its place. So cells of both sizes are made where places of both kinds are near
-each other.
+Cells of photogrammetric clouds have a size of 1 m, or of 2 m where points are sparse. A point
+gets the same label as if the whole survey had cells of the size of its place. So cells of both
+sizes are made where places of both kinds are near each other.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ DENSITY, SIGMA, CELL_SIGMA, CELL_SIZE, BOTH = range(5)
 CELL_SIZES_M = (CELL_M, SPARSE_CELL_M)
 """Possible sizes of cells."""
 SIZES_AROUND = 8
-"""Number of places around a place in which cells of its size are needed. This distance covers the summed radii of all
-passes on cells."""
+"""Number of places around a place in which cells of its size are needed. This distance covers
+the summed radii of all passes on cells."""
 
 
 def known(figures: Figures, figure: int) -> float:
@@ -44,12 +44,17 @@ def cell_sizes(table: Table) -> tuple[float, ...]:
 
 def with_cell_sizes(table: Mapping[str, list[float | None]]) -> dict[str, list[float | None]]:
     """Return a table with `CELL_SIZE` and `BOTH` appended to the figures from which they follow."""
-    size_by_name = {name: cell_size_m(known(figures, DENSITY)) for name, figures in table.items()}
-    sparse = {place_of(name) for name, size_m in size_by_name.items() if size_m == SPARSE_CELL_M}
+    size_by_name = {
+        name: cell_size_m(known(figures, DENSITY)) for name, figures in table.items()
+    }
+    sparse = {
+        place_of(name) for name, size_m in size_by_name.items() if size_m == SPARSE_CELL_M
+    }
     fine = {place_of(name) for name, size_m in size_by_name.items() if size_m == CELL_M}
     both = fine & _around(sparse, len(fine)) | sparse & _around(fine, len(sparse))
     return {
-        name: [*figures, size_by_name[name], float(place_of(name) in both)] for name, figures in table.items()
+        name: [*figures, size_by_name[name], float(place_of(name) in both)]
+        for name, figures in table.items()
     }
 
 

@@ -1,10 +1,12 @@
 """Methods for LiDAR clouds, or for lowest points, adapted to photogrammetric clouds.
 
-The papers' seeds and vertices are the lowest points of cells. In a photogrammetric cloud these are blunders or the
-lower end of the noise. So a method gets one robust height per cell (`ptd.matched.cells`) instead of the points. The
-cells that it classifies as ground are the surface, and all points are compared with it to both sides, with the local
-noise and a vote of their neighbours, as in `auto` (`ptd.matched.passes`). `for_both_kinds` builds passes that do so if
-the survey finds a photogrammetric cloud, and that filter LiDAR clouds like the method's own passes.
+The papers' seeds and vertices are the lowest points of cells. In a photogrammetric cloud these
+are blunders or the lower end of the noise. So a method gets one robust height per cell
+(`ptd.matched.cells`) instead of the points. The cells that it classifies as ground are the
+surface, and all points are compared with it to both sides, with the local noise and a vote of
+their neighbours, as in `auto` (`ptd.matched.passes`). `for_both_kinds` builds passes that do so
+if the survey finds a photogrammetric cloud, and that filter LiDAR clouds like the method's own
+passes.
 """
 
 from __future__ import annotations
@@ -109,11 +111,15 @@ class _Wrapped(Pass):
     def of(cls, step: Pass, name: str | None = None) -> Self:
         """Wrap a pass, under another name if one is given."""
         copied = {
-            f.name: getattr(step, f.name) for f in fields(cls) if f.name not in ("step", "name", "elected")
+            f.name: getattr(step, f.name)
+            for f in fields(cls)
+            if f.name not in ("step", "name", "elected")
         }
         return cls(step=step, name=name or step.name, **copied)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         """Fit the wrapped pass."""
         return self.step.fit(points, window, core, scale, state)
 
@@ -160,7 +166,9 @@ class NearGroundPass(OneSizePass):
     raster_cell_m: float = CELL_M
     by_place: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> GroundModel:
         """Compute the heights of the TIN at the cells, and the noise about it."""
         size_m = cell_m(state)
         cells, ground = CellLattice.of(size_m, scale), points.known_labels() == GROUND
@@ -170,7 +178,9 @@ class NearGroundPass(OneSizePass):
         raster = raster_of(points.xyz, cells)
         below = np.full(raster.heights.size, np.nan)
         below[raster.keys] = heights
-        noise = places.on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
+        noise = places.on_cells(
+            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
+        )
         tin_surface = surface.with_noise(
             raster.heights, below.reshape(raster.heights.shape), noise, scale, size_m
         )

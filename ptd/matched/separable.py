@@ -1,9 +1,10 @@
 """Hull of paraboloids around every cell, computed by rows of blocks.
 
-The fall of a paraboloid is the sum of a fall along the row and one along the column. So the cells that limit
-paraboloids are found along rows first and then across them, and the hull is raised across rows first and then along
-them. For ``w`` cells across this takes about ``2 * w`` steps instead of ``w * w``, each for a whole row of centres. It
-is faster if every cell is a centre. With few centres far apart `ptd.matched.hull` computes each separately.
+The fall of a paraboloid is the sum of a fall along the row and one along the column. So the
+cells that limit paraboloids are found along rows first and then across them, and the hull is
+raised across rows first and then along them. For ``w`` cells across this takes about ``2 * w``
+steps instead of ``w * w``, each for a whole row of centres. It is faster if every cell is a
+centre. With few centres far apart `ptd.matched.hull` computes each separately.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from ptd.cells import Int32, Int64
 from ptd.kernel import kernel
 
 HIGH, LOW = 2**30 + 2**29, -(2**30) - 2**29
-"""Height of a missing cell, and of a missing paraboloid. They stay beyond real heights (less than 1,000 km) after any
-fall or tilt is added."""
+"""Height of a missing cell, and of a missing paraboloid. They stay beyond real heights (less
+than 1,000 km) after any fall or tilt is added."""
 LIMIT = 2**30
 """Limit of real heights: values from `LIMIT` on, or down from `-LIMIT`, stand for none."""
 
@@ -49,7 +50,9 @@ def _raise(highest: Int32, values: Int32) -> None:
 
 
 @kernel
-def _tops(padded: Int32, falls: Int64, cut: int, n_rows: int, north: Int32, east: Int32) -> Int32:
+def _tops(
+    padded: Int32, falls: Int64, cut: int, n_rows: int, north: Int32, east: Int32
+) -> Int32:
     """Return the top of the paraboloid around each cell of some rows that cuts through ``cut`` cells.
 
     Tops from LIMIT on stand for no paraboloid.
@@ -60,7 +63,11 @@ def _tops(padded: Int32, falls: Int64, cut: int, n_rows: int, north: Int32, east
     for row in range(along.shape[0]):
         for step in range(-radius, radius + 1):
             _tilted(
-                values, padded[row, radius + step : radius + step + columns], falls[abs(step)], east, step
+                values,
+                padded[row, radius + step : radius + step + columns],
+                falls[abs(step)],
+                east,
+                step,
             )
             _keep_lowest(along[row], values, 0)
     tops = np.empty((n_rows, columns), np.int32)
@@ -92,7 +99,14 @@ def _spread(hull: Int32, tops: Int32, falls: Int64, north: Int32, east: Int32) -
 
 @kernel
 def hull_around_every_cell(
-    heights: Int32, empty: int, none: int, falls: Int64, cut: int, block: int, north: Int64, east: Int64
+    heights: Int32,
+    empty: int,
+    none: int,
+    falls: Int64,
+    cut: int,
+    block: int,
+    north: Int64,
+    east: Int64,
 ) -> Int32:
     """Return the height of the highest paraboloid over each cell.
 
@@ -135,9 +149,18 @@ def hull_around_every_cell(
         block_heights = block_heights[:, west:end]
         n, e = np.empty(end - west, np.int32), np.empty(end - west, np.int32)
         for c in range(west, end):
-            n[c - west], e[c - west] = north[first // block, c // block], east[first // block, c // block]
-        south, north_end, east_end = first, first + block_heights.shape[0] + 2 * radius, end + 2 * radius
-        tops = _tops(padded[south:north_end, west:east_end], falls, cut, block_heights.shape[0], n, e)
+            n[c - west], e[c - west] = (
+                north[first // block, c // block],
+                east[first // block, c // block],
+            )
+        south, north_end, east_end = (
+            first,
+            first + block_heights.shape[0] + 2 * radius,
+            end + 2 * radius,
+        )
+        tops = _tops(
+            padded[south:north_end, west:east_end], falls, cut, block_heights.shape[0], n, e
+        )
         for r in range(block_heights.shape[0]):
             for c in range(end - west):
                 if block_heights[r, c] == empty or tops[r, c] >= LIMIT:

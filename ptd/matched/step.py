@@ -17,8 +17,8 @@ from ptd.places import PLACES, Field, field
 LEFT, TERRAIN, OBJECT = 1, 2, 3
 """Codes of cells between passes: undecided, terrain, and large object."""
 CODE, CROWN, COVERED = 3, 4, 8
-"""Mask of these codes, bit of crowns that were classified as ground, and bit of cells where a canopy hides the
-ground."""
+"""Mask of these codes, bit of crowns that were classified as ground, and bit of cells where a
+canopy hides the ground."""
 
 
 def is_matched(state: State) -> bool:
@@ -74,4 +74,6 @@ class Codes(Model):
             return np.zeros(len(points), np.uint8), uncertified
         columns, rows = self._cells.cell_indices(points.xyz[0], points.xyz[1])
         width = self._raster.heights.shape[1]
-        return self._codes[(rows - self._raster.row) * width + columns - self._raster.column], uncertified
+        return self._codes[
+            (rows - self._raster.row) * width + columns - self._raster.column
+        ], uncertified

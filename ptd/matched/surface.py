@@ -13,7 +13,8 @@
 4. Ground grows to the edges of terraces and banks (`ptd.matched.growth`). Then the mean residual is added at a still
    smaller scale, so that the surface comes nearer to each cell's own height.
 
-Gaussian sums over cells are cut off at a fixed radius, so cells beyond `reach_cells` do not change the surface.
+Gaussian sums over cells are cut off at a fixed radius, so cells beyond `reach_cells` do not
+change the surface.
 """
 
 from collections.abc import Callable
@@ -30,80 +31,103 @@ from ptd.ground.morphology import Bool
 from ptd.matched import growth
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import LOWEST, Envelope, lower_envelope
-from ptd.matched.surroundings import RemainingCells, gaussian_radius, share_radius, slope_radius, smoothed
+from ptd.matched.surroundings import (
+    RemainingCells,
+    gaussian_radius,
+    share_radius,
+    slope_radius,
+    smoothed,
+)
 
 Float64 = npt.NDArray[np.float64]
 
 STIFF, PLIABLE = Envelope(0.01, 11.5), Envelope(0.04, 11.5)
 RIDGES = (Envelope(0.08, 6.0), Envelope(0.2, 6.0), Envelope(0.5, 6.0))
 OPEN_GROUND = 0.3
-"""Curvature up to which a hull is used on open ground as well. Hulls of more curvature are used only on surfaces that
-are terrain as a whole (`ptd.matched.objects`), because they would follow cars."""
+"""Curvature up to which a hull is used on open ground as well. Hulls of more curvature are used
+only on surfaces that are terrain as a whole (`ptd.matched.objects`), because they would follow
+cars."""
 CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
-"""Mean slopes of the surroundings (`TERRAIN_M`) at which hulls of more curvature than `OPEN_GROUND` begin to be used,
-and are used fully. On level ground they are used only for features that are at least `CREST_M` wide, for example dams.
-A car that a single cell connects to the ground belongs to the surface of the ground, so it is terrain as a whole."""
+"""Mean slopes of the surroundings (`TERRAIN_M`) at which hulls of more curvature than
+`OPEN_GROUND` begin to be used, and are used fully. On level ground they are used only for
+features that are at least `CREST_M` wide, for example dams. A car that a single cell connects
+to the ground belongs to the surface of the ground, so it is terrain as a whole."""
 STEEP = (0.3, 0.6)
-"""Mean slopes up to which terrain just above a ridge's hull counts fully as plants, and from which on it does not
-count, because hulls cut off crests."""
+"""Mean slopes up to which terrain just above a ridge's hull counts fully as plants, and from
+which on it does not count, because hulls cut off crests."""
 BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
-"""Largest distance of cells on a hull: the sum of metres, a multiple of the noise, and metres per unit of slope."""
+"""Largest distance of cells on a hull: the sum of metres, a multiple of the noise, and metres
+per unit of slope."""
 CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
-"""Standard deviation of the surroundings in which cells are counted, and limits of the contrast. Up to the first limit
-(half as many cells above a hull as on it) only the pliable hull is used, from the second on (equally many) only the
-stiff one."""
-RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = 6.0, (0.6, 0.85), (0.02, 0.06), (0.05, 0.15)
+"""Standard deviation of the surroundings in which cells are counted, and limits of the
+contrast. Up to the first limit (half as many cells above a hull as on it) only the pliable hull
+is used, from the second on (equally many) only the stiff one."""
+RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = (
+    6.0,
+    (0.6, 0.85),
+    (0.02, 0.06),
+    (0.05, 0.15),
+)
 """Settings of the hulls of ridges.
 
 - `RIDGE_M`: standard deviation of the surroundings in which cells are counted.
-- `RIDGE_SHARE`: shares of open ground or terrain at which the hulls begin to be used, and are used fully.
+- `RIDGE_SHARE`: shares of open ground or terrain at which the hulls begin to be used, and are
+  used fully.
 - `RIDGE_CONTRAST`: contrasts up to which they are used fully, and at which they end to be used.
 - `CREST_CONTRAST`: the same contrasts for hulls of more curvature than `OPEN_GROUND`.
 """
 MIN_SHARE_LEFT = 0.3
-"""Lower limit of the share of cells that remain after objects are removed. The share of open ground is relative to
-these cells, so that it is the same next to a roof or a pond as in the open."""
+"""Lower limit of the share of cells that remain after objects are removed. The share of open
+ground is relative to these cells, so that it is the same next to a roof or a pond as in the
+open."""
 TERRAIN_M = 8.0
-"""Standard deviation of the surroundings in which cells above the surface are counted and slopes are averaged."""
+"""Standard deviation of the surroundings in which cells above the surface are counted and
+slopes are averaged."""
 
 ROUNDS = 6
 SCALES_M, SCALES_CELLS = (3.0, 1.5), (2.0, 1.0)
-"""Standard deviations in metres, and their minimum in cells, of the surroundings whose mean residual is added. The mean
-of few cells is uncertain."""
+"""Standard deviations in metres, and their minimum in cells, of the surroundings whose mean
+residual is added. The mean of few cells is uncertain."""
 FEW = 0.05
 """Weight of a residual of 0, so that few cells move the surface little."""
 PLAIN_ROUNDS, BESIDE = 3, 0.2
-"""Number of rounds with equal weights, and later weight of cells above the surface that touch one too high to be
-ground. They are the rounded edges of cars, walls and plants. In the first rounds the surface still climbs onto
-banks."""
+"""Number of rounds with equal weights, and later weight of cells above the surface that touch
+one too high to be ground. They are the rounded edges of cars, walls and plants. In the first
+rounds the surface still climbs onto banks."""
 FINE_ROUNDS, FINE_M, FINE_CELLS, FINE_BESIDE = 2, 1.0, 1.0, 0.1
 """Settings of the last rounds.
 
-They are the number of rounds, the standard deviation (in metres, and its minimum in cells) of the surroundings whose
-mean residual is added, and the weight of cells that rise next to objects. Where the ground bends, at the foot of a
-bank, a cell's own height is more accurate than a wide mean, because it is the median of many points. The weight is less
-than `BESIDE`, because fewer cells are averaged.
+They are the number of rounds, the standard deviation (in metres, and its minimum in cells) of
+the surroundings whose mean residual is added, and the weight of cells that rise next to
+objects. Where the ground bends, at the foot of a bank, a cell's own height is more accurate
+than a wide mean, because it is the median of many points. The weight is less than `BESIDE`,
+because fewer cells are averaged.
 """
 EDGE_ROUNDS = 2
-"""Number of times that the mean residual is added, at the smaller scale, where ground grew to an edge."""
+"""Number of times that the mean residual is added, at the smaller scale, where ground grew to
+an edge."""
 ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
-"""Largest distances of cells near the surface, above and below it: metres, plus a multiple of the local noise."""
+"""Largest distances of cells near the surface, above and below it: metres, plus a multiple of
+the local noise."""
 ABOUT_SLOPE = 0.15
-"""Addition to these distances in metres per unit of slope. It counts twice below the surface, because ground on
-slopes would be lost there."""
+"""Addition to these distances in metres per unit of slope. It counts twice below the surface,
+because ground on slopes would be lost there."""
 GAP, NARROWEST, GAP_TERRAIN = (0.1, 0.55), 0.25, 0.5
 """Settings of the band of ground among low plants.
 
-- `GAP`: contrasts up to which the band above the surface is whole, and at which it becomes narrowest.
+- `GAP`: contrasts up to which the band above the surface is whole, and at which it becomes
+  narrowest.
 - `NARROWEST`: smallest factor by which the band is multiplied.
-- `GAP_TERRAIN`: weight of cells that are terrain as a whole, which is less because they may be banks.
+- `GAP_TERRAIN`: weight of cells that are terrain as a whole, which is less because they may be
+  banks.
 """
 NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
-"""Standard deviation of the surroundings from which noise is computed, its limit as a multiple of the place's noise,
-and the weight of the place's noise."""
+"""Standard deviation of the surroundings from which noise is computed, its limit as a multiple
+of the place's noise, and the weight of the place's noise."""
 EXTENDED_M = (1.0, 6.0)
-"""Standard deviations of the surroundings whose mean continues the surface beyond its cells. Ground exists only within
-the first: farther away a single cell would give the ground below a whole roof."""
+"""Standard deviations of the surroundings whose mean continues the surface beyond its cells.
+Ground exists only within the first: farther away a single cell would give the ground below a
+whole roof."""
 
 
 class Surface(NamedTuple):
@@ -145,11 +169,19 @@ def reach_cells(cell_m: float) -> int:
     hulls = [replace(h, cell_m=cell_m) for h in (STIFF, PLIABLE, *RIDGES)]
     slope, contrast = slope_radius(cell_m), share_radius(CONTRAST_M, cell_m)
     bent = max(h.reach for h in hulls) + slope + contrast
-    bent += len(RIDGES) * (slope + max(share_radius(RIDGE_M, cell_m), share_radius(TERRAIN_M, cell_m)))
+    bent += len(RIDGES) * (
+        slope + max(share_radius(RIDGE_M, cell_m), share_radius(TERRAIN_M, cell_m))
+    )
     bent += sum(_crest_cells(cell_m) - 1 for h in RIDGES if h.curvature > OPEN_GROUND)
     about = max(slope, gaussian_radius(NOISE_M / cell_m)) + contrast
-    rounds = ROUNDS * sum(gaussian_radius(cells) for cells in _scales(cell_m)) + ROUNDS - PLAIN_ROUNDS
-    edges = growth.reach_cells(cell_m) + (1 + EDGE_ROUNDS) * gaussian_radius(_scales(cell_m)[-1])
+    rounds = (
+        ROUNDS * sum(gaussian_radius(cells) for cells in _scales(cell_m))
+        + ROUNDS
+        - PLAIN_ROUNDS
+    )
+    edges = growth.reach_cells(cell_m) + (1 + EDGE_ROUNDS) * gaussian_radius(
+        _scales(cell_m)[-1]
+    )
     fine = FINE_ROUNDS * (gaussian_radius(_fine_scale(cell_m)) + 1)
     extended = gaussian_radius(max(EXTENDED_M) / cell_m)
     return hulls[0].cut_cells + bent + 2 * about + rounds + edges + fine + extended
@@ -203,7 +235,11 @@ def noise_reach_cells(cell_m: float) -> int:
 
 
 def with_noise(
-    heights: Int32, ground: Float64, sigma_m: float | Float64, scale: Scale, cell_m: float = CELL_M
+    heights: Int32,
+    ground: Float64,
+    sigma_m: float | Float64,
+    scale: Scale,
+    cell_m: float = CELL_M,
 ) -> Surface:
     """Complete the surface of another method: measure noise and narrowing, and extend it beyond its cells.
 
@@ -235,11 +271,16 @@ def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
 
 
 def _contrast(
-    cells: RemainingCells, counted: Bool | Float64, surface: Float64, sigma_m: float | Float64, std_m: float
+    cells: RemainingCells,
+    counted: Bool | Float64,
+    surface: Float64,
+    sigma_m: float | Float64,
+    std_m: float,
 ) -> tuple[Float64, Float64]:
     """Return the contrast around each cell, and the share of cells on the surface.
 
-    The contrast is the number of cells just above the surface, weighted by ``counted``, in parts of those on it.
+    The contrast is the number of cells just above the surface, weighted by ``counted``, in
+    parts of those on it.
     """
     band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * cells.slope(surface)
     residual = cells.height - surface
@@ -249,7 +290,10 @@ def _contrast(
 
 
 def _bent(
-    cells: RemainingCells, terrain: Bool, hull: Callable[[Envelope], Float64], sigma_m: float | Float64
+    cells: RemainingCells,
+    terrain: Bool,
+    hull: Callable[[Envelope], Float64],
+    sigma_m: float | Float64,
 ) -> Float64:
     """Combine hulls so that the surface bends as much as the cells show."""
     stiff = hull(STIFF)
@@ -286,10 +330,14 @@ def _slope_around(cells: RemainingCells, surface: Float64) -> Float64:
     )
 
 
-def _of_terrain(cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64) -> Float64:
+def _of_terrain(
+    cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64
+) -> Float64:
     """Return the share of terrain among the cells above a surface, around each cell."""
     above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
-    return cells.around(above & terrain, TERRAIN_M) / np.maximum(cells.around(above, TERRAIN_M), 1e-3)
+    return cells.around(above & terrain, TERRAIN_M) / np.maximum(
+        cells.around(above, TERRAIN_M), 1e-3
+    )
 
 
 def _refined(
@@ -297,13 +345,16 @@ def _refined(
 ) -> tuple[Float64, Float64, Float64]:
     """Move a surface to the mean of the cells near it.
 
-    Returns the surface, the noise of the cells, and the narrowing of the band in plants (`Surface`).
+    Returns the surface, the noise of the cells, and the narrowing of the band in plants
+    (`Surface`).
     """
     _, _, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     for k in range(ROUNDS):
         weight = _weights(cells, surface, above, below, 1.0 if k < PLAIN_ROUNDS else BESIDE)
         for std in _scales(cells.cell_m):
-            mean = smoothed(weight * (cells.height - surface), std) / (smoothed(weight, std) + FEW)
+            mean = smoothed(weight * (cells.height - surface), std) / (
+                smoothed(weight, std) + FEW
+            )
             surface = surface + np.where(cells.there, mean, 0.0)
     sigma, narrowing, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     surface = _to_edges(cells, terrain, surface, sigma, narrowing, above, below)
@@ -320,12 +371,15 @@ def _weights(
 ) -> Float64:
     """Return the weights of cells: 1 for those near the surface, 0 for all others.
 
-    Cells near and above the surface that touch one too high to be ground have the weight ``beside``.
+    Cells near and above the surface that touch one too high to be ground have the weight
+    ``beside``.
     """
     residual = cells.height - surface
     weight = np.where(cells.there & (residual < above) & (residual > -below), 1.0, 0.0)
     if beside < 1.0:
-        objects = scipy.ndimage.maximum_filter(cells.there & (residual >= above), 3, mode="constant")
+        objects = scipy.ndimage.maximum_filter(
+            cells.there & (residual >= above), 3, mode="constant"
+        )
         weight[objects & (residual > 0.0)] *= beside
     return weight
 
@@ -343,14 +397,18 @@ def _to_edges(
     residual = cells.height - surface
     ground = cells.there & (residual < above) & (residual > -below)
     may_join = cells.there & (residual >= above) & (residual < growth.MAX_HEIGHT_M)
-    joined = growth.grown(cells.height, ground, may_join, terrain, sigma, narrowing, cells.cell_m)
+    joined = growth.grown(
+        cells.height, ground, may_join, terrain, sigma, narrowing, cells.cell_m
+    )
     joins = ~np.isnan(joined)
     if not joins.any():
         return surface
     surface = np.where(joins, joined, surface)
     weight = (ground | joins).astype(np.float64)
     std = _scales(cells.cell_m)[-1]
-    near = cells.there & scipy.ndimage.maximum_filter(joins, 2 * gaussian_radius(std) + 1, mode="constant")
+    near = cells.there & scipy.ndimage.maximum_filter(
+        joins, 2 * gaussian_radius(std) + 1, mode="constant"
+    )
     for _ in range(EDGE_ROUNDS):
         mean = smoothed(weight * (cells.height - surface), std)
         surface = surface + np.where(near, mean / (smoothed(weight, std) + FEW), 0.0)
@@ -375,7 +433,8 @@ def _noise_and_band(
 def _noise(cells: RemainingCells, residual: Float64, sigma_m: float | Float64) -> Float64:
     """Return the noise around each cell: the root mean square of the residuals below the surface.
 
-    The place's noise counts as a further residual, so it prevails where there are few. The result is limited.
+    The place's noise counts as a further residual, so it prevails where there are few. The
+    result is limited.
     """
     below = cells.there & (residual < 0.0) & (residual > -6.0 * sigma_m)
     weight = cells.smoothed(below.astype(np.float64), NOISE_M)
@@ -384,7 +443,9 @@ def _noise(cells: RemainingCells, residual: Float64, sigma_m: float | Float64) -
     return np.minimum(local, NOISE_MOST * sigma_m)
 
 
-def _extended(cells: RemainingCells, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
+def _extended(
+    cells: RemainingCells, surface: Float64, sigma: Float64, narrowing: Float64
+) -> Surface:
     """Return the surface at cells, the mean of near cells around them, and NaN beyond."""
     there = cells.there
     heights = np.where(there, surface, np.nan)

@@ -15,18 +15,21 @@ from ptd.ground.morphology import Bool
 Float64 = npt.NDArray[np.float64]
 
 SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
-"""Standard deviation of the surroundings from which slopes are computed, and the limit at which slopes are cut off."""
+"""Standard deviation of the surroundings from which slopes are computed, and the limit at which
+slopes are cut off."""
 TRUNCATE = 2.0
 """Number of standard deviations at which Gaussian sums end."""
 SHARE_BLOCK_M = 4.0
-"""Size of the blocks for which shares of the surroundings are computed. The surroundings are much larger."""
+"""Size of the blocks for which shares of the surroundings are computed. The surroundings are
+much larger."""
 
 
 @dataclass(frozen=True)
 class RemainingCells:
     """Cells that remain after objects are removed.
 
-    Fields are heights in metres, a mask of the cells that have a height, and the size of cells in metres.
+    Fields are heights in metres, a mask of the cells that have a height, and the size of cells
+    in metres.
     """
 
     height: Float64

@@ -14,7 +14,16 @@ from ptd.ground import noise_by_place, noise_sums, roughness
 from ptd.ground.noise_sums import Roughness
 from ptd.matched import penetration
 from ptd.matched.cells import SPARSE_M2, cell_size_m
-from ptd.matched.evidence import DIM, SEVERAL_SHARE, Evidence, Finding, Piece, concluded, decided_by, percent
+from ptd.matched.evidence import (
+    DIM,
+    SEVERAL_SHARE,
+    Evidence,
+    Finding,
+    Piece,
+    concluded,
+    decided_by,
+    percent,
+)
 from ptd.matched.place_figures import with_cell_sizes
 from ptd.passes import Partial, Pass, Points, RunHints, State, StatisticsModel, add_notes
 from ptd.places import PLACES, Figures, name_of
@@ -22,40 +31,47 @@ from ptd.places import PLACES, Figures, name_of
 SEEN_THROUGH_SHARE = 0.004
 """Penetration is evidence for LiDAR if at least this share of the cells is seen through.
 
-The share is 0.006 to 0.28 in real LiDAR clouds of 4 points/m2 or more (0.0002 in a simulated one without trees). It is
-0 to 0.003 in photogrammetric clouds, and largest at wooded cliffs.
+The share is 0.006 to 0.28 in real LiDAR clouds of 4 points/m2 or more (0.0002 in a simulated
+one without trees). It is 0 to 0.003 in photogrammetric clouds, and largest at wooded cliffs.
 """
 WIDE_M2, MIN_DENSITY_M2 = 4.0, 1.0
-"""Densities in points per square metre: wide cells are used below the first and are reliable from the second on."""
+"""Densities in points per square metre: wide cells are used below the first and are reliable
+from the second on."""
 WIDE_SHARE, STANDING = 0.05, 100
-"""In a sparse cloud, penetration is evidence for LiDAR if at least this share of the wide cells is seen through.
-Missing penetration is evidence against it only if at least this many wide cells have a gap.
+"""In a sparse cloud, penetration is evidence for LiDAR if at least this share of the wide cells
+is seen through. Missing penetration is evidence against it only if at least this many wide
+cells have a gap.
 
-The share is 0.054 to 0.33 in LiDAR clouds with plants, thinned to 1 to 3 points/m2, and 0 to 0.047 in photogrammetric
-clouds except wooded cliffs (0.06 to 0.12). Fewer gaps may come from walls alone, without any plants to penetrate.
-Sparse LiDAR clouds of single returns are common, so a lack of gaps is weak evidence for LiDAR.
+The share is 0.054 to 0.33 in LiDAR clouds with plants, thinned to 1 to 3 points/m2, and 0 to
+0.047 in photogrammetric clouds except wooded cliffs (0.06 to 0.12). Fewer gaps may come from
+walls alone, without any plants to penetrate. Sparse LiDAR clouds of single returns are common,
+so a lack of gaps is weak evidence for LiDAR.
 """
 SPARSE_LASER_SIGMA_M, FLAT = 0.04, 10
 """Low noise is evidence for LiDAR in a sparse cloud: flat patches have at most this noise, and there are this many.
 
-Thinned to 1 to 3 points/m2, LiDAR clouds without penetrated plants have 0.016 to 0.036 m, photogrammetric clouds 0.044
-to 0.17 m. Two clouds matched from close range have 0.016 and 0.027 m. For these two, the passes for LiDAR clouds are as
-accurate as those for photogrammetric clouds.
+Thinned to 1 to 3 points/m2, LiDAR clouds without penetrated plants have 0.016 to 0.036 m,
+photogrammetric clouds 0.044 to 0.17 m. Two clouds matched from close range have 0.016 and 0.027
+m. For these two, the passes for LiDAR clouds are as accurate as those for photogrammetric
+clouds.
 """
 MATCHED_LOOK, SPARSE_LOOK = 1.9, -1.5
-"""Weights (`ptd.matched.evidence`) of a cloud without penetrated plants, and of a cloud that is too sparse, too bare or
-too smooth for missing penetration to be evidence."""
+"""Weights (`ptd.matched.evidence`) of a cloud without penetrated plants, and of a cloud that is
+too sparse, too bare or too smooth for missing penetration to be evidence."""
 MIN_THROUGH, PER_DECADE = -1.0, -0.7
-"""Weight of the smallest share of penetrated cells that decides, and additional weight per factor of ten."""
+"""Weight of the smallest share of penetrated cells that decides, and additional weight per
+factor of ten."""
 EVEN_OVERHANG_SHARE, OVERHANG_WEIGHT, MAX_OVERHANG = 0.0966, 0.9, 0.95
 """Weights of overhangs.
 
-Share of cells with overhangs, plus 0.01, at which the odds are even; weight per factor of e; largest weight, which is
-less than those above. The share is 0 to 0.19 in photogrammetric clouds, and 0.3 or more in two of three LiDAR clouds.
+Share of cells with overhangs, plus 0.01, at which the odds are even; weight per factor of e;
+largest weight, which is less than those above. The share is 0 to 0.19 in photogrammetric
+clouds, and 0.3 or more in two of three LiDAR clouds.
 """
 MIN_CELL_SIGMA_M, MAX_CELL_SIGMA_M = 0.03, 0.25
-"""Limits of the noise from which the rules for photogrammetric clouds start. Errors of neighbours are alike, which
-residuals of planes do not show, and among trees no patch is smooth."""
+"""Limits of the noise from which the rules for photogrammetric clouds start. Errors of
+neighbours are alike, which residuals of planes do not show, and among trees no patch is
+smooth."""
 
 
 class ReturnStatistics(NamedTuple):
@@ -102,7 +118,9 @@ class Survey(TypedDict):
     several: float
 
 
-def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> tuple[Survey, str]:
+def surveyed(
+    found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]
+) -> tuple[Survey, str]:
     """Return the survey of a run, and a note on it.
 
     Parameters
@@ -127,7 +145,10 @@ def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -
     }  # fmt: skip
     noise = cell_sigma if finding.kind == DIM else sigma
     noise_text = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
-    return survey, f"decided: {in_words(finding)}; {found.density_m2:.3g} points/m2, {noise_text}"
+    return (
+        survey,
+        f"decided: {in_words(finding)}; {found.density_m2:.3g} points/m2, {noise_text}",
+    )
 
 
 def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | None, float]:
@@ -139,8 +160,8 @@ def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | No
     if run["sigma_m"] is not None:
         sigma = cell_sigma = run["sigma_m"]
     else:
-        # The smoothest noise is measured on quarters of patches. In sparse clouds these contain too few points for
-        # planes.
+        # The smoothest noise is measured on quarters of patches. In sparse clouds these contain
+        # too few points for planes.
         few = found.density_m2 < SPARSE_M2 and found.sigma_m is not None
         sigma, cell_sigma = found.sigma_m, found.sigma_m if few else found.smoothest_m
     cell_sigma = MIN_CELL_SIGMA_M if cell_sigma is None else cell_sigma
@@ -150,7 +171,8 @@ def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | No
 def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None) -> RunHints:
     """Return the facts known before the first pass.
 
-    The kind is that given by the user, or else that decided by the evidence if it is sufficient.
+    The kind is that given by the user, or else that decided by the evidence if it is
+    sufficient.
     """
     if kind is not None or evidence is None:
         return RunHints(sigma_m, kind)
@@ -173,7 +195,9 @@ def source_of(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) 
     `surveyed` describes the parameters.
     """
     if run.get("kind") is not None:
-        return Finding(run["kind"], run.get("sure"), run.get("why") or "given by --kind or the preset")
+        return Finding(
+            run["kind"], run.get("sure"), run.get("why") or "given by --kind or the preset"
+        )
     evidence = Evidence(**(run.get("evidence") or {}))
     if seen.told:
         evidence = replace(evidence, several=seen.several / seen.told)
@@ -189,13 +213,23 @@ def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
     if through >= SEEN_THROUGH_SHARE or wide_through >= WIDE_SHARE:
         most = max(through, wide_through)
         weight = MIN_THROUGH + PER_DECADE * max(math.log10(most / SEEN_THROUGH_SHARE), 0.0)
-        pieces.append(Piece(weight, f"pulses passed through plants in {percent(most)} % of the area"))
+        pieces.append(
+            Piece(weight, f"pulses passed through plants in {percent(most)} % of the area")
+        )
     elif found.density_m2 < MIN_DENSITY_M2:
         pieces.append(Piece(SPARSE_LOOK, f"fewer than {MIN_DENSITY_M2:g} points/m2"))
     elif sparse and seen.wide_gaps < STANDING:
-        pieces.append(Piece(SPARSE_LOOK, "sparse, and there are too few plants or walls to show penetration"))
+        pieces.append(
+            Piece(
+                SPARSE_LOOK, "sparse, and there are too few plants or walls to show penetration"
+            )
+        )
     elif sparse and found.patches >= FLAT and (found.sigma_m or 1.0) <= SPARSE_LASER_SIGMA_M:
-        pieces.append(Piece(SPARSE_LOOK, f"sparse, and flat patches scatter by only {found.sigma_m:.2g} m"))
+        pieces.append(
+            Piece(
+                SPARSE_LOOK, f"sparse, and flat patches scatter by only {found.sigma_m:.2g} m"
+            )
+        )
     else:
         pieces.append(Piece(MATCHED_LOOK, "no pulses passed through plants"))
     if seen.overhang_looks:
@@ -227,14 +261,18 @@ class SurveyPass(Pass):
         counts = dict.fromkeys(ReturnStatistics._fields, 0)
         if points.returns is not None:
             n_returns = (
-                points.returns[1, core.contains(*points.xyz[:2])] if core.closed else points.returns[1]
+                points.returns[1, core.contains(*points.xyz[:2])]
+                if core.closed
+                else points.returns[1]
             )
             counts |= {
                 "told": int(np.count_nonzero(n_returns)),
                 "several": int(np.count_nonzero(n_returns > 1)),
             }
         measured_places = noise_by_place.measure_places(points.xyz, core, scale)
-        returns_decide = not core.closed and counts["several"] >= SEVERAL_SHARE * max(counts["told"], 1)
+        returns_decide = not core.closed and counts["several"] >= SEVERAL_SHARE * max(
+            counts["told"], 1
+        )
         if state["run"].get("kind") is None and not returns_decide:
             dense = not core.closed and noise_sums.merge(measured_places).density_m2 >= WIDE_M2
             counts |= penetration.seen_through(points.xyz, core, scale, wide_cells=not dense)
@@ -246,7 +284,9 @@ class SurveyPass(Pass):
     def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add to the state ``survey`` (see `surveyed`) and ``places``, the figures of each place (`ptd.places`)."""
         parts = list(partials)
-        seen = ReturnStatistics(*(sum(p[name] for p in parts) for name in ReturnStatistics._fields))
+        seen = ReturnStatistics(
+            *(sum(p[name] for p in parts) for name in ReturnStatistics._fields)
+        )
         counted = [place for p in parts for place in p["places"]]
         measured = noise_by_place.by_place(counted).items()
         table = with_cell_sizes(
@@ -255,12 +295,18 @@ class SurveyPass(Pass):
                 for place, place_roughness in measured
             }
         )
-        held = [table[name] for name in dict.fromkeys(name_of(*place["place"]) for place in counted)]
+        held = [
+            table[name] for name in dict.fromkeys(name_of(*place["place"]) for place in counted)
+        ]
         survey, notes = self.decided(noise_sums.merge(counted), seen, held, state["run"])
         return {**state, "survey": survey, PLACES: table, "notes": add_notes(state, *notes)}
 
     def decided(
-        self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
+        self,
+        found: Roughness,
+        seen: ReturnStatistics,
+        held: Sequence[Figures],
+        run: Mapping[str, Any],
     ) -> tuple[Survey, list[str]]:
         """Return the survey of the run and notes on it. ``held`` are the figures of the places that contain points."""
         survey, note = surveyed(found, seen, run)

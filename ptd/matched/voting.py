@@ -18,7 +18,8 @@ from ptd.places import Field, as_field, values_at
 Float64 = npt.NDArray[np.float64]
 
 PARTS = 16
-"""Residuals are whole numbers of 1 / `PARTS` of a vertical count, so sums do not depend on the order of points."""
+"""Residuals are whole numbers of 1 / `PARTS` of a vertical count, so sums do not depend on the
+order of points."""
 
 NEIGHBOURS = 10.0
 """Average number of points within the radius of the neighbourhood."""
@@ -26,25 +27,31 @@ RADIUS_M = (0.25, 1.0)
 """Limits of the radius of the neighbourhood."""
 ROUNDS = 2
 ALIKE_M, ALIKE_SIGMAS = 0.05, 4.0
-"""Difference below which residuals of neighbours are averaged: metres, plus this multiple of the noise."""
+"""Difference below which residuals of neighbours are averaged: metres, plus this multiple of
+the noise."""
 REACH_M = ROUNDS * RADIUS_M[1]
 """Distance beyond which points do not change a point's label."""
 
 STEP = 32
-"""Multiple to which the neighbours of a cell are filled up, so that the loop processes several at a time."""
+"""Multiple to which the neighbours of a cell are filled up, so that the loop processes several
+at a time."""
 ROUNDED = 1e-9
 """Largest difference of two lengths that count as equal."""
 FAR = 2**30
 """Residual that is not alike any other."""
 FINEST = 2**13
-"""Positions are rounded so that the largest radius has at most this many units. If counts are coarser than
-these units, positions stay in counts."""
+"""Positions are rounded so that the largest radius has at most this many units. If counts are
+coarser than these units, positions stay in counts."""
 
 
 def radius_m(density_m2: float) -> float:
     """Return the radius of the neighbourhood in metres, with two decimals so that cell sizes have few digits."""
     return round(
-        min(max(math.sqrt(NEIGHBOURS / (math.pi * max(density_m2, 1e-9))), RADIUS_M[0]), RADIUS_M[1]), 2
+        min(
+            max(math.sqrt(NEIGHBOURS / (math.pi * max(density_m2, 1e-9))), RADIUS_M[0]),
+            RADIUS_M[1],
+        ),
+        2,
     )
 
 
@@ -117,7 +124,8 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
             own_x, own_y, own_residual = x[i], y[i], residual[i]
             limit, most = square[i], alike[i]
             low, high, count = np.int32(0), np.int32(0), np.int32(0)
-            for j in range(filled):  # Without branches and in 32 bits, so the sum has two parts.
+            # Without branches and in 32 bits, so the sum has two parts.
+            for j in range(filled):
                 dx, dy = np.int32(near_x[j] - own_x), np.int32(near_y[j] - own_y)
                 difference = np.int32(near_residual[j] - own_residual)
                 near = np.int32(np.int32(dx * dx) + np.int32(dy * dy)) < limit
@@ -125,7 +133,9 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
                 low += np.int32(one * np.int32(difference & 4095))
                 high += np.int32(one * np.int32(difference >> 12))
                 count += one
-            means[i] = own_residual + np.int32(math.floor((as_int64(high) * 4096 + low) / count))
+            means[i] = own_residual + np.int32(
+                math.floor((as_int64(high) * 4096 + low) / count)
+            )
     return means
 
 
@@ -141,7 +151,11 @@ def _figures(field: Field, x: Int32, y: Int32) -> Float64:
 
 @kernel
 def _limits(
-    radius: Float64, noise: Float64, starts: Int64, order: Int32, counts: tuple[float, float, float]
+    radius: Float64,
+    noise: Float64,
+    starts: Int64,
+    order: Int32,
+    counts: tuple[float, float, float],
 ) -> tuple[Int32, Int32, Int64]:
     """Return ``square``, ``alike`` and ``reach`` of `_Voters`.
 
@@ -203,9 +217,12 @@ def votes(
     height = cells.row(int(py.max())) - row + 1 + most
     keys = cell_keys(px, py, cells, column, row, width)
     starts, order = by_cell(keys, width * height)
-    finer = max(math.ceil(math.log2(scale.counts(RADIUS_M[1]) / FINEST)), 0)  # Larger squares would overflow.
+    # Larger squares would overflow.
+    finer = max(math.ceil(math.log2(scale.counts(RADIUS_M[1]) / FINEST)), 0)
     per_radius, per_metre = scale.counts(1.0) / 2**finer, PARTS * scale.counts_z(1.0)
-    square, alike, reach = _limits(radius, noise, starts, order, (per_radius, per_metre, cell_m))
+    square, alike, reach = _limits(
+        radius, noise, starts, order, (per_radius, per_metre, cell_m)
+    )
     voters = _Voters(px[order] >> finer, py[order] >> finer, starts, square, alike, reach)
     asking = asking[order]
     votes = residual[asking]

@@ -1,7 +1,7 @@
 """``classic``: progressive TIN densification after Axelsson (2000), as TerraScan runs it.
 
-Papers: 000 Dong 2018, 001 Chen 2023, 003 Ridge 2016. Parameters carry their unit in the name; ``--set`` takes the name
-without it as well.
+Papers: 000 Dong 2018, 001 Chen 2023, 003 Ridge 2016. Parameters carry their unit in the name;
+``--set`` takes the name without it as well.
 
 ==================  =========================  =======  ==========================================================
 parameter           paper's name and value     default  reason
@@ -29,9 +29,9 @@ label_pass          none                       on       ours: points of facets t
 label_floor         none                       0.3 m    ours: close to a vertex, noise can make any angle
 ==================  =========================  =======  ==========================================================
 
-Deviations: points join in batches instead of one per facet at a time (001), so their order does not matter. The
-mirrored point keeps its height. A ring of virtual seeds surrounds the data (001, step 5) and is never output. The last
-pass is ours.
+Deviations: points join in batches instead of one per facet at a time (001), so their order does
+not matter. The mirrored point keeps its height. A ring of virtual seeds surrounds the data
+(001, step 5) and is never output. The last pass is ours.
 """
 
 from __future__ import annotations
@@ -99,7 +99,9 @@ class ClassicPass(Pass):
     name: str = "classic"
     title: str = "seeds, densification, labels"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> TinLabels:
         """Densify the window's TIN."""
         p = self.params
         x, y, z = thinned(points.columns(), p.thin_cell_m, scale)
@@ -109,7 +111,8 @@ class ClassicPass(Pass):
             return model
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         cells, limits = CellLattice.of(p.low_cell_m, scale), p.limits(scale)
-        # In a cell cut by the window another point may be the lowest. Outliers are certified one search radius inside.
+        # In a cell cut by the window another point may be the lowest. Outliers are certified
+        # one search radius inside.
         known = window.inside(cells, p.margin_cells)
         seed_cells = CellLattice.of(p.max_building_size_m, scale)
         tin, uncertified, rounds = densify_seeds(
@@ -121,7 +124,9 @@ class ClassicPass(Pass):
         return model
 
 
-def thinned(columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:
+def thinned(
+    columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale
+) -> tuple[Int32, Int32, Int32]:
     """The lowest candidate per cell, in row-major order of the cells. If `cell_m` is 0, all points by cells of 1 m."""
     x, y, z = columns
     if x.size == 0:
@@ -137,5 +142,7 @@ def thinned(columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale) ->
 
 
 METHOD = Method(
-    "classic", "progressive TIN densification (Axelsson 2000), the reference for airborne LiDAR", Classic
+    "classic",
+    "progressive TIN densification (Axelsson 2000), the reference for airborne LiDAR",
+    Classic,
 )

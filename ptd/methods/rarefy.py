@@ -1,9 +1,10 @@
 """``rarefy``: thin the cloud, densify progressively, and label points near the DTM as ground.
 
-This is the practice that Dong et al. (2018) argue against (paper 000, section 1). It is kept for comparison. Others
-"rarefied the point clouds", "used the PTD algorithm to obtain the ground points and construct the digital terrain
-model", and labelled points below a height threshold as ground. Dong et al. say that thinning loses terrain features,
-and that the threshold is hard to choose. The method is composed of the parts of `classic`.
+This is the practice that Dong et al. (2018) argue against (paper 000, section 1). It is kept
+for comparison. Others "rarefied the point clouds", "used the PTD algorithm to obtain the ground
+points and construct the digital terrain model", and labelled points below a height threshold as
+ground. Dong et al. say that thinning loses terrain features, and that the threshold is hard to
+choose. The method is composed of the parts of `classic`.
 
 ===================  ==============================  =======  ====================================================
 parameter            paper's name and value          default  reason
@@ -17,8 +18,9 @@ angles, distances    angle 88, angle 6, distance     classic
                      1.4 or 0.8
 ===================  ==============================  =======  ====================================================
 
-Thinning keeps the lowest point of a cell (the paper does not say which). The DTM is the TIN of the ground found. The
-vertical distance to the DTM counts, above and below. Without ``label_pass`` the last step is omitted.
+Thinning keeps the lowest point of a cell (the paper does not say which). The DTM is the TIN of
+the ground found. The vertical distance to the DTM counts, above and below. Without
+``label_pass`` the last step is omitted.
 """
 
 from __future__ import annotations
@@ -52,5 +54,7 @@ class Rarefy(Classic):
 
 
 METHOD = Method(
-    "rarefy", "thinning, classic's TIN, then a height above it; for comparison (Dong 2018, section 1)", Rarefy
+    "rarefy",
+    "thinning, classic's TIN, then a height above it; for comparison (Dong 2018, section 1)",
+    Rarefy,
 )

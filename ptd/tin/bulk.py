@@ -110,12 +110,18 @@ def build(
     # Other callers pass int64 numbers. With int32 numbers the kernels would be compiled again.
     _swap_rows(vertices, as_int64(1), j)
     _swap_rows(vertices, as_int64(2), k)
-    start_triangulation(vertices, triangles, counters, as_int64(0), as_int64(1), as_int64(2), stamp)
+    start_triangulation(
+        vertices, triangles, counters, as_int64(0), as_int64(1), as_int64(2), stamp
+    )
     # Rows are read ahead of where they are kept, so repeated positions leave no holes.
     kept = as_int64(3)
     hint = as_int64(0)
     for i in range(3, n):
-        px, py, pz = as_int64(vertices[4 * i]), as_int64(vertices[4 * i + 1]), as_int64(vertices[4 * i + 2])
+        px, py, pz = (
+            as_int64(vertices[4 * i]),
+            as_int64(vertices[4 * i + 1]),
+            as_int64(vertices[4 * i + 2]),
+        )
         first = walk(vertices, triangles, px, py, hint)
         v = coincident_vertex(vertices, triangles, px, py, first)
         if v >= 0:

@@ -1,8 +1,9 @@
 """Search and replacement of the triangles in conflict with a new vertex (Bowyer, 1981, and Watson, 1981).
 
-The triangles in conflict with a new point form a disk without inner vertices, so the graph of their
-adjacencies is a tree. It is therefore enough to follow the contour of the disk: no triangle needs a mark,
-and the rim comes out in counter-clockwise order, ready to be linked to the new vertex.
+The triangles in conflict with a new point form a disk without inner vertices, so the graph of
+their adjacencies is a tree. It is therefore enough to follow the contour of the disk: no
+triangle needs a mark, and the rim comes out in counter-clockwise order, ready to be linked to
+the new vertex.
 """
 
 from typing import NamedTuple
@@ -47,9 +48,9 @@ def _collect(
 ) -> int:
     """Write the triangles in conflict with (x, y) and their rim to `scratch`, and change no other array.
 
-    With c = (scratch.size - HEADER) // 4, the triangles begin at HEADER, and the rim at HEADER + 2 c. The rim has a
-    pair per edge, counter-clockwise: the half-edge outside and the vertex where it starts. From HEADER + c on lies the
-    stack of edges that are still to be crossed.
+    With c = (scratch.size - HEADER) // 4, the triangles begin at HEADER, and the rim at HEADER
+    + 2 c. The rim has a pair per edge, counter-clockwise: the half-edge outside and the vertex
+    where it starts. From HEADER + c on lies the stack of edges that are still to be crossed.
 
     Returns
     -------
@@ -138,7 +139,12 @@ def _fill(
 
 @kernel
 def _link_large(
-    vertices: Int32Array, triangles: Int32Array, counters: Int32Array, vertex: int, first: int, stamp: int
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    vertex: int,
+    first: int,
+    stamp: int,
 ) -> None:
     """`link_vertex` for a cavity that does not fit the scratch of `counters`."""
     size = counters.size
@@ -155,7 +161,12 @@ def _link_large(
 
 @kernel
 def link_vertex(
-    vertices: Int32Array, triangles: Int32Array, counters: Int32Array, vertex: int, first: int, stamp: int
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    vertex: int,
+    first: int,
+    stamp: int,
 ) -> None:
     """Link a vertex whose coordinates are stored and that no triangle has yet.
 

@@ -7,8 +7,9 @@ from ptd.kernel import as_int64, kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 
-# 32 units of rounding bound the error of the few operations that make a centre, with room to spare. The bound
-# includes the rounding of the inputs, which may be sums of squares and products (pixel centres).
+# 32 units of rounding bound the error of the few operations that make a centre, with room to
+# spare. The bound includes the rounding of the inputs, which may be sums of squares and
+# products (pixel centres).
 _ROUNDING = 32.0 * 2.0**-53
 
 
@@ -31,8 +32,8 @@ class Rule(NamedTuple):
 class KnownBounds(NamedTuple):
     """Sides of the window in which all points are known: float64, local counts.
 
-    Data are unknown at x < west, y < south, x > east, y > north. If no data exist beyond a side, it is at
-    infinity.
+    Data are unknown at x < west, y < south, x > east, y > north. If no data exist beyond a
+    side, it is at infinity.
     """
 
     west: float
@@ -53,7 +54,9 @@ def unbounded(sides: KnownBounds) -> bool:
 
 
 @kernel
-def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rule: Rule) -> bool:
+def facet_passes(
+    vertices: Int32Array, triangles: Int32Array, triangle: int, rule: Rule
+) -> bool:
     """Whether a real facet has its longest edge and its circumradius within the limits.
 
     Parameters
@@ -81,16 +84,19 @@ def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rul
 
 
 @kernel
-def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: KnownBounds) -> bool:
+def circle_inside(
+    x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: KnownBounds
+) -> bool:
     """Whether the circle through a = (x, y), a + b and a + c is certain to stay inside the window.
 
-    The bound of the rounding error is added to the radius, so a wrong no is possible and a wrong yes is not.
-    A degenerate circle is inside only if the window is the whole plane.
+    The bound of the rounding error is added to the radius, so a wrong no is possible and a
+    wrong yes is not. A degenerate circle is inside only if the window is the whole plane.
     """
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     area = 2.0 * (bx * cy - by * cx)
     spread = abs(bx * cy) + abs(by * cx)
-    if abs(area) <= _ROUNDING * 2.0**10 * spread:  # the terms cancel, so the centre is meaningless
+    # the terms cancel, so the centre is meaningless
+    if abs(area) <= _ROUNDING * 2.0**10 * spread:
         return unbounded(sides)
     dx = (cy * b2 - by * c2) / area
     dy = (bx * c2 - cx * b2) / area
@@ -106,10 +112,13 @@ def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float
 
 
 @kernel
-def facet_certified(vertices: Int32Array, triangles: Int32Array, triangle: int, sides: KnownBounds) -> bool:
+def facet_certified(
+    vertices: Int32Array, triangles: Int32Array, triangle: int, sides: KnownBounds
+) -> bool:
     """Whether no point outside the window can lie in the circumcircle of a triangle.
 
-    Such a triangle belongs to the triangulation of any larger set of data that agrees inside the window.
+    Such a triangle belongs to the triangulation of any larger set of data that agrees inside
+    the window.
 
     Parameters
     ----------

@@ -21,8 +21,8 @@ _ALL = 2**62  # exceeds the square of any edge
 class Pixels:
     """A block of pixels of the lattice anchored at absolute coordinate 0.
 
-    The centre of pixel (row, column) of the block lies at x = (2 (left + column) + 1) p / (2 q) and
-    y = (2 (top - row) + 1) p / (2 q) absolute counts: row 0 is the northern one.
+    The centre of pixel (row, column) of the block lies at x = (2 (left + column) + 1) p / (2 q)
+    and y = (2 (top - row) + 1) p / (2 q) absolute counts: row 0 is the northern one.
 
     Parameters
     ----------
@@ -52,13 +52,21 @@ class Pixels:
 
     def __post_init__(self) -> None:
         if self.p < 1 or not 1 <= self.q <= _MAX_Q:
-            raise ValueError(f"cell size is {self.p} / {self.q} counts, needs p >= 1 and 1 <= q <= {_MAX_Q}")
+            raise ValueError(
+                f"cell size is {self.p} / {self.q} counts, needs p >= 1 and 1 <= q <= {_MAX_Q}"
+            )
         if self.columns < 0 or self.rows < 0:
-            raise ValueError(f"block of {self.rows} rows and {self.columns} columns: none may be negative")
+            raise ValueError(
+                f"block of {self.rows} rows and {self.columns} columns: none may be negative"
+            )
         x0, y0, step, scale = self.lattice
         if step >= MAX_EXTENT * scale:
-            raise ValueError(f"cell size is {self.p} / {self.q} counts, must be below {MAX_EXTENT}")
-        reach = max(abs(end) for end in (x0, y0, x0 + self.columns * step, y0 - self.rows * step))
+            raise ValueError(
+                f"cell size is {self.p} / {self.q} counts, must be below {MAX_EXTENT}"
+            )
+        reach = max(
+            abs(end) for end in (x0, y0, x0 + self.columns * step, y0 - self.rows * step)
+        )
         if reach > 2**32 * scale:
             raise ValueError(
                 f"pixels reach {reach // scale} counts from the TIN's local 0, {2**32} at most:"
@@ -123,7 +131,9 @@ class KnownWindow:
         return KnownBounds(west, south, east, north)
 
 
-EVERYWHERE = KnownWindow(0, 0, 1, 1, open_west=True, open_south=True, open_east=True, open_north=True)
+EVERYWHERE = KnownWindow(
+    0, 0, 1, 1, open_west=True, open_south=True, open_east=True, open_north=True
+)
 
 
 class TinRaster(NamedTuple):
@@ -224,8 +234,16 @@ def rasterise(
         no_owners = np.empty((0, 0), np.int32)
         raster.scan(*arrays, no_owners, heights, marks, pixels.lattice, rule, window.sides())
     else:
-        owners, marks = pixel_owners(tin, pixels, max_edge=max_edge, max_radius=max_radius, window=window)
+        owners, marks = pixel_owners(
+            tin, pixels, max_edge=max_edge, max_radius=max_radius, window=window
+        )
         heights = natural.natural_heights(
-            tin.vertex_array, tin.triangle_array, tin.counters, owners, marks, pixels.lattice, window.sides()
+            tin.vertex_array,
+            tin.triangle_array,
+            tin.counters,
+            owners,
+            marks,
+            pixels.lattice,
+            window.sides(),
         )
     return TinRaster(heights, marks.view(np.bool_))

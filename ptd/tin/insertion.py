@@ -14,7 +14,9 @@ from ptd.tin.predicates import cross_at
 
 
 @kernel
-def lower_vertex(vertices: Int32Array, triangles: Int32Array, vertex: int, z: int, stamp: int) -> None:
+def lower_vertex(
+    vertices: Int32Array, triangles: Int32Array, vertex: int, z: int, stamp: int
+) -> None:
     """Lower `vertex` to `z` unless it is as low, and stamp its triangles if it moved."""
     if z >= vertices[4 * vertex + 2]:
         return
@@ -32,7 +34,13 @@ def lower_vertex(vertices: Int32Array, triangles: Int32Array, vertex: int, z: in
 
 @kernel
 def start_triangulation(
-    vertices: Int32Array, triangles: Int32Array, counters: Int32Array, i: int, j: int, k: int, stamp: int
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    i: int,
+    j: int,
+    k: int,
+    stamp: int,
 ) -> None:
     """Make the first triangle, of the stored non-collinear vertices i, j, k, and its three ghosts."""
     side = cross_at(
@@ -56,7 +64,8 @@ def start_triangulation(
         triangles[ghost + 4] = GHOST
         triangles[ghost + 5] = b
         triangles[ghost + 6] = a
-        # The edge (a, ghost) lies opposite b. Its twin belongs to the ghost of the hull edge that ends in a.
+        # The edge (a, ghost) lies opposite b. Its twin belongs to the ghost of the hull edge
+        # that ends in a.
         triangles[ghost + 1] = 8 * ((n + 2) % 3 + 1) + 2
         triangles[ghost + 2] = 8 * ((n + 1) % 3 + 1) + 1
         triangles[ghost + 3] = stamp
@@ -80,8 +89,8 @@ def insert(
 ) -> int:
     """Insert a point. If a vertex lies at the same (x, y), the lower z is kept.
 
-    The triangulation after a set of insertions depends on the set alone, not on its order (vertex and
-    triangle *numbers* do depend on it). Existing vertices keep their numbers.
+    The triangulation after a set of insertions depends on the set alone, not on its order
+    (vertex and triangle *numbers* do depend on it). Existing vertices keep their numbers.
 
     Parameters
     ----------

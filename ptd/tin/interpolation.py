@@ -1,10 +1,10 @@
 """Heights on the planes of facets, bit-equal for any order of insertion, tile and shift of the frame.
 
-Positions are integers in units of 1 / `scale` count (1 for vertices' positions, 2 for half counts, 2 q for
-the centres of pixels of p / q counts). A plane is evaluated relative to the lexicographically smallest
-vertex of its facet. The height above that vertex is rounded to 2**-20 count, so that adding the vertex's
-z is exact. So a shift of x and y changes no bit, and a shift of z by whole counts shifts the result by
-exactly as much.
+Positions are integers in units of 1 / `scale` count (1 for vertices' positions, 2 for half
+counts, 2 q for the centres of pixels of p / q counts). A plane is evaluated relative to the
+lexicographically smallest vertex of its facet. The height above that vertex is rounded to
+2**-20 count, so that adding the vertex's z is exact. So a shift of x and y changes no bit, and
+a shift of z by whole counts shifts the result by exactly as much.
 """
 
 import math
@@ -23,11 +23,14 @@ _STEPS = 2.0**20  # steps of a height in one count
 
 
 @kernel
-def canonical_facet(vertices: Int32Array, triangles: Int32Array, triangle: int) -> tuple[int, int, int]:
+def canonical_facet(
+    vertices: Int32Array, triangles: Int32Array, triangle: int
+) -> tuple[int, int, int]:
     """Vertices of a real triangle, counter-clockwise, the lexicographically smallest in (x, y) first."""
     row = 8 * triangle + 4
     a, b, c = triangles[row], triangles[row + 1], triangles[row + 2]
-    # One int64 orders (x, y) lexicographically. Comparing it needs no branches, which would be unpredictable here.
+    # One int64 orders (x, y) lexicographically. Comparing it needs no branches, which would be
+    # unpredictable here.
     key_a = (as_int64(vertices[4 * a]) << 32) + vertices[4 * a + 1]
     key_b = (as_int64(vertices[4 * b]) << 32) + vertices[4 * b + 1]
     key_c = (as_int64(vertices[4 * c]) << 32) + vertices[4 * c + 1]
@@ -42,7 +45,9 @@ def canonical_facet(vertices: Int32Array, triangles: Int32Array, triangle: int) 
 
 
 @kernel
-def real_facets(vertices: Int32Array, triangles: Int32Array, counters: Int32Array) -> Int32Array:
+def real_facets(
+    vertices: Int32Array, triangles: Int32Array, counters: Int32Array
+) -> Int32Array:
     """Vertex numbers of the real triangles in the order in which they are stored: int32 [m, 3].
 
     Vertices are counter-clockwise, beginning with the lexicographically smallest in (x, y).
@@ -76,7 +81,11 @@ class Plane(NamedTuple):
 def facet_plane(vertices: Int32Array, triangles: Int32Array, triangle: int) -> Plane:
     """Return the plane of a real triangle. All products are exact in int64, and the slopes are rounded once."""
     a, b, c = canonical_facet(vertices, triangles, triangle)
-    ax, ay, az = as_int64(vertices[4 * a]), as_int64(vertices[4 * a + 1]), as_int64(vertices[4 * a + 2])
+    ax, ay, az = (
+        as_int64(vertices[4 * a]),
+        as_int64(vertices[4 * a + 1]),
+        as_int64(vertices[4 * a + 2]),
+    )
     bx, by, bz = vertices[4 * b] - ax, vertices[4 * b + 1] - ay, vertices[4 * b + 2] - az
     cx, cy, cz = vertices[4 * c] - ax, vertices[4 * c + 1] - ay, vertices[4 * c + 2] - az
     slope_x, slope_y, area = bz * cy - cz * by, bx * cz - cx * bz, bx * cy - cx * by
@@ -116,7 +125,9 @@ def plane_height(
 
 
 @kernel
-def heights(vertices: Int32Array, triangles: Int32Array, x: Int32Array, y: Int32Array) -> Float64Array:
+def heights(
+    vertices: Int32Array, triangles: Int32Array, x: Int32Array, y: Int32Array
+) -> Float64Array:
     """Linear interpolation at positions in counts.
 
     Parameters

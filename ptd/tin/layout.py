@@ -16,9 +16,10 @@
 ``counters`` (int32)
     The first `HEADER` entries are named below, the rest is scratch for insertion.
 
-The *ghost* vertex (-1) lies at infinity. Each edge a -> b of the counter-clockwise hull has a ghost
-triangle with the vertices b, a, ghost in cyclic order, so each half-edge has a twin. A TIN of n vertices
-that are not all collinear has 2 n - 2 triangles, which need 16 + 64 = 80 bytes per vertex.
+The *ghost* vertex (-1) lies at infinity. Each edge a -> b of the counter-clockwise hull has a
+ghost triangle with the vertices b, a, ghost in cyclic order, so each half-edge has a twin. A
+TIN of n vertices that are not all collinear has 2 n - 2 triangles, which need 16 + 64 = 80
+bytes per vertex.
 """
 
 from typing import NamedTuple

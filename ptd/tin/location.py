@@ -9,9 +9,10 @@ from ptd.tin.predicates import lexicographic_less
 def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int) -> int:
     """Walk to a triangle that contains (x, y), border included, or a ghost whose hull edge (x, y) is beyond.
 
-    Each step crosses an edge that has the point strictly on its other side. In the (symbolically perturbed)
-    Delaunay triangulation such a walk cannot come back to a triangle, whichever of two edges it takes
-    (Edelsbrunner, An acyclicity theorem for cell complexes in d dimensions, 1990), so it ends.
+    Each step crosses an edge that has the point strictly on its other side. In the
+    (symbolically perturbed) Delaunay triangulation such a walk cannot come back to a triangle,
+    whichever of two edges it takes (Edelsbrunner, An acyclicity theorem for cell complexes in d
+    dimensions, 1990), so it ends.
 
     Parameters
     ----------
@@ -28,7 +29,8 @@ def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int)
     ax, ay = vertices[i] - x, vertices[i + 1] - y
     bx, by = vertices[j] - x, vertices[j + 1] - y
     cx, cy = vertices[k] - x, vertices[k + 1] - y
-    # (a, b) become the ends of the edge to cross, counter-clockwise in the triangle that the walk leaves.
+    # (a, b) become the ends of the edge to cross, counter-clockwise in the triangle that the
+    # walk leaves.
     if ax * by - ay * bx < 0:
         edge = row + 2
     elif bx * cy - by * cx < 0:
@@ -56,7 +58,9 @@ def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int)
 
 
 @kernel
-def coincident_vertex(vertices: Int32Array, triangles: Int32Array, x: int, y: int, triangle: int) -> int:
+def coincident_vertex(
+    vertices: Int32Array, triangles: Int32Array, x: int, y: int, triangle: int
+) -> int:
     """The vertex of `triangle` that lies exactly at (x, y), or -1."""
     for corner in range(8 * triangle + 4, 8 * triangle + 7):
         v = int(triangles[corner])
@@ -70,8 +74,8 @@ def locate(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: in
     """Find the triangle that owns the position (x, y), whatever the hint.
 
     - strictly inside a triangle: that triangle;
-    - on an edge: of the two triangles, the one whose opposite vertex is lexicographically smaller in
-      (x, y); on the hull the real one;
+    - on an edge: of the two triangles, the one whose opposite vertex is lexicographically
+      smaller in (x, y); on the hull the real one;
     - on a vertex: any incident real triangle (`coincident_vertex` finds the vertex);
     - outside the hull: a ghost triangle whose hull edge has the position strictly beyond it.
 

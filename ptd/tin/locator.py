@@ -78,7 +78,8 @@ class Locator(NamedTuple):
         west, south = int(xy[:, 0].min()), int(xy[:, 1].min())
         across, high = int(xy[:, 0].max()) - west + 1, int(xy[:, 1].max()) - south + 1
         cell = max(
-            int(np.sqrt(across * high / (GRID_CELLS_PER_VERTEX * n))), (across + high) // (8 * n + 64) + 1
+            int(np.sqrt(across * high / (GRID_CELLS_PER_VERTEX * n))),
+            (across + high) // (8 * n + 64) + 1,
         )
         width, height = across // cell + 1, high // cell + 1
         grid = _start_grid(tin.vertex_array, n, west, south, cell, height, width)

@@ -25,9 +25,9 @@ _INT32 = np.iinfo(np.int32)
 class Tin:
     """Delaunay triangulation of points with integer coordinates, unique for a set of points.
 
-    It depends neither on the order of insertion nor on a translation: predicates are exact, and cocircular
-    points are distinguished by a symbolic perturbation in the lexicographic order of (x, y). Among points
-    with equal (x, y) the lowest z stays.
+    It depends neither on the order of insertion nor on a translation: predicates are exact, and
+    cocircular points are distinguished by a symbolic perturbation in the lexicographic order of
+    (x, y). Among points with equal (x, y) the lowest z stays.
 
     The flat arrays that the kernels work on are the attributes `vertex_array`, `triangle_array` and
     `counters` (layout: `ptd.tin.layout`).
@@ -53,7 +53,13 @@ class Tin:
 
     @classmethod
     def build(
-        cls, x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike, *, max_vertices: int = 1, stamp: int = 0
+        cls,
+        x: npt.ArrayLike,
+        y: npt.ArrayLike,
+        z: npt.ArrayLike,
+        *,
+        max_vertices: int = 1,
+        stamp: int = 0,
     ) -> Self:
         """Triangulate many points at once.
 
@@ -76,7 +82,8 @@ class Tin:
         if px.size == 0:
             return cls(max_vertices)
         box = _validate_width(px, py)
-        order = bulk.insertion_order(px, py)  # before the arrays exist, which can then reuse its memory
+        # before the arrays exist, which can then reuse its memory
+        order = bulk.insertion_order(px, py)
         tin = cls(max(px.size, max_vertices))
         tin._box = box
         bulk.build(tin.vertex_array, tin.triangle_array, tin.counters, px, py, pz, order, stamp)
@@ -147,8 +154,12 @@ def _points(
         if column.dtype != np.int32 and column.size:
             low, high = int(column.min()), int(column.max())
             if low < _INT32.min or high > _INT32.max:
-                raise ValueError(f"{name} reaches from {low} to {high}, which does not fit int32")
+                raise ValueError(
+                    f"{name} reaches from {low} to {high}, which does not fit int32"
+                )
         out.append(np.ascontiguousarray(column, np.int32))
     if not out[0].size == out[1].size == out[2].size:
-        raise ValueError(f"x, y, z have {out[0].size}, {out[1].size}, {out[2].size} values, must be equal")
+        raise ValueError(
+            f"x, y, z have {out[0].size}, {out[1].size}, {out[2].size} values, must be equal"
+        )
     return out[0], out[1], out[2]

@@ -1,12 +1,12 @@
 """Natural neighbour interpolation (Sibson, A brief description of natural neighbour interpolation, 1981).
 
-The weight of a neighbour is the area that the Voronoi cell of the inserted position takes from the
-neighbour's cell. These weights reproduce linear functions. Therefore only heights above the plane of the
-position's facet are averaged, and the plane is added afterwards: planes are exact to the last bit, however
-the areas are rounded.
+The weight of a neighbour is the area that the Voronoi cell of the inserted position takes from
+the neighbour's cell. These weights reproduce linear functions. Therefore only heights above the
+plane of the position's facet are averaged, and the plane is added afterwards: planes are exact
+to the last bit, however the areas are rounded.
 
-All lengths are relative to the position, and each sum starts at the lexicographically smallest member of its
-ring or polygon. So the result does not depend on insertion, tile or frame.
+All lengths are relative to the position, and each sum starts at the lexicographically smallest
+member of its ring or polygon. So the result does not depend on insertion, tile or frame.
 """
 
 import math
@@ -15,14 +15,21 @@ import numpy as np
 
 from ptd.kernel import as_int64, kernel
 from ptd.tin.circles import KnownBounds, circle_inside, facet_certified, unbounded
-from ptd.tin.interpolation import Float64Array, canonical_facet, facet_plane, height_on, plane_height
+from ptd.tin.interpolation import (
+    Float64Array,
+    canonical_facet,
+    facet_plane,
+    height_on,
+    plane_height,
+)
 from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, is_ghost, next_edge, previous_edge
 from ptd.tin.pixels import PixelCentres, UInt8Array
 from ptd.tin.predicates import lexicographic_less
 from ptd.tin.raster import NO_OWNER
 
-# Shewchuk's error bound of the in-circle determinant with rounded differences and products is slightly above
-# 10 units of rounding. A position that close to a circle takes a negligible area.
+# Shewchuk's error bound of the in-circle determinant with rounded differences and products is
+# slightly above 10 units of rounding. A position that close to a circle takes a negligible
+# area.
 _ERROR = 16.0 * 2.0**-53
 
 
@@ -45,7 +52,9 @@ def _offset(vertices: Int32Array, v: int, x: int, y: int, scale: int) -> tuple[f
 
 
 @kernel
-def _facet_centres(vertices: Int32Array, triangles: Int32Array, n: int) -> tuple[Float64Array, Int32Array]:
+def _facet_centres(
+    vertices: Int32Array, triangles: Int32Array, n: int
+) -> tuple[Float64Array, Int32Array]:
     """Centres of the first n circumcircles, each relative to a vertex of its triangle, and that vertex.
 
     Each centre is a corner of three Voronoi cells and serves every position near them.
@@ -87,12 +96,18 @@ def _surely_inside(
 
 @kernel
 def _rim(
-    vertices: Int32Array, triangles: Int32Array, scratch: Int32Array, first: int, x: int, y: int, scale: int
+    vertices: Int32Array,
+    triangles: Int32Array,
+    scratch: Int32Array,
+    first: int,
+    x: int,
+    y: int,
+    scale: int,
 ) -> int:
     """Write the rim of the triangles in conflict with the position to `scratch`, counter-clockwise.
 
-    The half-edges *inside* begin at HEADER, the stack begins in the middle. Returns the number of half-edges,
-    0 if a ghost is in conflict (on the hull), -1 if `scratch` is too small.
+    The half-edges *inside* begin at HEADER, the stack begins in the middle. Returns the number
+    of half-edges, 0 if a ghost is in conflict (on the hull), -1 if `scratch` is too small.
     """
     room = (scratch.size - HEADER) >> 1
     bottom = HEADER + room
@@ -109,9 +124,11 @@ def _rim(
         if is_ghost(triangles, t):
             a = as_int64(triangles[next_edge(edge) + 4])
             b = as_int64(triangles[previous_edge(edge) + 4])
-            side = as_int64(vertices[4 * b] - vertices[4 * a]) * (y - scale * vertices[4 * a + 1]) - as_int64(
-                vertices[4 * b + 1] - vertices[4 * a + 1]
-            ) * (x - scale * vertices[4 * a])
+            side = as_int64(vertices[4 * b] - vertices[4 * a]) * (
+                y - scale * vertices[4 * a + 1]
+            ) - as_int64(vertices[4 * b + 1] - vertices[4 * a + 1]) * (
+                x - scale * vertices[4 * a]
+            )
             if side <= 0:
                 return 0
         elif _surely_inside(vertices, triangles, t, x, y, scale):
@@ -139,9 +156,10 @@ def _stolen_area(
 ) -> float:
     """Twice the area that the position (x, y, scale) takes from the cell of a vertex on its rim.
 
-    Two edges of the rim meet in the vertex: the first of `edges` starts there, the second ends there. Corners of the
-    area are the new centres on both edges, and the old centres of the triangles around the vertex from the first
-    edge back to the second. Coordinates are relative to the new centre on the second edge, which limits cancellation.
+    Two edges of the rim meet in the vertex: the first of `edges` starts there, the second ends
+    there. Corners of the area are the new centres on both edges, and the old centres of the
+    triangles around the vertex from the first edge back to the second. Coordinates are relative
+    to the new centre on the second edge, which limits cancellation.
     """
     edge, last_edge = edges
     x, y, scale = position
@@ -193,9 +211,14 @@ def _position_height(
         ax, ay = bx, by
         bx, by = _offset(vertices, as_int64(triangles[previous_edge(edge) + 4]), x, y, scale)
         after = _centre(ax, ay, bx, by)
-        weight = _stolen_area(vertices, triangles, centres, firsts, (edge, last), position, before, after)
+        weight = _stolen_area(
+            vertices, triangles, centres, firsts, (edge, last), position, before, after
+        )
         below = height_on(
-            plane, scale * as_int64(vertices[4 * v]), scale * as_int64(vertices[4 * v + 1]), scale
+            plane,
+            scale * as_int64(vertices[4 * v]),
+            scale * as_int64(vertices[4 * v + 1]),
+            scale,
         )
         weights += weight
         rises += weight * (vertices[4 * v + 2] - below)
@@ -241,7 +264,8 @@ def natural_heights(
 ) -> Float64Array:
     """Natural neighbour heights of the owned pixels: float64 [rows, columns], counts, NaN without owner.
 
-    A pixel on a vertex gets the z of the vertex; heights on an edge of the hull are linear along the edge.
+    A pixel on a vertex gets the z of the vertex; heights on an edge of the hull are linear
+    along the edge.
 
     Parameters
     ----------

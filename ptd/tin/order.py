@@ -1,9 +1,10 @@
 """Coarse-to-fine insertion order along a space-filling curve.
 
-Inserting along a curve alone keeps each walk short but makes slivers that are replaced again and again; a
-random order makes long walks. Taking every 4**k-th point of the curve, then the three points between each
-two of these, and so on, has neither fault. The idea is that of the biased randomized insertion order (Amenta, Choi
-and Rote, Incremental constructions con BRIO, 2003), here without random numbers.
+Inserting along a curve alone keeps each walk short but makes slivers that are replaced again
+and again; a random order makes long walks. Taking every 4**k-th point of the curve, then the
+three points between each two of these, and so on, has neither fault. The idea is that of the
+biased randomized insertion order (Amenta, Choi and Rote, Incremental constructions con BRIO,
+2003), here without random numbers.
 """
 
 import numpy as np
@@ -22,7 +23,8 @@ _RATIO_BITS = 2  # each round multiplies the number of inserted points by 2**_RA
 def _hilbert_table() -> Int32Array:
     """Four levels of the Hilbert curve at once: int32 [4 * 256], position | next state << 8.
 
-    The index is state << 8 | four bits of x << 4 | four bits of y; in a state, 1 swaps x and y, and 2 inverts both.
+    The index is state << 8 | four bits of x << 4 | four bits of y; in a state, 1 swaps x and y,
+    and 2 inverts both.
     """
     table = np.empty(4 * 256, np.int32)
     for index in range(4 * 256):

@@ -38,7 +38,9 @@ class PixelCentres(NamedTuple):
 
 
 @kernel
-def _known_within(lattice: PixelCentres, sides: KnownBounds, column: int, row: int, reach: float) -> bool:
+def _known_within(
+    lattice: PixelCentres, sides: KnownBounds, column: int, row: int, reach: float
+) -> bool:
     """Whether the window extends `reach` counts to all four sides of a pixel's centre."""
     x = float(lattice.x0 + column * lattice.step) / lattice.scale
     y = float(lattice.y0 - row * lattice.step) / lattice.scale
@@ -47,11 +49,13 @@ def _known_within(lattice: PixelCentres, sides: KnownBounds, column: int, row: i
 
 
 @kernel
-def mark_near_sides(marks: UInt8Array, lattice: PixelCentres, rule: Rule, sides: KnownBounds) -> None:
+def mark_near_sides(
+    marks: UInt8Array, lattice: PixelCentres, rule: Rule, sides: KnownBounds
+) -> None:
     """Set the bits of pixels near unknown data.
 
-    Set `_NEAR` where unknown data could change a pixel without a facet, and `_FAR` where they could change one with a
-    facet.
+    Set `_NEAR` where unknown data could change a pixel without a facet, and `_FAR` where they
+    could change one with a facet.
     """
     slack = 1.0 + 2.0**-20
     far = 2.0 * rule.max_radius * slack + 2.0
@@ -70,10 +74,11 @@ def mark_near_sides(marks: UInt8Array, lattice: PixelCentres, rule: Rule, sides:
 def settle_marks(marks: UInt8Array) -> None:
     """Replace the bits of each pixel by its final mark: 1 if unknown data could change it, else 0.
 
-    The circle of a facet that passes reaches at most twice `max_radius` from its pixel, and may hold unknown data. A
-    pixel without such a facet could get one from unknown data. But the corners of that facet would lie at most the
-    length of its longest edge from the pixel. If all of them were known, the circle would be empty of known data
-    too, and the facet would be a triangle of this TIN. So a smaller reach suffices there.
+    The circle of a facet that passes reaches at most twice `max_radius` from its pixel, and may
+    hold unknown data. A pixel without such a facet could get one from unknown data. But the
+    corners of that facet would lie at most the length of its longest edge from the pixel. If
+    all of them were known, the circle would be empty of known data too, and the facet would be
+    a triangle of this TIN. So a smaller reach suffices there.
     """
     for row in range(marks.shape[0]):
         for column in range(marks.shape[1]):

@@ -1,6 +1,7 @@
 """Exact geometric predicates on integer coordinates whose differences stay below 2**26.
 
-The arguments are the positions of the other points *relative to the query point*, as int64. Then
+The arguments are the positions of the other points *relative to the query point*, as int64.
+Then
 
 - a product of two differences is below 2**52 and the difference of two such products below 2**53: it is
   exact in int64 and in float64;
@@ -10,10 +11,10 @@ The arguments are the positions of the other points *relative to the query point
   exceed that bound, the true value stays below 8 u S < 2**58, hence *the same expression in int64, which
   wraps modulo 2**64, is the exact value*. No wide integers are needed.
 
-Sources: the idea of a filter with an error bound is Shewchuk's (Adaptive precision floating-point arithmetic
-and fast robust geometric predicates, 1997). The perturbation is that of Devillers and Teillaud
-(Perturbations and vertex removal in a 3D Delaunay triangulation, SODA 2003), as "the lexicographically
-largest point moves most".
+Sources: the idea of a filter with an error bound is Shewchuk's (Adaptive precision
+floating-point arithmetic and fast robust geometric predicates, 1997). The perturbation is that
+of Devillers and Teillaud (Perturbations and vertex removal in a 3D Delaunay triangulation, SODA
+2003), as "the lexicographically largest point moves most".
 """
 
 from ptd.kernel import as_int64, kernel
@@ -37,16 +38,23 @@ def lexicographic_less(ax: int, ay: int, bx: int, by: int) -> bool:
 def in_circle(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bool:
     """Whether the origin lies inside the circle through the counter-clockwise triangle (a, b, c).
 
-    The symbolic perturbation decides for points on the circle: it raises the lift of the lexicographically
-    largest of the four points most. So the answer depends on the four positions alone, neither on the order
-    of insertion nor on a translation.
+    The symbolic perturbation decides for points on the circle: it raises the lift of the
+    lexicographically largest of the four points most. So the answer depends on the four
+    positions alone, neither on the order of insertion nor on a translation.
 
     Parameters
     ----------
     ax, ay, bx, by, cx, cy : int64
         Positions relative to the query point, counts, each below 2**26 in magnitude.
     """
-    fax, fay, fbx, fby, fcx, fcy = float(ax), float(ay), float(bx), float(by), float(cx), float(cy)
+    fax, fay, fbx, fby, fcx, fcy = (
+        float(ax),
+        float(ay),
+        float(bx),
+        float(by),
+        float(cx),
+        float(cy),
+    )
     first = (fax * fax + fay * fay) * (fbx * fcy - fby * fcx)
     second = (fbx * fbx + fby * fby) * (fcx * fay - fcy * fax)
     third = (fcx * fcx + fcy * fcy) * (fax * fby - fay * fbx)
@@ -69,10 +77,13 @@ def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bo
     )
     if exact != 0:
         return exact > 0
-    # No three of four distinct points on a circle are collinear, so none of the cross products is zero.
+    # No three of four distinct points on a circle are collinear, so none of the cross products
+    # is zero.
     if lexicographic_less(ax, ay, bx, by):
         if lexicographic_less(bx, by, cx, cy):
-            return lexicographic_less(as_int64(0), as_int64(0), cx, cy) and ax * by - ay * bx > 0
+            return (
+                lexicographic_less(as_int64(0), as_int64(0), cx, cy) and ax * by - ay * bx > 0
+            )
         return lexicographic_less(as_int64(0), as_int64(0), bx, by) and cx * ay - cy * ax > 0
     if lexicographic_less(ax, ay, cx, cy):
         return lexicographic_less(as_int64(0), as_int64(0), cx, cy) and ax * by - ay * bx > 0

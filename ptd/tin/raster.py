@@ -1,16 +1,17 @@
 """Gridding of a TIN: which facet owns each pixel centre, and what height that gives.
 
-Rasters have row 0 in the north. The centre of the pixel with the global indices (column, iy) lies at ((2
-column + 1) p / (2 q), (2 iy + 1) p / (2 q)) absolute counts, p / q counts being the cell size; iy grows to
-the north, so ``row = top - iy``.
+Rasters have row 0 in the north. The centre of the pixel with the global indices (column, iy)
+lies at ((2 column + 1) p / (2 q), (2 iy + 1) p / (2 q)) absolute counts, p / q counts being the
+cell size; iy grows to the north, so ``row = top - iy``.
 
-All positions are scaled by 2 q, which makes them integers. The side of an edge on which a centre lies is
-the cross product of the unscaled edge (below 2**26) and the scaled offset (below 2**26 * 2 q): for q < 2**9
-it is below 2**63 and exact in int64.
+All positions are scaled by 2 q, which makes them integers. The side of an edge on which a
+centre lies is the cross product of the unscaled edge (below 2**26) and the scaled offset (below
+2**26 * 2 q): for q < 2**9 it is below 2**63 and exact in int64.
 
-A centre on an edge belongs to the side whose opposite vertex is lexicographically smaller in (x, y), *among
-the sides that pass the rule*. A centre on a vertex takes the vertex's z if any facet around it passes. (If
-sides that fail counted as well, unknown data could change a pixel from any distance.)
+A centre on an edge belongs to the side whose opposite vertex is lexicographically smaller in
+(x, y), *among the sides that pass the rule*. A centre on a vertex takes the vertex's z if any
+facet around it passes. (If sides that fail counted as well, unknown data could change a pixel
+from any distance.)
 """
 
 import math
@@ -62,7 +63,12 @@ def _own_vertex(
 
 @kernel
 def _own_vertices(
-    mesh: Mesh, n_vertices: int, outputs: _Outputs, lattice: PixelCentres, rule: Rule, sides: KnownBounds
+    mesh: Mesh,
+    n_vertices: int,
+    outputs: _Outputs,
+    lattice: PixelCentres,
+    rule: Rule,
+    sides: KnownBounds,
 ) -> None:
     """Assign the pixels whose centre is a vertex."""
     vertices, triangles = mesh
@@ -139,7 +145,8 @@ def _own_border(
 def _cut(value: int, slope: int, low: int, high: int) -> tuple[int, int]:
     """Narrow the columns [low, high] to those where value + slope * (column - low) may be >= 0.
 
-    The result is computed in float64 and one column wider on either side, because the exact test follows.
+    The result is computed in float64 and one column wider on either side, because the exact
+    test follows.
     """
     if slope == 0:
         return (low, low - 1) if value < 0 else (low, high)
@@ -202,7 +209,9 @@ def _own_facet(
                 owned, final = passes, certified
                 if ea == 0 or eb == 0 or ec == 0:
                     zeros, within_reach = (ea == 0, eb == 0, ec == 0), marks[row, column] == 0
-                    owned, final = _own_border(vertices, triangles, t, zeros, within_reach, rule, sides)
+                    owned, final = _own_border(
+                        vertices, triangles, t, zeros, within_reach, rule, sides
+                    )
                 if owned and owners.size > 0:
                     owners[row, column] = t
                 if owned and heights.size > 0:
@@ -230,7 +239,8 @@ def scan(
 ) -> None:
     """Find the facet or vertex that owns each pixel centre, and the linear height there.
 
-    Heights are computed in the same scan: finding the facet again for each pixel would take as long.
+    Heights are computed in the same scan: finding the facet again for each pixel would take as
+    long.
 
     Parameters
     ----------
@@ -264,7 +274,8 @@ def scan(
         i, j, k = 4 * i, 4 * j, 4 * k
         low_x = scale * as_int64(min(vertices[i], vertices[j], vertices[k])) - x0
         high_x = scale * as_int64(max(vertices[i], vertices[j], vertices[k])) - x0
-        # The quotient is rounded, so widen the box by far less than a pixel. The exact test decides.
+        # The quotient is rounded, so widen the box by far less than a pixel. The exact test
+        # decides.
         left = max(as_int64(0), math.ceil(float(low_x) * inverse - 1e-6))
         right = min(columns - 1, math.floor(float(high_x) * inverse + 1e-6))
         if left > right:

@@ -2,10 +2,11 @@
 
 ``python tests/benchmarks/best_possible.py [dim_park ...]``
 
-For each point its height above the true terrain is known, the mean of such heights around it at two sizes, and how
-rough it is there. How often points alike are ground is counted in the squares of one colour of a chessboard, points in
-the squares of the other colour get the more frequent class, and the other way round. A filter has to find the terrain
-as well, and knows no such counts: its errors are larger.
+For each point its height above the true terrain is known, the mean of such heights around it at
+two sizes, and how rough it is there. How often points alike are ground is counted in the
+squares of one colour of a chessboard, points in the squares of the other colour get the more
+frequent class, and the other way round. A filter has to find the terrain as well, and knows no
+such counts: its errors are larger.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ def around(cloud: Cloud, height: Array) -> tuple[list[Array], Array]:
     column, row = (np.maximum(c / PIXEL_M, 0).astype(int) for c in cloud.xyz[:, :2].T)
     shape, near = (row.max() + 1, column.max() + 1), np.abs(height) < MAX_DISTANCE_M
     pixel, n_pixels = (row * shape[1] + column)[near], shape[0] * shape[1]
-    sums = [np.bincount(pixel, height[near] ** power, n_pixels).reshape(shape) for power in range(3)]
+    sums = [
+        np.bincount(pixel, height[near] ** power, n_pixels).reshape(shape) for power in range(3)
+    ]
     means = []
     for size in SIZES:
         n, total, squares = (ndimage.uniform_filter(s, size, mode="constant") for s in sums)
@@ -68,9 +71,14 @@ def best_labels(cloud: Cloud) -> Array:
     alike = alike * 3 + np.digitize(height, (0.0, 0.2))
     black = np.floor(cloud.xyz[:, :2] / SQUARE_M).sum(axis=1) % 2 == 0
     ground, near = cloud.classification == 2, np.abs(height) < MAX_DISTANCE_M
-    counted, labels = near & ~np.isin(cloud.classification, IGNORED), np.ones(len(height), np.uint8)
+    counted, labels = (
+        near & ~np.isin(cloud.classification, IGNORED),
+        np.ones(len(height), np.uint8),
+    )
     for here in (black, ~black):
-        votes = np.bincount(alike[counted & ~here], 2.0 * ground[counted & ~here] - 1.0, alike.max() + 1)
+        votes = np.bincount(
+            alike[counted & ~here], 2.0 * ground[counted & ~here] - 1.0, alike.max() + 1
+        )
         labels[here & near & (votes[alike] > 0)] = 2
     return labels
 
@@ -80,7 +88,11 @@ def main(names: Sequence[str]) -> None:
     for name in names:
         cloud = simulated(name)
         errors = evaluate_labels(best_labels(cloud), cloud.classification, IGNORED)
-        print(name, " / ".join(f"{100 * errors[k]:.2f}" for k in ("type_1", "type_2", "total")), flush=True)
+        print(
+            name,
+            " / ".join(f"{100 * errors[k]:.2f}" for k in ("type_1", "type_2", "total")),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

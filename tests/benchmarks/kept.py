@@ -11,7 +11,11 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-REGISTRIES = {ROOT / "ptd/__init__.py", ROOT / "ptd/methods/__init__.py", ROOT / "tiler/__init__.py"}
+REGISTRIES = {
+    ROOT / "ptd/__init__.py",
+    ROOT / "ptd/methods/__init__.py",
+    ROOT / "tiler/__init__.py",
+}
 """Import every method: followed, each method would change with any other."""
 
 
@@ -83,4 +87,8 @@ def _imports(path: Path) -> list[Path]:
 def _files(name: str) -> list[Path]:
     """Where a module of this project lies; nothing of others."""
     base = ROOT.joinpath(*name.split("."))
-    return [p for p in (base.with_suffix(".py"), base / "__init__.py") if p.is_file() and p not in REGISTRIES]
+    return [
+        p
+        for p in (base.with_suffix(".py"), base / "__init__.py")
+        if p.is_file() and p not in REGISTRIES
+    ]

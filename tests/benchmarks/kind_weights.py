@@ -24,7 +24,15 @@ RIDGE = 0.3
 SENSOR = ("share_several", "angle_distinct", "psid_distinct", "edge_used")
 MAX_WITHOUT = (0, 1, 1, 0)
 """The highest values of these columns in a cloud without a trace of a sensor."""
-NAMES = ("trace", "no trace", "own intensity", "no intensity", "grey intensity", "colour", "no colour")
+NAMES = (
+    "trace",
+    "no trace",
+    "own intensity",
+    "no intensity",
+    "grey intensity",
+    "colour",
+    "no colour",
+)
 
 Float64 = npt.NDArray[np.float64]
 
@@ -53,7 +61,11 @@ class Fingerprint:
         if e.trace is not None:
             terms[0:2] = [e.trace, 1 - e.trace]
         if e.own_intensity is not None and e.grey_intensity is not None:
-            terms[2:5] = [e.own_intensity, 1 - e.own_intensity - e.grey_intensity, e.grey_intensity]
+            terms[2:5] = [
+                e.own_intensity,
+                1 - e.own_intensity - e.grey_intensity,
+                e.grey_intensity,
+            ]
         if e.colour is not None:
             terms[5:7] = [e.colour, 1 - e.colour]
         return terms
@@ -63,7 +75,10 @@ def read(path: Path) -> list[Fingerprint]:
     """The clouds of a table whose origin is known."""
     with path.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["truth"] in ("matched", "laser")]
-    return [Fingerprint(row["producer"], row["truth"] == "matched", evidence_of(row)) for row in rows]
+    return [
+        Fingerprint(row["producer"], row["truth"] == "matched", evidence_of(row))
+        for row in rows
+    ]
 
 
 def evidence_of(row: dict[str, str]) -> Evidence:
@@ -118,7 +133,9 @@ def left_out(clouds: Sequence[Fingerprint]) -> list[float]:
 
 def right(clouds: Sequence[Fingerprint], scores: Sequence[float]) -> int:
     """How many clouds come out as what they are."""
-    return sum((score > 0) == cloud.matched for cloud, score in zip(clouds, scores, strict=True))
+    return sum(
+        (score > 0) == cloud.matched for cloud, score in zip(clouds, scores, strict=True)
+    )
 
 
 def main() -> None:
@@ -126,10 +143,14 @@ def main() -> None:
     clouds = read(Path(sys.argv[1]))
     for name, weight in zip(NAMES, fitted(clouds), strict=True):
         print(f"{name:16}{weight:6.2f}")
-    print(f"one producer left out: {right(clouds, left_out(clouds))} of {len(clouds)} clouds right")
+    print(
+        f"one producer left out: {right(clouds, left_out(clouds))} of {len(clouds)} clouds right"
+    )
     chosen = [sum(piece.weight for piece in cloud.evidence.pieces()) for cloud in clouds]
     sure = sum((concluded(cloud.evidence.pieces()).sure or 0) >= 0.9 for cloud in clouds)
-    print(f"the weights in use: {right(clouds, chosen)} right, {sure} of them with 90 % or more")
+    print(
+        f"the weights in use: {right(clouds, chosen)} right, {sure} of them with 90 % or more"
+    )
 
 
 if __name__ == "__main__":

@@ -2,12 +2,14 @@
 
 ``python -m tests.benchmarks.last_look_weights [--write] [--leave-one-out]``
 
-The scenes are the semi-real matched clouds and those made of laser scans (`tests.benchmarks.scan_scenes`) but for the
-field, where no label is right. Each semi-real scene weighs 1, each of the others `SCAN_WEIGHT`: a point of a scene
-weighs as much as it counts in the scene's total error, times a factor that is larger where little around is ground
-(`SPARSE`). ``--write`` replaces the file beside the code. It needs LightGBM (``pip install lightgbm``), which neither
-the package nor any other script uses. One thread, a fixed seed and features of whole numbers make the file the same
-in each run of one version of LightGBM (`VERSION`).
+The scenes are the semi-real matched clouds and those made of laser scans
+(`tests.benchmarks.scan_scenes`) but for the field, where no label is right. Each semi-real
+scene weighs 1, each of the others `SCAN_WEIGHT`: a point of a scene weighs as much as it counts
+in the scene's total error, times a factor that is larger where little around is ground
+(`SPARSE`). ``--write`` replaces the file beside the code. It needs LightGBM (``pip install
+lightgbm``), which neither the package nor any other script uses. One thread, a fixed seed and
+features of whole numbers make the file the same in each run of one version of LightGBM
+(`VERSION`).
 """
 
 from __future__ import annotations
@@ -42,8 +44,8 @@ SCAN_WEIGHT = 0.5
 POINTS = 60_000
 """Points of a scene that are fitted to, at most."""
 SPARSE = 0.1
-"""Addition to the share of ground within 5 m, by which weights are divided: where ground is rare, each of its points
-carries more of the terrain."""
+"""Addition to the share of ground within 5 m, by which weights are divided: where ground is
+rare, each of its points carries more of the terrain."""
 SETTINGS: dict[str, Any] = {
     "objective": "binary", "num_leaves": LEAVES, "max_depth": DEPTH, "learning_rate": 0.15, "min_data_in_leaf": 400,
     "lambda_l2": 20.0, "max_bin": 63, "seed": 1, "num_threads": 1, "deterministic": True, "force_row_wise": True,
@@ -84,8 +86,15 @@ class Asked:
     def sample(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Features, whether they are of ground, and weights of some points that count."""
         own = np.flatnonzero(self.counts[self.index])
-        chosen = np.sort(np.random.default_rng(7).choice(own, min(POINTS, own.size), replace=False))
-        weight = (1.0 if self.semi_real else SCAN_WEIGHT) * own.size / chosen.size / self.counts.sum()
+        chosen = np.sort(
+            np.random.default_rng(7).choice(own, min(POINTS, own.size), replace=False)
+        )
+        weight = (
+            (1.0 if self.semi_real else SCAN_WEIGHT)
+            * own.size
+            / chosen.size
+            / self.counts.sum()
+        )
         truth = self.classes[self.index[chosen]] == GROUND
         features = self.features[chosen]
         rare = 1.0 / (SPARSE + features[:, last_look.FEATURES.index("ground_5")] / 1000)
@@ -111,7 +120,12 @@ def asked(scene: BenchScene, cloud: Cloud) -> Asked:
     index, features = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.argsort(index)
     return Asked(
-        scene.name, scene.group == SEMI_REAL, labels, index[order], features[order], cloud.classification
+        scene.name,
+        scene.group == SEMI_REAL,
+        labels,
+        index[order],
+        features[order],
+        cloud.classification,
     )
 
 
@@ -137,9 +151,13 @@ def trees_of(model: dict[str, Any]) -> DecisionTrees:
             leaf[tree, at - NODES] = round(UNIT * node["leaf_value"])
             return
         if "leaf_value" not in node:
-            feature[tree, at], threshold[tree, at] = node["split_feature"], int(np.floor(node["threshold"]))
+            feature[tree, at], threshold[tree, at] = (
+                node["split_feature"],
+                int(np.floor(node["threshold"])),
+            )
         for side, child in enumerate(("left_child", "right_child")):
-            place(tree, 2 * at + 1 + side, node.get(child, node))  # a leaf near the root is on both sides
+            # a leaf near the root is on both sides
+            place(tree, 2 * at + 1 + side, node.get(child, node))
 
     for tree, root in enumerate(roots):
         place(tree, 0, root)
@@ -153,7 +171,9 @@ def file_of(trees: DecisionTrees) -> bytes:
         for name, values in trees._asdict().items():
             array = io.BytesIO()
             np.save(array, values.astype("<i4"))
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), array.getvalue(), zipfile.ZIP_DEFLATED)
+            archive.writestr(
+                zipfile.ZipInfo(f"{name}.npy"), array.getvalue(), zipfile.ZIP_DEFLATED
+            )
     return kept.getvalue()
 
 
@@ -173,7 +193,8 @@ def row(scene: Asked, cloud: Cloud, labels: np.ndarray) -> tuple[list[float], st
         rmse = dtm_rmse_m(cloud, which == GROUND)
         found += [100 * errors["total"], float("nan") if rmse is None else rmse]
         words.append(
-            " / ".join(f"{100 * errors[k]:.2f}" for k in ("type_1", "type_2", "total")) + f", {rmse:.3f} m"
+            " / ".join(f"{100 * errors[k]:.2f}" for k in ("type_1", "type_2", "total"))
+            + f", {rmse:.3f} m"
         )
     return found, f"| {scene.name} | " + " | ".join(words) + " |"
 
@@ -183,7 +204,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="Fit the trees of the last look at points of matched clouds."
     )
-    parser.add_argument("--write", action="store_true", help=f"replace {WEIGHTS.name} beside the code")
+    parser.add_argument(
+        "--write", action="store_true", help=f"replace {WEIGHTS.name} beside the code"
+    )
     parser.add_argument(
         "--leave-one-out", action="store_true", help="score each scene with trees of the others"
     )
@@ -204,7 +227,9 @@ def main() -> None:
         for kind in (True, False):
             figures = [found for semi_real, found in rows if semi_real == kind]
             print(
-                "mean", " ".join(f"{mean(column):.3f}" for column in zip(*figures, strict=True)), flush=True
+                "mean",
+                " ".join(f"{mean(column):.3f}" for column in zip(*figures, strict=True)),
+                flush=True,
             )
 
 

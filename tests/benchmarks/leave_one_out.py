@@ -30,8 +30,9 @@ MATCHED_SETTINGS = {
     "FALL_M": objects, "CONTRAST": surface, "RIDGE_CONTRAST": surface, "ABOVE_M": surface, "GAP": surface,
     "SCALES_M": surface, "BESIDE": surface, "GROUND_M": ground_model,
 }  # fmt: skip
-"""Constants of matched clouds, at least one of each step, and their modules: the rim of large objects, which hull
-holds, what lies about the surface, over what it is averaged, what counts less beside objects, the last label."""
+"""Constants of matched clouds, at least one of each step, and their modules: the rim of large
+objects, which hull holds, what lies about the surface, over what it is averaged, what counts
+less beside objects, the last label."""
 
 MATCHED_FACTORS, MAX_CHANGED = (0.67, 1.0, 1.5), 1
 """Of their defaults, and how many differ from these at once."""
@@ -88,7 +89,10 @@ class LeaveOneOut:
 def default_grid() -> dict[str, tuple[float, ...]]:
     """Each of `MAIN_SETTINGS` times each of `FACTORS`."""
     default = Auto()
-    return {name: tuple(round(f * getattr(default, name), 4) for f in FACTORS) for name in MAIN_SETTINGS}
+    return {
+        name: tuple(round(f * getattr(default, name), 4) for f in FACTORS)
+        for name in MAIN_SETTINGS
+    }
 
 
 def matched_default() -> dict[str, Any]:
@@ -129,9 +133,13 @@ def leave_one_out(
     chosen = dict(grid or default_grid())
     usual = dict(default or {name: getattr(Auto(), name) for name in chosen})
     names = list(samples)
-    combinations = [dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())]
+    combinations = [
+        dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())
+    ]
     if most_changed is not None:
-        combinations = [c for c in combinations if sum(c[p] != usual[p] for p in c) <= most_changed]
+        combinations = [
+            c for c in combinations if sum(c[p] != usual[p] for p in c) <= most_changed
+        ]
     combinations.sort(key=lambda c: c != usual)  # a stable sort: the default first
     totals = np.array([[error(name, c) for name in names] for c in combinations])
     folds = []
@@ -140,12 +148,18 @@ def leave_one_out(
         changed = {p: v for p, v in combinations[first].items() if v != usual[p]}
         folds.append(Fold(name, changed, float(totals[first, k]), float(totals[0, k])))
     return LeaveOneOut(
-        chosen, len(combinations), folds, min(mean(row) for row in totals.tolist()), most_changed
+        chosen,
+        len(combinations),
+        folds,
+        min(mean(row) for row in totals.tolist()),
+        most_changed,
     )
 
 
 def total_error(cloud: Cloud, settings: Mapping[str, Any]) -> float:
     """Of `auto` with these parameters, as a fraction of the points that count."""
-    found = classify(cloud.xyz, "auto", Auto(**settings), rgb=cloud.rgb, returns=cloud.returns).classification
+    found = classify(
+        cloud.xyz, "auto", Auto(**settings), rgb=cloud.rgb, returns=cloud.returns
+    ).classification
     labels = np.where(found == GROUND, GROUND, 1).astype(np.uint8)
     return float(evaluate_labels(labels, cloud.classification, IGNORED)["total"])

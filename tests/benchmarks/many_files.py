@@ -41,7 +41,11 @@ def make_files(folder: Path, number: int) -> None:
             continue
         x, y = random.random((2, POINTS)) * SIDE_M
         header = laspy.LasHeader(point_format=6, version="1.4")
-        header.offsets = [500_000 + SIDE_M * (i % across), 5_000_000 + SIDE_M * (i // across), 0]
+        header.offsets = [
+            500_000 + SIDE_M * (i % across),
+            5_000_000 + SIDE_M * (i // across),
+            0,
+        ]
         header.scales = [0.01] * 3
         header.add_crs(CRS.from_epsg(25832))
         las = laspy.LasData(header)
@@ -116,7 +120,9 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
 
     with TemporaryDirectory() as scratch:
         make_files(Path(scratch) / "in", 1)
-        config = RunConfig.from_mapping({"products": ["dtm", "hillshade", "density"], "sheets": "1000"})
+        config = RunConfig.from_mapping(
+            {"products": ["dtm", "hillshade", "density"], "sheets": "1000"}
+        )
         plan = make_plan([str(Path(scratch) / "in")], config)
         side = int(np.ceil(np.sqrt(number)))
         west, south = (int(plan.buckets.index_of(v)) for v in plan.inputs.extent.to_json()[:2])
@@ -127,7 +133,8 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             tracemalloc.start()
         counts = {"n": 100_000, "n_candidates": 40_000}
         records = {
-            c: bucket_record(cell=[c.ix, c.iy], bounds=lattice.bounds(c).to_json(), **counts) for c in cells
+            c: bucket_record(cell=[c.ix, c.iy], bounds=lattice.bounds(c).to_json(), **counts)
+            for c in cells
         }
         assembled = IngestResult(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
         store = create_store(str(Path(scratch) / "store.zarr"), plan.grid.meta)
@@ -137,22 +144,34 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             store.publish_index({c: BucketInfo(100_000, 40_000) for c in cells})
 
         timed("allocate_and_publish", publish)
-        tasks = timed("filter_tasks", lambda: list(filter_tasks(plan, assembled, 0, {}, assembled.digests)))
+        tasks = timed(
+            "filter_tasks",
+            lambda: list(filter_tasks(plan, assembled, 0, {}, assembled.digests)),
+        )
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
         g = GridContext(plan, assembled, labels)
         for raster in required_rasters(config):
-            made = timed(f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(raster, g)))
-            g.made[raster.name] = {t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made}
+            made = timed(
+                f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(raster, g))
+            )
+            g.made[raster.name] = {
+                t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made
+            }
         facts["blocks"] = len(g.made["dtm"])
         spooled = {
-            f"s{i:06d}-{0:012d}": ("", {"buckets": [[c.ix, c.iy, 1] for c in cells[i * 20 : i * 20 + 20]]})
+            f"s{i:06d}-{0:012d}": (
+                "",
+                {"buckets": [[c.ix, c.iy, 1] for c in cells[i * 20 : i * 20 + 20]]},
+            )
             for i in range(number // 20)
         }
         sources = [Source(plan.inputs.sources[0], i, f"{i:032x}") for i in range(number // 20)]
         inputs = inputs_of(sources, spooled)
         g.sheets = timed("sheets", lambda: sheets(g, with_points(g)))
-        facts["sheets"] = len(timed("tasks_sheets", lambda: list(cog_tasks(g, inputs, "x", scratch))))
+        facts["sheets"] = len(
+            timed("tasks_sheets", lambda: list(cog_tasks(g, inputs, "x", scratch)))
+        )
         timed("tasks_vrt", lambda: list(mosaic_tasks(g, "x", scratch)))
         if memory:
             return {"tables_and_tasks_mb": round(tracemalloc.get_traced_memory()[1] / 1e6)}

@@ -36,14 +36,22 @@ def filters_of(names: Sequence[str] | None = None) -> dict[str, Entry]:
         for name, peer in installed_peers(every_cloth=True).items()
     }
     found = {"auto": own["auto"], **peers, FLOOR: own[FLOOR]}
-    return {n: entry for n, entry in found.items() if names is None or n.startswith(tuple(names))}
+    return {
+        n: entry for n, entry in found.items() if names is None or n.startswith(tuple(names))
+    }
 
 
 def text_of(cells: Sequence[Cell]) -> str:
     """A row for each scene, a column for each filter, and the means."""
     methods = list(dict.fromkeys(cell.method for cell in cells))
     rows = [
-        [scene, *(_figures([c for c in cells if (c.scene, c.method) == (scene, m)]) for m in methods)]
+        [
+            scene,
+            *(
+                _figures([c for c in cells if (c.scene, c.method) == (scene, m)])
+                for m in methods
+            ),
+        ]
         for scene in dict.fromkeys(cell.scene for cell in cells)
     ]
     rows.append(["mean", *(_figures([c for c in cells if c.method == m]) for m in methods)])
@@ -62,19 +70,27 @@ def _figures(cells: Sequence[Cell]) -> str:
     return f"{errors}, {mean(rmses):.2f} m" if len(rmses) == len(cells) else errors
 
 
-def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | None = None) -> None:
+def main(
+    arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | None = None
+) -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description="Measure `auto` and its peers on semi-real matched clouds.")
+    parser = argparse.ArgumentParser(
+        description="Measure `auto` and its peers on semi-real matched clouds."
+    )
     parser.add_argument("--scans", action="store_true", help="scenes made of laser scans")
     parser.add_argument("--scenes", help="only these, with commas")
     parser.add_argument("--methods", help="only those whose names begin so, with commas")
     parser.add_argument(
         "--thin", type=float, help="points per square metre of sparser scenes, taken at random"
     )
-    parser.add_argument("--keep", type=Path, help="folder for what was measured, to be used again")
+    parser.add_argument(
+        "--keep", type=Path, help="folder for what was measured, to be used again"
+    )
     given = parser.parse_args(arguments)
     chosen = (
-        list(scenes) if scenes is not None else list((scan_scenes if given.scans else semi_real_scenes)(DATA))
+        list(scenes)
+        if scenes is not None
+        else list((scan_scenes if given.scans else semi_real_scenes)(DATA))
     )
     if given.scenes is not None:
         chosen = [scene for scene in chosen if scene.name in given.scenes.split(",")]
@@ -84,7 +100,11 @@ def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | 
         sys.exit(f"no scene: there is nothing for any of these in {DATA}")
     filters = filters_of(None if given.methods is None else given.methods.split(","))
     cells = run_all(
-        chosen, filters, 0, lambda line: print(line, file=sys.stderr, flush=True), Kept(given.keep)
+        chosen,
+        filters,
+        0,
+        lambda line: print(line, file=sys.stderr, flush=True),
+        Kept(given.keep),
     )
     print(text_of(cells), flush=True)
     for name, why in missing_peers().items():

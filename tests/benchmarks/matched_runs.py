@@ -2,9 +2,9 @@
 
 ``python tests/benchmarks/matched_runs.py OUT [--scenes rows,bluff] [--preset dim]``
 
-Each scene of ``../shared/data/dim/semireal`` is run as a user would, at 0.5 m, with its classes hidden, with the
-default settings or those of a preset. Markdown goes to the standard output; a folder of a run stays in OUT and is
-resumed.
+Each scene of ``../shared/data/dim/semireal`` is run as a user would, at 0.5 m, with its classes
+hidden, with the default settings or those of a preset. Markdown goes to the standard output; a
+folder of a run stays in OUT and is resumed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,15 @@ PIXEL_M = 0.5
 HIGH_M, AREA_M2 = 1.0, 4.0
 """What rises so far above the true terrain over such an area is an object that was left."""
 
-WHAT = {1: "car, fence", 2: "ground", 3: "low plants", 4: "shrubs", 5: "trees", 6: "building", 17: "bridge"}
+WHAT = {
+    1: "car, fence",
+    2: "ground",
+    3: "low plants",
+    4: "shrubs",
+    5: "trees",
+    6: "building",
+    17: "bridge",
+}
 
 
 @dataclass(frozen=True)
@@ -47,9 +55,7 @@ class Left:
     what: str
 
     def __str__(self) -> str:
-        return (
-            f"{self.what} at {self.x:.0f}, {self.y:.0f} ({self.area_m2:.0f} m2, up to {self.height_m:.1f} m)"
-        )
+        return f"{self.what} at {self.x:.0f}, {self.y:.0f} ({self.area_m2:.0f} m2, up to {self.height_m:.1f} m)"
 
 
 @dataclass(frozen=True)
@@ -64,10 +70,20 @@ class Terrain:
 
 def run(cloud: Path, out: Path, preset: str | None) -> Path:
     """The DTM of a run; raises where it fails."""
-    command = [sys.executable, "-c", "from cli.main import main; main()", "run", str(cloud), "-o", str(out)]
+    command = [
+        sys.executable,
+        "-c",
+        "from cli.main import main; main()",
+        "run",
+        str(cloud),
+        "-o",
+        str(out),
+    ]
     command += ["--resolution", str(PIXEL_M), "--keep-classes", "none", "--workers", "1"]
     command += ["--preset", preset] if preset else []
-    subprocess.run(command, check=True, cwd=Path(__file__).resolve().parents[2], stdout=subprocess.DEVNULL)
+    subprocess.run(
+        command, check=True, cwd=Path(__file__).resolve().parents[2], stdout=subprocess.DEVNULL
+    )
     return out / "dtm.tif"
 
 
@@ -78,7 +94,11 @@ def difference(dtm: Path, truth: Path) -> np.ndarray:
         bounds = raster.bounds
     with rasterio.open(dtm) as raster:
         window = from_bounds(*bounds, transform=raster.transform)
-        own = raster.read(1, window=window, boundless=True, masked=True).astype(np.float64).filled(np.nan)
+        own = (
+            raster.read(1, window=window, boundless=True, masked=True)
+            .astype(np.float64)
+            .filled(np.nan)
+        )
     return np.asarray(own - true)
 
 
@@ -95,7 +115,9 @@ def objects_left(off: np.ndarray, cloud: Cloud) -> Iterator[Left]:
             return
         rows, columns = np.nonzero(numbers == number)
         classes = np.bincount(cloud.classification[of_point == number], minlength=18)
-        what = WHAT.get(int(classes.argmax()), "nothing seen") if classes.any() else "nothing seen"
+        what = (
+            WHAT.get(int(classes.argmax()), "nothing seen") if classes.any() else "nothing seen"
+        )
         middle = (
             float(np.mean(columns) + 0.5) * PIXEL_M,
             float(off.shape[0] - np.mean(rows) - 0.5) * PIXEL_M,
@@ -117,7 +139,9 @@ def measured(name: str, out: Path, preset: str | None) -> Terrain:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run, compare, print."""
-    parser = argparse.ArgumentParser(description="Compare the terrain of runs with the true one.")
+    parser = argparse.ArgumentParser(
+        description="Compare the terrain of runs with the true one."
+    )
     parser.add_argument("out", type=Path, help="folder for the runs")
     parser.add_argument("--scenes", help="only these, with commas")
     parser.add_argument("--preset", help="settings of a preset instead of the default ones")

@@ -18,7 +18,8 @@ from tiler.apps.evaluate import IGNORED, evaluate_labels
 GROUND = 2
 
 FLOOR = "floor"
-"""No filter: what lies nearer to the true terrain than one height, the best one for the scene. It sees the truth."""
+"""No filter: what lies nearer to the true terrain than one height, the best one for the scene.
+It sees the truth."""
 
 Filter = Callable[[Cloud], np.ndarray]
 """From a cloud to what is ground, bool [n]."""
@@ -97,11 +98,18 @@ def measure(name: str, run: Filter, scene: BenchScene, cloud: Cloud, repeats: in
         seconds.append(time.process_time() - start)
         if before is not None:
             peak = max(peak or 0, resident("VmHWM") - before)
-    # The terrain of the floor is that of the true ground: what labels without an error would give.
+    # The terrain of the floor is that of the true ground: what labels without an error would
+    # give.
     surface = cloud.classification == GROUND if name == FLOOR else ground
     errors = {key: found[key] for key in ("type_1", "type_2", "total", "kappa")}
     fastest = min(seconds, default=None)
-    return Cell(**cell, **errors, dtm_rmse_m=dtm_rmse_m(cloud, surface), seconds=fastest, peak_bytes=peak)
+    return Cell(
+        **cell,
+        **errors,
+        dtm_rmse_m=dtm_rmse_m(cloud, surface),
+        seconds=fastest,
+        peak_bytes=peak,
+    )
 
 
 def dtm_rmse_m(cloud: Cloud, ground: np.ndarray) -> float | None:

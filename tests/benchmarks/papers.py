@@ -2,10 +2,10 @@
 
 ``python tests/benchmarks/papers.py [OUT.md] [--only ridge2016|dong2018|dong2017|starts]``
 
-Each paper's method and `classic`, both with the paper's own parameters and with our defaults, beside the published
-figures. Scenes are those of the simulator's catalogue, or their sites with other seeds and another sensor. ``starts``
-has each method on all matched scenes, semi-real and simulated, from the lowest points as in its paper and from robust
-cells.
+Each paper's method and `classic`, both with the paper's own parameters and with our defaults,
+beside the published figures. Scenes are those of the simulator's catalogue, or their sites with
+other seeds and another sensor. ``starts`` has each method on all matched scenes, semi-real and
+simulated, from the lowest points as in its paper and from robust cells.
 """
 
 from __future__ import annotations
@@ -43,10 +43,21 @@ from tiler.apps.evaluate import IGNORED, evaluate_labels
 LOW_NOISE = 7
 
 VERTICES = {"label_pass": "no", "rounds": "0"}
-CLASSIC_003 = {"iteration_angle": "6", "edge_length_reduce": "0", "edge_length_stop": "1", **VERTICES}
+CLASSIC_003 = {
+    "iteration_angle": "6",
+    "edge_length_reduce": "0",
+    "edge_length_stop": "1",
+    **VERTICES,
+}
 LOWEST = {"robust_cells": "no"}
 """The papers' start, from the lowest point of each cell."""
-RIDGE_003 = {"iteration_angle": "6", "edge_length_reduce": "0", "label_floor": "0", "rounds": "60", **LOWEST}
+RIDGE_003 = {
+    "iteration_angle": "6",
+    "edge_length_reduce": "0",
+    "label_floor": "0",
+    "rounds": "60",
+    **LOWEST,
+}
 PAPER_000 = {"max_building_size": "30", "iteration_angle": "6"}
 CLASSIC_000 = {**PAPER_000, "edge_length_reduce": "0", "thin_cell": "0", **VERTICES}
 DONG18_000 = {**PAPER_000, "density_k": "10", **LOWEST}
@@ -56,10 +67,17 @@ DONG18_000 = {**PAPER_000, "density_k": "10", **LOWEST}
 """
 
 
-def found_ground(cloud: Cloud, method: str, texts: dict[str, str], sigma: float | None = None) -> Any:
+def found_ground(
+    cloud: Cloud, method: str, texts: dict[str, str], sigma: float | None = None
+) -> Any:
     """The result of a method with parameters as ``--set`` has them."""
     return classify(
-        cloud.xyz, method, make_params(method, texts), rgb=cloud.rgb, returns=cloud.returns, sigma=sigma
+        cloud.xyz,
+        method,
+        make_params(method, texts),
+        rgb=cloud.rgb,
+        returns=cloud.returns,
+        sigma=sigma,
     )
 
 
@@ -80,7 +98,14 @@ def mountain_by_matching(seed: int) -> Cloud:
     spec = replace(SCENES["als_mountain"], kind="dim", seed=seed, sensor=sensor)
     site = spec.make_site()
     points = survey(site, spec.make_sensor())
-    return Cloud(points.xyz, points.label, points.rgb, None, truth=site.terrain.height_at, side_m=spec.side_m)
+    return Cloud(
+        points.xyz,
+        points.label,
+        points.rgb,
+        None,
+        truth=site.terrain.height_at,
+        side_m=spec.side_m,
+    )
 
 
 def ridge2016() -> str:
@@ -97,8 +122,12 @@ def ridge2016() -> str:
     ]
     rows = []
     for title, method, texts, printed in runs:
-        labels = [found_ground(cloud, method, texts).classification for cloud in clouds.values()]
-        found = [dtm_rmse_m(c, own == GROUND) for c, own in zip(clouds.values(), labels, strict=True)]
+        labels = [
+            found_ground(cloud, method, texts).classification for cloud in clouds.values()
+        ]
+        found = [
+            dtm_rmse_m(c, own == GROUND) for c, own in zip(clouds.values(), labels, strict=True)
+        ]
         theirs = " / ".join(f"{v:.3f}" for v in printed) or "-"
         rows.append([title, *(f"{v:.2f}" for v in found), theirs])
     note = "RMSE of the DTM at 1 m against the true terrain, m; the paper's figures are of its two data sets.\n\n"
@@ -112,7 +141,10 @@ def dong2018() -> str:
     for name in names:
         kept = clouds[name].classification != LOW_NOISE
         clouds[f"{name}, no blunders"] = only(clouds[name], kept)
-    classics, theirs = "11.09 / 9.73 / 10.74; 12.52 / 6.2 / 9.94", "5.52 / 11.62 / 7.43; 3.03 / 7.3 / 5.08"
+    classics, theirs = (
+        "11.09 / 9.73 / 10.74; 12.52 / 6.2 / 9.94",
+        "5.52 / 11.62 / 7.43; 3.03 / 7.3 / 5.08",
+    )
     runs: list[tuple[str, str, dict[str, str], float | None, str]] = [
         ("`classic`, paper's parameters", "classic", CLASSIC_000, None, classics),
         ("`dong2018`, paper's parameters", "dong2018", DONG18_000, 0.066, theirs),
@@ -138,7 +170,11 @@ def dong2018() -> str:
     head = ["", *clouds, "paper, areas 11; 32"]
     thresholds = "\nThresholds by scale (the paper's figure 12: the distance shrinks, the angle grows):\n\n"
     return (
-        "### `dong2018`\n\n" + note + table(head, rows) + thresholds + table(["scene", "thresholds"], scales)
+        "### `dong2018`\n\n"
+        + note
+        + table(head, rows)
+        + thresholds
+        + table(["scene", "thresholds"], scales)
     )
 
 
@@ -163,7 +199,13 @@ def dong2017() -> str:
         between = grey & (hull.find_simplex(cloud.xyz[:, :2]) >= 0)
         for title, method, texts in runs:
             labels = found_ground(cloud, method, texts).classification
-            rows.append([f"{name}, {title}", errors(cloud, labels, between), errors(cloud, labels, grey)])
+            rows.append(
+                [
+                    f"{name}, {title}",
+                    errors(cloud, labels, between),
+                    errors(cloud, labels, grey),
+                ]
+            )
     rows.append(["paper", "0.00 / 2.39 / 1.53", "-"])
     note = (
         "Type I / II / total, %, without what is vegetation by its colour. *Between facades*: within the hull of the "
@@ -191,7 +233,11 @@ def only(cloud: Cloud, which: np.ndarray) -> Cloud:
     rgb = None if cloud.rgb is None else cloud.rgb[which]
     returns = None if cloud.returns is None else cloud.returns[which]
     return replace(
-        cloud, xyz=cloud.xyz[which], classification=cloud.classification[which], rgb=rgb, returns=returns
+        cloud,
+        xyz=cloud.xyz[which],
+        classification=cloud.classification[which],
+        rgb=rgb,
+        returns=returns,
     )
 
 
@@ -199,7 +245,8 @@ STARTS: dict[str, dict[str, dict[str, str]]] = {
     name: {"lowest points": LOWEST, "robust cells": {}}
     for name in ("chen2023", "ridge2016", "dong2018", "dong2017")
 }
-"""Methods that take robust cells for the lowest points of matched clouds, and the parameters that say so."""
+"""Methods that take robust cells for the lowest points of matched clouds, and the parameters
+that say so."""
 
 
 def starts() -> str:
@@ -212,9 +259,15 @@ def starts() -> str:
     rows = []
     for scene in scenes:
         cloud = scene.load()
-        rows.append([scene.name, *(_figures(cloud, m, texts) for (m, _), texts in columns.items())])
+        rows.append(
+            [scene.name, *(_figures(cloud, m, texts) for (m, _), texts in columns.items())]
+        )
     note = "Type I / II / total, %, and RMSE of the DTM at 1 m, m; our parameters but for the start.\n\n"
-    return "### Two starts\n\n" + note + table(["", *(f"`{m}`, {start}" for m, start in columns)], rows)
+    return (
+        "### Two starts\n\n"
+        + note
+        + table(["", *(f"`{m}`, {start}" for m, start in columns)], rows)
+    )
 
 
 def _figures(cloud: Cloud, method: str, texts: dict[str, str]) -> str:
@@ -224,7 +277,9 @@ def _figures(cloud: Cloud, method: str, texts: dict[str, str]) -> str:
     except ValueError:  # the cloud, or a column that it lacks
         return "refused"
     rmse_m = dtm_rmse_m(cloud, ground)
-    found = evaluate_labels(np.where(ground, GROUND, 1).astype(np.uint8), cloud.classification, IGNORED)
+    found = evaluate_labels(
+        np.where(ground, GROUND, 1).astype(np.uint8), cloud.classification, IGNORED
+    )
     shares = " / ".join(f"{100 * found[key]:.1f}" for key in ("type_1", "type_2", "total"))
     return shares if rmse_m is None else f"{shares}, {rmse_m:.2f}"
 
@@ -236,8 +291,12 @@ PAPERS: dict[str, Callable[[], str]] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and write."""
-    parser = argparse.ArgumentParser(description="Repeat three papers' comparisons with classic.")
-    parser.add_argument("out", type=Path, nargs="?", help="Markdown file; without: standard output")
+    parser = argparse.ArgumentParser(
+        description="Repeat three papers' comparisons with classic."
+    )
+    parser.add_argument(
+        "out", type=Path, nargs="?", help="Markdown file; without: standard output"
+    )
     parser.add_argument("--only", choices=list(PAPERS), help="one paper")
     given = parser.parse_args(arguments)
     text = "\n".join(PAPERS[name]() for name in ([given.only] if given.only else PAPERS))

@@ -29,7 +29,8 @@ SMRF_WITHOUT_OUTLIERS: tuple[dict[str, Any], ...] = (
     {"type": "filters.outlier"},
     {"type": "filters.smrf", "ignore": "Classification[7:7]"},
 )
-"""What PDAL's documentation advises: low points and outliers become class 7, which the filter then does not see."""
+"""What PDAL's documentation advises: low points and outliers become class 7, which the filter
+then does not see."""
 PMF_ALONE: tuple[dict[str, Any], ...] = ({"type": "filters.pmf"},)
 
 
@@ -48,7 +49,8 @@ CLOTH_DEFAULT = Cloth(1.0, 3)
 CLOTHS = (Cloth(0.5, 1), Cloth(1.0, 2), Cloth(2.0, 3))
 """Declared beforehand."""
 CLOTH_BEST = Cloth(1.0, 2)
-"""Of these, the one with the least mean total error on the semi-real matched scenes (`tests/benchmarks/matched.py`)."""
+"""Of these, the one with the least mean total error on the semi-real matched scenes
+(`tests/benchmarks/matched.py`)."""
 
 
 def csf(xyz: np.ndarray, cloth: Cloth = CLOTH_DEFAULT) -> np.ndarray:
@@ -68,7 +70,9 @@ def csf(xyz: np.ndarray, cloth: Cloth = CLOTH_DEFAULT) -> np.ndarray:
 def pdal_ground(stages: tuple[dict[str, Any], ...], xyz: np.ndarray) -> np.ndarray:
     """What stages of a PDAL pipeline leave as class 2."""
     pdal = importlib.import_module("pdal")
-    points = np.zeros(len(xyz), [("X", "f8"), ("Y", "f8"), ("Z", "f8"), ("Classification", "u1")])
+    points = np.zeros(
+        len(xyz), [("X", "f8"), ("Y", "f8"), ("Z", "f8"), ("Classification", "u1")]
+    )
     for axis, column in zip("XYZ", xyz.T, strict=True):
         points[axis] = column
     pipeline = pdal.Pipeline(json.dumps(list(stages)), arrays=[points])
@@ -92,7 +96,9 @@ def lasr_ptd(xyz: np.ndarray) -> np.ndarray:
             "invisible(exec(classify_with_ptd() + write_las(a[2]), on = a[1]))"
         )
         subprocess.run(
-            ["Rscript", "-e", program, str(cloud), str(out)], check=True, stdout=subprocess.DEVNULL
+            ["Rscript", "-e", program, str(cloud), str(out)],
+            check=True,
+            stdout=subprocess.DEVNULL,
         )
         found = laspy.read(out)
     # Points may come in another order: they are told by their place.
@@ -101,7 +107,9 @@ def lasr_ptd(xyz: np.ndarray) -> np.ndarray:
 
 def _same_order(given: Any, found: Any) -> np.ndarray:
     """Where each given point is among those found."""
-    order, other = (np.lexsort([np.rint(las[c] * 1000) for c in "zyx"]) for las in (given, found))
+    order, other = (
+        np.lexsort([np.rint(las[c] * 1000) for c in "zyx"]) for las in (given, found)
+    )
     back = np.empty_like(order)
     back[order] = other
     return back
@@ -119,7 +127,9 @@ def installed_peers(every_cloth: bool = False) -> dict[str, Filter]:
     found: dict[str, Filter] = {}
     if _installed("CSF"):
         cloths = CLOTHS if every_cloth else (CLOTH_BEST,)
-        found |= {cloth_name(cloth): partial(csf, cloth=cloth) for cloth in (CLOTH_DEFAULT, *cloths)}
+        found |= {
+            cloth_name(cloth): partial(csf, cloth=cloth) for cloth in (CLOTH_DEFAULT, *cloths)
+        }
     if _installed("pdal"):
         found["PDAL SMRF (peer)"] = partial(pdal_ground, SMRF_ALONE)
         found["PDAL SMRF without outliers (peer)"] = partial(pdal_ground, SMRF_WITHOUT_OUTLIERS)
@@ -174,7 +184,9 @@ def _silent() -> Iterator[None]:
 def _has_lasr() -> bool:
     """Whether R and its package lasR are installed."""
     program = "quit(status = !requireNamespace('lasR', quietly = TRUE))"
-    return shutil.which("Rscript") is not None and subprocess.call(["Rscript", "-e", program]) == 0
+    return (
+        shutil.which("Rscript") is not None and subprocess.call(["Rscript", "-e", program]) == 0
+    )
 
 
 def _installed(module: str) -> bool:

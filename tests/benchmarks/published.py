@@ -56,27 +56,58 @@ PER_SAMPLE = (
     }),
 )  # fmt: skip
 
-VAIHINGEN, COLOURED = "Vaihingen 11 and 32, image matching", "a coloured city, vegetation removed first"
+VAIHINGEN, COLOURED = (
+    "Vaihingen 11 and 32, image matching",
+    "a coloured city, vegetation removed first",
+)
 MEANS = (
     Mean("Axelsson, tuned per sample", "15 ISPRS samples", SITHOLE, None, None, 4.82, None),
-    Mean("SMRF, tuned per sample", "15 ISPRS samples", "Pingel et al. 2013", None, None, 2.97, None),
-    Mean("Hu et al., tuned per sample", "15 ISPRS samples", "Hu et al. 2014", None, None, 2.85, None),
-    Mean("Mongus and Zalik", "15 ISPRS samples", "Mongus and Zalik 2014", None, None, 2.74, None),
+    Mean(
+        "SMRF, tuned per sample",
+        "15 ISPRS samples",
+        "Pingel et al. 2013",
+        None,
+        None,
+        2.97,
+        None,
+    ),
+    Mean(
+        "Hu et al., tuned per sample",
+        "15 ISPRS samples",
+        "Hu et al. 2014",
+        None,
+        None,
+        2.85,
+        None,
+    ),
+    Mean(
+        "Mongus and Zalik", "15 ISPRS samples", "Mongus and Zalik 2014", None, None, 2.74, None
+    ),
     Mean("PTD of the chen2023 paper", "15 ISPRS samples", CHEN, 23.12, 4.02, 16.34, None),
     Mean("chen2023 as its paper has it", "15 ISPRS samples", CHEN, 14.66, 6.76, 11.28, None),
     Mean("PTD of the dong2018 paper", VAIHINGEN, DONG18, 11.81, 7.97, 10.34, None),
     Mean("dong2018 as its paper has it", VAIHINGEN, DONG18, 4.28, 9.46, 6.26, None),
     Mean("dong2017 as its paper has it", COLOURED, DONG17, 0.0, 2.39, 1.53, None),
     Mean("PDAL 2.10 SMRF, default", "15 ISPRS samples", EARLIER, 2.33, 14.85, 5.14, 83.3),
-    Mean("PDAL 2.10 SMRF, best one setting", "15 ISPRS samples", EARLIER, 2.84, 10.17, 4.23, 85.8),
-    Mean("PDAL 2.10 PMF, best one setting", "15 ISPRS samples", EARLIER, 3.64, 13.57, 6.12, 80.2),
-    Mean("lasR 0.21 PTD, best one setting", "15 ISPRS samples", EARLIER, 9.46, 6.11, 7.68, 76.9),
+    Mean(
+        "PDAL 2.10 SMRF, best one setting", "15 ISPRS samples", EARLIER, 2.84, 10.17, 4.23, 85.8
+    ),
+    Mean(
+        "PDAL 2.10 PMF, best one setting", "15 ISPRS samples", EARLIER, 3.64, 13.57, 6.12, 80.2
+    ),
+    Mean(
+        "lasR 0.21 PTD, best one setting", "15 ISPRS samples", EARLIER, 9.46, 6.11, 7.68, 76.9
+    ),
     Mean("CSF, best one setting", "15 ISPRS samples", EARLIER, 15.48, 10.30, 14.31, 63.8),
 )
 
 RMSES = (
     Rmse("PTD of the ridge2016 paper", "data set 1, sites 1 to 4", RIDGE, 0.651, 1.645, 1.286),
-    Rmse("ridge2016 as its paper has it", "data set 1, sites 1 to 4", RIDGE, 0.396, 1.259, 0.963),
+    Rmse(
+        "ridge2016 as its paper has it", "data set 1, sites 1 to 4", RIDGE, 0.396, 1.259, 0.963
+    ),
     Rmse("PTD of the ridge2016 paper", "data set 2, sites 5 to 8", RIDGE, 0.710, 1.649, 1.309),
-    Rmse("ridge2016 as its paper has it", "data set 2, sites 5 to 8", RIDGE, 0.596, 1.249, 1.007),
+    Rmse(
+        "ridge2016 as its paper has it", "data set 2, sites 5 to 8", RIDGE, 0.596, 1.249, 1.007
+    ),
 )

@@ -1,9 +1,10 @@
 """Matched clouds made of classified laser scans, as a simulated matcher sees their surfaces; the truth is complete.
 
-The highest returns make a surface whose crowns are closed and whose edges are rounded. It is sampled at random, with
-holes, points on facades, noise of each point's own and noise that neighbours share (more in shadow, on plants and where
-nothing has texture), and blunders below it, alone and in clumps. A point's class is that of the surface before noise:
-what lies less than 0.2 m above the terrain of the scan (the TIN of its ground) is ground.
+The highest returns make a surface whose crowns are closed and whose edges are rounded. It is
+sampled at random, with holes, points on facades, noise of each point's own and noise that
+neighbours share (more in shadow, on plants and where nothing has texture), and blunders below
+it, alone and in clumps. A point's class is that of the surface before noise: what lies less
+than 0.2 m above the terrain of the scan (the TIN of its ground) is ground.
 """
 
 from __future__ import annotations
@@ -80,7 +81,12 @@ def scan_scenes(data: Path) -> Iterator[BenchScene]:
         files = tuple(sorted(data.glob(site.files)))
         if files:
             yield BenchScene(
-                name, GROUP, GROUP, partial(load, site, files), recipe=f"{site} {recipe}", files=files
+                name,
+                GROUP,
+                GROUP,
+                partial(load, site, files),
+                recipe=f"{site} {recipe}",
+                files=files,
             )
 
 
@@ -105,7 +111,9 @@ def matched(xyz: Array, classes: Array, site: Site) -> Cloud:
     x, y, z, found = _sampled(surface, terrain, seen, void, rng)
     x, y, z, found = _with_blunders(x, y, z, found, terrain, rng)
     rows, columns = (n // PIXELS_OF_TRUTH * PIXELS_OF_TRUTH for n in terrain.shape)
-    blocks = terrain[:rows, :columns].reshape(rows // PIXELS_OF_TRUTH, PIXELS_OF_TRUTH, -1, PIXELS_OF_TRUTH)
+    blocks = terrain[:rows, :columns].reshape(
+        rows // PIXELS_OF_TRUTH, PIXELS_OF_TRUTH, -1, PIXELS_OF_TRUTH
+    )
     pixel_m, heights = PIXEL_M * PIXELS_OF_TRUTH, blocks.mean(axis=(1, 3))[::-1]
     return Cloud(
         np.stack([x, y, z], axis=1), found.astype(np.uint8), truth=partial(bilinear, heights, pixel_m),
@@ -128,13 +136,20 @@ def _surface(xyz: Array, classes: Array, site: Site) -> tuple[Array, Array, Arra
     seen = of[nearest].reshape(x.shape)
     terrain = _tin(xyz[classes == GROUND], x, y)
     stands = ~np.isin(seen, (GROUND, WATER))
-    surface = np.where(stands, np.maximum(_tin(tops[~np.isin(of, (GROUND, WATER))], x, y), terrain), terrain)
+    surface = np.where(
+        stands, np.maximum(_tin(tops[~np.isin(of, (GROUND, WATER))], x, y), terrain), terrain
+    )
     disk = np.hypot(*np.mgrid[-1.2:1.3:PIXEL_M, -1.2:1.3:PIXEL_M]) <= 1.2
     crowns = stands & (seen != BUILDING) & (surface > terrain + 1.5)
     closed = ndimage.grey_closing(np.where(crowns, surface, terrain), footprint=disk)
     gaps = ndimage.binary_closing(crowns, disk) & (closed > surface + 0.5) & (seen != BUILDING)
     void = (distance.reshape(x.shape) > (3.0 if site.cell_m < 1.0 else 5.0)) | (seen == WATER)
-    return terrain, np.where(gaps, closed, surface), np.where(gaps & (seen == GROUND), TREES, seen), void
+    return (
+        terrain,
+        np.where(gaps, closed, surface),
+        np.where(gaps & (seen == GROUND), TREES, seen),
+        void,
+    )
 
 
 def _tin(points: Array, x: Array, y: Array) -> Array:
@@ -150,7 +165,9 @@ def _split(tops: Array, classes: Array, tree: cKDTree) -> Array:
     near = tree.query(tops[:, :2], 8)[1]
     spread = tops[near] - tops[near].mean(axis=1, keepdims=True)
     flat = np.linalg.svd(spread, compute_uv=False)[:, 2] < 0.2 * np.sqrt(8)
-    return np.where(classes == GROUND, GROUND, np.where(flat[near].mean(axis=1) > 0.5, BUILDING, TREES))
+    return np.where(
+        classes == GROUND, GROUND, np.where(flat[near].mean(axis=1) > 0.5, BUILDING, TREES)
+    )
 
 
 def _true_classes(seen: Array, above: Array) -> Array:
@@ -171,7 +188,9 @@ def _field(shape: tuple[int, ...], length_m: float, rng: np.random.Generator) ->
     """A Gaussian field of variance 1, of which 30 % has four times the length."""
     found = np.zeros(shape)
     for share, length in ((0.7, length_m), (0.3, 4 * length_m)):
-        one = ndimage.gaussian_filter(rng.standard_normal(shape), 0.8 * length / PIXEL_M, mode="wrap")
+        one = ndimage.gaussian_filter(
+            rng.standard_normal(shape), 0.8 * length / PIXEL_M, mode="wrap"
+        )
         found += np.sqrt(share) * one / one.std()
     return found
 
@@ -186,7 +205,10 @@ def _shadow(surface: Array, elevation: float, azimuth: float) -> Array:
     dark = np.zeros(surface.shape, bool)
     for away in np.arange(0.75, 30.0, 0.75):
         offset = (-north * away / PIXEL_M, -east * away / PIXEL_M)
-        dark |= ndimage.shift(surface, offset, order=0, mode="nearest") - away * rise > surface + 0.2
+        dark |= (
+            ndimage.shift(surface, offset, order=0, mode="nearest") - away * rise
+            > surface + 0.2
+        )
     return dark
 
 
@@ -198,7 +220,9 @@ def _sampled(
     dark = _shadow(surface, rng.uniform(35, 50), rng.uniform(90, 270))
     plants = np.isin(seen, (LOW_PLANTS, SHRUBS, TREES))
     bare = (_field(surface.shape, 3.0, rng) > 1.28) & ~plants
-    noise = SIGMA_M * np.minimum(np.where(dark | plants, 2.0, 1.0) * np.where(bare, 2.2, 1.0), 3.0)
+    noise = SIGMA_M * np.minimum(
+        np.where(dark | plants, 2.0, 1.0) * np.where(bare, 2.2, 1.0), 3.0
+    )
     shared = _field(surface.shape, shared_m, rng)
     hidden = _field(surface.shape, 2.5, rng) + 0.8 * dark
     void = void | (hidden > np.quantile(hidden, 1.0 - rng.uniform(0.02, 0.05)))
@@ -231,7 +255,9 @@ def _with_blunders(
     rows, columns = (n * PIXEL_M for n in terrain.shape)
     clumps = int(rows * columns / 900.0) + 1
     sizes = rng.integers(5, 30, clumps)
-    wide, deep = (np.repeat(rng.uniform(*span, clumps), sizes) for span in ((0.15, 0.5), (0.5, 4.0)))
+    wide, deep = (
+        np.repeat(rng.uniform(*span, clumps), sizes) for span in ((0.15, 0.5), (0.5, 4.0))
+    )
     cx, cy = (
         np.repeat(rng.uniform(0, side, clumps), sizes) + wide * rng.uniform(-1, 1, sizes.sum())
         for side in (columns, rows)

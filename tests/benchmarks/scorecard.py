@@ -3,14 +3,15 @@
 ``python tests/benchmarks/scorecard.py docs/scorecard.md [--methods classic,auto] [--scenes samp] [--repeats 3]
 [--json CARD.json] [--keep FOLDER]``
 
-All on one pinned core with compiled kernels: a first run of each filter on each scene gives the labels and
-compiles, the fastest of the further ones is the time. Filters see no label, noise and water included. Scenes come
-from ``../shared/data`` as far as they are there, and from the simulator. Where the ISPRS samples or the semi-real
-matched clouds are there, `auto` is also chosen on all of them but one and scored on that one
-(`tests.benchmarks.leave_one_out`).
+All on one pinned core with compiled kernels: a first run of each filter on each scene gives the
+labels and compiles, the fastest of the further ones is the time. Filters see no label, noise
+and water included. Scenes come from ``../shared/data`` as far as they are there, and from the
+simulator. Where the ISPRS samples or the semi-real matched clouds are there, `auto` is also
+chosen on all of them but one and scored on that one (`tests.benchmarks.leave_one_out`).
 
-With ``--keep``, what was measured is kept in a folder by a digest of the scene, of the filter's sources and of these
-scripts: another run measures what changed, and what an interrupted one had not reached.
+With ``--keep``, what was measured is kept in a folder by a digest of the scene, of the filter's
+sources and of these scripts: another run measures what changed, and what an interrupted one had
+not reached.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,8 @@ from tests.benchmarks.scorecard_text import markdown
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 REFERENCE = "classic"
 MATCHED = "image matching"
-"""Groups of scenes where other programs take part: of laser scans their figures are published."""
+"""Groups of scenes where other programs take part: of laser scans their figures are
+published."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,10 @@ def all_filters() -> dict[str, Entry]:
 
     def own(name: str) -> Entry:
         def run(cloud: Cloud) -> Any:
-            return classify(cloud.xyz, name, rgb=cloud.rgb, returns=cloud.returns).classification == GROUND
+            return (
+                classify(cloud.xyz, name, rgb=cloud.rgb, returns=cloud.returns).classification
+                == GROUND
+            )
 
         return Entry(run, digest_of_modules(METHODS[name].params.__module__, "ptd.api"))
 
@@ -89,6 +94,12 @@ def takes_part(name: str, scene: BenchScene) -> bool:
     if name == FLOOR:
         return scene.with_truth
     return not name.endswith(PEER) or MATCHED in f"{scene.group}, {scene.family}"
+
+
+def _measured(
+    name: str, entry: Filter, scene: BenchScene, load: Callable[[], Cloud], again: int
+) -> dict[str, Any]:
+    return asdict(measure(name, entry.run, scene, load(), again))
 
 
 def run_all(
@@ -107,9 +118,12 @@ def run_all(
         for name, entry in filters.items():
             if not takes_part(name, scene):
                 continue
-            again = repeats if name in METHODS else 0  # of others only the labels are of interest
-            key = digest(rules, scene.key(), scene.family, scene.group, name, entry.key, str(again))
-            cell = Cell(**kept(key, lambda: asdict(measure(name, entry.run, scene, cloud(), again))))  # noqa: B023
+            # Of other programs only the labels are of interest.
+            again = repeats if name in METHODS else 0
+            key = digest(
+                rules, scene.key(), scene.family, scene.group, name, entry.key, str(again)
+            )
+            cell = Cell(**kept(key, partial(_measured, name, entry, scene, cloud, again)))
             cells.append(cell)
             time_s = "" if cell.seconds is None else f", {cell.seconds:.2f} s"
             told = cell.refusal or f"total {100 * (cell.total or 0):.2f} %{time_s}"
@@ -117,7 +131,9 @@ def run_all(
     return cells
 
 
-def chosen_settings(scenes: Sequence[BenchScene], kept: Kept, auto_key: str) -> dict[str, LeaveOneOut]:
+def chosen_settings(
+    scenes: Sequence[BenchScene], kept: Kept, auto_key: str
+) -> dict[str, LeaveOneOut]:
     """`auto` chosen on all scenes of a family but one, for the families where there is a grid of settings."""
     found = {}
     for family, grid, default, error, most_changed in (
@@ -129,7 +145,9 @@ def chosen_settings(scenes: Sequence[BenchScene], kept: Kept, auto_key: str) -> 
             continue
         loaded = cache(lambda name, own=own: own[name].load())
 
-        def error_of(name: str, settings: Mapping[str, Any], own=own, loaded=loaded, error=error) -> float:  # type: ignore[no-untyped-def]
+        def error_of(
+            name: str, settings: Mapping[str, Any], own=own, loaded=loaded, error=error
+        ) -> float:  # type: ignore[no-untyped-def]
             key = digest("chosen", auto_key, own[name].key(), repr(sorted(settings.items())))
             return float(kept(key, lambda: error(loaded(name), settings)))
 
@@ -137,14 +155,18 @@ def chosen_settings(scenes: Sequence[BenchScene], kept: Kept, auto_key: str) -> 
     return found
 
 
-def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | None = None) -> None:
+def main(
+    arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | None = None
+) -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description="Write the scorecard.")
     parser.add_argument("out", type=Path, help="Markdown file")
     parser.add_argument("--json", type=Path, help="the figures as JSON, too")
     parser.add_argument("--methods", help="only these, with commas")
     parser.add_argument("--scenes", help="only scenes whose name or family holds this text")
-    parser.add_argument("--keep", type=Path, help="folder for what was measured, to be used again")
+    parser.add_argument(
+        "--keep", type=Path, help="folder for what was measured, to be used again"
+    )
     parser.add_argument("--repeats", type=int, default=3, help="timed runs of each")
     given = parser.parse_args(arguments)
     filters = all_filters()
@@ -161,13 +183,19 @@ def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | 
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     kept = Kept(given.keep)
     cells = run_all(
-        chosen, filters, given.repeats, lambda line: print(line, file=sys.stderr, flush=True), kept
+        chosen,
+        filters,
+        given.repeats,
+        lambda line: print(line, file=sys.stderr, flush=True),
+        kept,
     )
     choices = chosen_settings(chosen, kept, filters["auto"].key) if "auto" in filters else {}
     text = markdown(cells, REFERENCE, given.repeats, choices, missing_peers())
     given.out.write_text(text, encoding="utf-8")
     if given.json is not None:
-        given.json.write_text(json.dumps([asdict(c) for c in cells], indent=1) + "\n", encoding="utf-8")
+        given.json.write_text(
+            json.dumps([asdict(c) for c in cells], indent=1) + "\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

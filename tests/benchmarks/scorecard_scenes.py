@@ -17,7 +17,8 @@ VIRTUAL = 66
 ISPRS_SAMPLES = "ISPRS samples"
 OTHER_REAL = "other real clouds"
 SEMI_REAL = "semi-real image matching"
-"""Surfaces of real sites, made of classified laser scans, as a simulated matcher sees them: their truth is complete."""
+"""Surfaces of real sites, made of classified laser scans, as a simulated matcher sees them:
+their truth is complete."""
 
 SIMULATED = {"als": "simulated laser scanning", "dim": "simulated image matching"}
 
@@ -58,8 +59,8 @@ class Cloud:
 class BenchScene:
     """A scene by name; `load` reads or makes it.
 
-    Scenes of a family are averaged, those of a group stand in one table. What it is made of, files and a recipe, tells
-    whether it is the same as in an earlier run.
+    Scenes of a family are averaged, those of a group stand in one table. What it is made of,
+    files and a recipe, tells whether it is the same as in an earlier run.
     """
 
     name: str
@@ -83,12 +84,18 @@ def read_clouds(paths: Sequence[Path]) -> Cloud:
     xyz = np.concatenate([np.asarray(part.xyz) for part in parts])
     classes = np.concatenate([np.asarray(part.classification, np.uint8) for part in parts])
     returns = np.concatenate(
-        [np.stack((np.asarray(p.return_number), np.asarray(p.number_of_returns)), axis=1) for p in parts]
+        [
+            np.stack((np.asarray(p.return_number), np.asarray(p.number_of_returns)), axis=1)
+            for p in parts
+        ]
     ).astype(np.uint8)
     rgb = None
     if all("red" in part.point_format.dimension_names for part in parts):
         rgb = np.concatenate(
-            [np.stack([np.asarray(p[c]) for c in ("red", "green", "blue")], axis=1) for p in parts]
+            [
+                np.stack([np.asarray(p[c]) for c in ("red", "green", "blue")], axis=1)
+                for p in parts
+            ]
         )
     measured = classes != VIRTUAL
     return Cloud(
@@ -104,17 +111,27 @@ def real_scenes(data: Path) -> Iterator[BenchScene]:
     found = [(ISPRS_SAMPLES, f"samp{n}", [data / f"isprs/samp{n}-utm.laz"]) for n in ISPRS]
     found += [
         ("other laser scanning", "AHN3 row houses", [data / "ahn3/ahn3_cropped_2.laz"]),
-        ("other laser scanning", "IGN six tiles", sorted((data / "ign/tiles50m").glob("*.laz"))),
+        (
+            "other laser scanning",
+            "IGN six tiles",
+            sorted((data / "ign/tiles50m").glob("*.laz")),
+        ),
         ("other laser scanning", "IGN buildings", [data / "ign/bat.laz"]),
         ("other laser scanning", "IGN crop 1", [data / "ign/crop_1.laz"]),
         ("other laser scanning", "IGN crop 3", [data / "ign/crop_3.laz"]),
-        ("other laser scanning", "IGN town, thinned", [data / "ign/test_semis_2023_0292_6833.laz"]),
+        (
+            "other laser scanning",
+            "IGN town, thinned",
+            [data / "ign/test_semis_2023_0292_6833.laz"],
+        ),
         ("image matching", "Brighton park", [data / "dim/brighton_east.laz"]),
     ]
     for family, name, paths in found:
         if paths and all(path.is_file() for path in paths):
             group = family if family == ISPRS_SAMPLES else OTHER_REAL
-            yield BenchScene(name, family, group, partial(read_clouds, paths), False, files=tuple(paths))
+            yield BenchScene(
+                name, family, group, partial(read_clouds, paths), False, files=tuple(paths)
+            )
 
 
 def semi_real_scenes(data: Path) -> Iterator[BenchScene]:
@@ -150,7 +167,11 @@ def thinned(scene: BenchScene, density_m2: float) -> BenchScene:
         kept = rng.random(len(cloud.xyz)) < density_m2 * 4.0 * cells / len(cloud.xyz)
         rgb, returns = (None if c is None else c[kept] for c in (cloud.rgb, cloud.returns))
         return replace(
-            cloud, xyz=cloud.xyz[kept], classification=cloud.classification[kept], rgb=rgb, returns=returns
+            cloud,
+            xyz=cloud.xyz[kept],
+            classification=cloud.classification[kept],
+            rgb=rgb,
+            returns=returns,
         )
 
     return replace(scene, load=load, recipe=f"{scene.recipe} thinned to {density_m2:g}")
@@ -164,7 +185,9 @@ def bilinear(heights: np.ndarray, pixel_m: float, x: np.ndarray, y: np.ndarray) 
     from scipy.ndimage import map_coordinates
 
     rows, columns = heights.shape[0] - y / pixel_m - 0.5, x / pixel_m - 0.5
-    found: np.ndarray = map_coordinates(heights, [rows, columns], order=1, mode="constant", cval=np.nan)
+    found: np.ndarray = map_coordinates(
+        heights, [rows, columns], order=1, mode="constant", cval=np.nan
+    )
     return found
 
 
@@ -173,7 +196,9 @@ def simulated_scenes() -> Iterator[BenchScene]:
     from tiler.simulate.catalogue import SCENES, SENSORS
     from tiler.simulate.sites import SITES
 
-    sources = digest_of_modules(*(maker.__module__ for maker in (*SENSORS.values(), *SITES.values())))
+    sources = digest_of_modules(
+        *(maker.__module__ for maker in (*SENSORS.values(), *SITES.values()))
+    )
     for name, spec in SCENES.items():
         if spec.scene_class == "als water":  # these have a benchmark of their own
             continue
@@ -186,4 +211,11 @@ def simulated(name: str) -> Cloud:
     from tiler.simulate.catalogue import make_scene
 
     scene = make_scene(name)
-    return Cloud(scene.xyz, scene.classification, scene.rgb, scene.returns, scene.truth, scene.spec.side_m)
+    return Cloud(
+        scene.xyz,
+        scene.classification,
+        scene.rgb,
+        scene.returns,
+        scene.truth,
+        scene.spec.side_m,
+    )

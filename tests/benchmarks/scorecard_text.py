@@ -62,7 +62,11 @@ def markdown(
         Peers that took no part, and why.
     """
     families = list(dict.fromkeys(cell.family for cell in cells))
-    parts = [HEAD.format(repeats=repeats), "## Means over the scenes of a class\n", _means(cells, families)]
+    parts = [
+        HEAD.format(repeats=repeats),
+        "## Means over the scenes of a class\n",
+        _means(cells, families),
+    ]
     for group in dict.fromkeys(cell.group for cell in cells):
         parts += [f"## {_capital(group)}\n", _scenes([c for c in cells if c.group == group])]
     parts += ["## Speed and memory\n", _speed(cells, reference)]
@@ -128,7 +132,9 @@ def _mean_row(cells: Sequence[Cell], name: str, own: Sequence[Cell]) -> list[str
     by_method = {m: [c for c in own if c.method == m] for m in _methods(cells)}
     scenes = len({c.scene for c in own})
     by_method = {m: some if len(some) == scenes else [] for m, some in by_method.items()}
-    totals = {m: total for m, some in by_method.items() if (total := _mean(some, "total")) is not None}
+    totals = {
+        m: total for m, some in by_method.items() if (total := _mean(some, "total")) is not None
+    }
     best = min((total for m, total in totals.items() if m != "floor"), default=None)
     row = [f"{name} ({scenes})"]
     for method, some in by_method.items():
@@ -142,7 +148,9 @@ def _mean_row(cells: Sequence[Cell], name: str, own: Sequence[Cell]) -> list[str
         figures = [percent(_mean(some, key)) for key in ("type_1", "type_2", "total", "kappa")]
         if totals.get(method) == best and method != "floor":
             figures[2] = f"**{figures[2]}**"
-        rmse = _mean(some, "dtm_rmse_m") if all(c.dtm_rmse_m is not None for c in some) else None
+        rmse = (
+            _mean(some, "dtm_rmse_m") if all(c.dtm_rmse_m is not None for c in some) else None
+        )
         row.append(" / ".join(figures) + ("" if rmse is None else f", {rmse:.3f} m"))
     return row
 
@@ -154,10 +162,20 @@ def _scenes(cells: Sequence[Cell]) -> str:
     for scene in dict.fromkeys(cell.scene for cell in cells):
         own = {c.method: c for c in cells if c.scene == scene}
         first = next(iter(own.values()))
-        of = "" if first.family == first.group else f" ({first.family.removeprefix('simulated ')})"
-        rows.append([f"{scene}{of}, {first.points:,} points", *(_cell(own.get(m)) for m in methods)])
+        of = (
+            ""
+            if first.family == first.group
+            else f" ({first.family.removeprefix('simulated ')})"
+        )
+        rows.append(
+            [f"{scene}{of}, {first.points:,} points", *(_cell(own.get(m)) for m in methods)]
+        )
     known = any(cell.dtm_rmse_m is not None for cell in cells)
-    note = ERRORS + (", RMSE of the DTM at pixels of 1 m (0.5 m: semi-real)" if known else "") + ".\n\n"
+    note = (
+        ERRORS
+        + (", RMSE of the DTM at pixels of 1 m (0.5 m: semi-real)" if known else "")
+        + ".\n\n"
+    )
     return note + table(["scene", *methods], rows)
 
 
@@ -182,7 +200,11 @@ def _speed(cells: Sequence[Cell], reference: str) -> str:
     for family in dict.fromkeys(cell.family for cell in cells):
         row = [family]
         for method in _methods(cells):
-            own = [c for c in cells if (c.method, c.family) == (method, family) and c.refusal is None]
+            own = [
+                c
+                for c in cells
+                if (c.method, c.family) == (method, family) and c.refusal is None
+            ]
             figures = []
             for _, figure in kinds:
                 values = [v for cell in own if (v := figure(cell)) is not None]
@@ -190,13 +212,16 @@ def _speed(cells: Sequence[Cell], reference: str) -> str:
             row.append(" / ".join(figures))
         rows.append(row)
     note = " / ".join(name for name, _ in kinds)
-    return f"{note}; medians over the scenes of a class.\n\n" + table(["class", *_methods(cells)], rows)
+    return f"{note}; medians over the scenes of a class.\n\n" + table(
+        ["class", *_methods(cells)], rows
+    )
 
 
 def chosen_without(found: LeaveOneOut) -> str:
     """What each sample got from the settings that were best on the others."""
     grid = "; ".join(
-        f"`{name}` {', '.join(_value(v) for v in values)}" for name, values in found.grid.items()
+        f"`{name}` {', '.join(_value(v) for v in values)}"
+        for name, values in found.grid.items()
     )
     rows = [
         [
@@ -208,7 +233,11 @@ def chosen_without(found: LeaveOneOut) -> str:
         for fold in found.folds
     ]
     default, left_out = mean(f.default for f in found.folds), mean(f.total for f in found.folds)
-    few = "" if found.most_changed is None else f" with at most {found.most_changed} value changed"
+    few = (
+        ""
+        if found.most_changed is None
+        else f" with at most {found.most_changed} value changed"
+    )
     rows.append(["mean", "", percent(default), percent(left_out)])
     return (
         f"Total error. All {found.settings} settings of this grid{few}, declared beforehand (the default is in its "
@@ -237,7 +266,8 @@ def _refusals(cells: Sequence[Cell]) -> str:
             reasons.setdefault((cell.method, cell.refusal), []).append(cell.scene)
     return (
         "\n".join(
-            f"- `{method}` on {', '.join(scenes)}: {text}" for (method, text), scenes in reasons.items()
+            f"- `{method}` on {', '.join(scenes)}: {text}"
+            for (method, text), scenes in reasons.items()
         )
         + "\n"
     )
@@ -271,7 +301,14 @@ def _published() -> str:
         for m in MEANS
     ]
     rmses = [
-        [r.name, r.data, _number(r.residential, 3), _number(r.mountain, 3), _number(r.both, 3), r.source]
+        [
+            r.name,
+            r.data,
+            _number(r.residential, 3),
+            _number(r.mountain, 3),
+            _number(r.both, 3),
+            r.source,
+        ]
         for r in RMSES
     ]
     return "\n".join(
@@ -284,7 +321,9 @@ def _published() -> str:
             + "; ".join(dict.fromkeys(f"{entry.name}: {entry.source}" for entry in PER_SAMPLE))
             + ".\n",
             "Means:\n",
-            table(["published", "data", "type I", "type II", "total", "kappa", "source"], means),
+            table(
+                ["published", "data", "type I", "type II", "total", "kappa", "source"], means
+            ),
             "RMSE of DTMs, m:\n",
             table(["published", "data", "residential", "mountain", "all", "source"], rmses),
         )

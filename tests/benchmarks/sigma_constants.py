@@ -2,10 +2,11 @@
 
 ``python -m tests.benchmarks.sigma_constants FOLDER [--scenes als_city,bluff] [--kinds als,dim]``
 
-The scenes are those of the simulator, the semi-real matched clouds, and the labelled laser scans of ``../shared/data``
-(`tests.benchmarks.sigma_scenes`). Each is filtered and gridded with the default settings; runs and what they found stay
-in FOLDER. The weights are not negative and make the squared errors most likely if these are normally distributed about
-the predicted variance; a scene weighs as much as any other. Markdown goes to the standard output.
+The scenes are those of the simulator, the semi-real matched clouds, and the labelled laser
+scans of ``../shared/data`` (`tests.benchmarks.sigma_scenes`). Each is filtered and gridded with
+the default settings; runs and what they found stay in FOLDER. The weights are not negative and
+make the squared errors most likely if these are normally distributed about the predicted
+variance; a scene weighs as much as any other. Markdown goes to the standard output.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ GIVEN = {
     "als": {"always": FLOOR_M2, "roughness": LINEAR},
     "dim": {"always": FLOOR_M2, "water": 0.0466},
 }
-"""Weights that are not fitted: the least error; what theory says of laser scans; of matched clouds hardly any water."""
+"""Weights that are not fitted: the least error; what theory says of laser scans; of matched
+clouds hardly any water."""
 NAMES = tuple(field.name for field in fields(Weights))
 
 
@@ -95,7 +97,9 @@ def report(samples: Sequence[Sample], kind: str) -> str:
     """Each scene with the weights of the others, their summary, and the weights of all, as Markdown."""
     mine = [sample for sample in samples if sample.kind == kind]
     results = {
-        sample.name: scored(sample, fitted([other for other in mine if other is not sample], GIVEN[kind]))
+        sample.name: scored(
+            sample, fitted([other for other in mine if other is not sample], GIVEN[kind])
+        )
         for sample in mine
     }
     rows = [
@@ -127,7 +131,8 @@ def report(samples: Sequence[Sample], kind: str) -> str:
         f"{100 * found:.0f} %"
     )
     weights = ", ".join(
-        f"{name}={value:.3g}" for name, value in zip(NAMES, fitted(mine, GIVEN[kind]), strict=True)
+        f"{name}={value:.3g}"
+        for name, value in zip(NAMES, fitted(mine, GIVEN[kind]), strict=True)
     )
     return f"{table(names, rows)}\n\n{summary}\n\nWeights({weights})\n"
 
@@ -152,7 +157,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     only = given.scenes.split(",") if given.scenes else None
     kinds = given.kinds.split(",")
-    known = [k for k in known_scenes(DATA) if k.kind in kinds and (only is None or k.name in only)]
+    known = [
+        k for k in known_scenes(DATA) if k.kind in kinds and (only is None or k.name in only)
+    ]
     samples = [sampled(k, given.folder) for k in known]
     for kind in kinds:
         print(report(samples, kind))

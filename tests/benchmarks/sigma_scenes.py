@@ -35,11 +35,13 @@ from tiler.store import open_store
 CORNER = (500_000.0, 5_000_000.0)
 """Coordinates of the south-west corner of each scene, where its own begin at (0, 0)."""
 GROUND, KNOWN_M = 2, 2.0
-"""Where only the ground's points are known, the terrain is known within so many metres of one."""
+"""Where only the ground's points are known, the terrain is known within so many metres of
+one."""
 MAX_EDGE_M = Fraction(100)
 """The default of ``--max-edge``."""
 WITHOUT_TRUTH = ("IGN town, thinned", "Brighton park")
-"""The ground of these scenes is not complete: it was picked by another filter, or cleaned by hand."""
+"""The ground of these scenes is not complete: it was picked by another filter, or cleaned by
+hand."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,9 @@ def placed(scene: BenchScene) -> Cloud:
     xyz = cloud.xyz - low
     ground = xyz[cloud.classification == GROUND]
     _, first = np.unique(ground[:, :2], axis=0, return_index=True)
-    return Cloud(xyz, cloud.classification, cloud.rgb, cloud.returns, partial(_tin, ground[first]))
+    return Cloud(
+        xyz, cloud.classification, cloud.rgb, cloud.returns, partial(_tin, ground[first])
+    )
 
 
 def _tin(ground: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -129,7 +133,9 @@ def pixels_of(known: Known, out: Path) -> Pixels:
     frame, name = store.meta.frame, "dtm-outlined"
     spec = RasterSpec.from_json(store.get_state(f"raster-{name}"))
     erode = frame.counts(MATCHED_EROSION) if known.kind == "dim" else Fraction(0)
-    rule = GroundSelection(LABELS, skip_flags=WITHHELD_FLAG | STRAY_FLAG, erode=erode, erode_rise=1000)
+    rule = GroundSelection(
+        LABELS, skip_flags=WITHHELD_FLAG | STRAY_FLAG, erode=erode, erode_rise=1000
+    )
     truth = placed(known.scene).truth
     measured, masks, errors = [], [], []
     for block in spec.blocks(BLOCK_PIXELS):
@@ -144,4 +150,6 @@ def pixels_of(known: Known, out: Path) -> Pixels:
         measured.append(np.stack([values[there] for values in found]))
         masks.append(store.read_block("mask", block)[there])
         errors.append(error[there])
-    return Pixels(np.concatenate(measured, axis=1), np.concatenate(masks), np.concatenate(errors))
+    return Pixels(
+        np.concatenate(measured, axis=1), np.concatenate(masks), np.concatenate(errors)
+    )

@@ -1,11 +1,12 @@
 """Which layout should the tile store have? Writes one cloud in several and reads a halo window back.
 
-    python tests/benchmarks/store_layouts.py --cloud ../shared/data/autzen/autzen_en.laz --unit 0.3048
-    python tests/benchmarks/store_layouts.py --points 500000
+    python tests/benchmarks/store_layouts.py --cloud ../shared/data/autzen/autzen_en.laz --unit
+    0.3048 python tests/benchmarks/store_layouts.py --points 500000
 
-Prints a Markdown table: points per second written, milliseconds to read the points of 3 x 3 buckets (coordinates and
-attributes; coordinates of the candidates; all columns), bytes fetched for the candidates, objects per bucket and
-bytes per point. Times are the best of three, in one thread, from a warm cache.
+Prints a Markdown table: points per second written, milliseconds to read the points of 3 x 3
+buckets (coordinates and attributes; coordinates of the candidates; all columns), bytes fetched
+for the candidates, objects per bucket and bytes per point. Times are the best of three, in one
+thread, from a warm cache.
 """
 
 from __future__ import annotations
@@ -24,7 +25,12 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import LocalStore
 
-WIDTHS = {"xyz": (3, "int32"), "attributes": (4, "uint8"), "rgb": (3, "uint16"), "origin": (1, "int64")}
+WIDTHS = {
+    "xyz": (3, "int32"),
+    "attributes": (4, "uint8"),
+    "rgb": (3, "uint16"),
+    "origin": (1, "int64"),
+}
 READS = ((("xyz", "attributes"), False), (("xyz",), True), (tuple(WIDTHS), False))
 
 
@@ -57,7 +63,9 @@ class Cloud:
     def window(self) -> list[Bucket]:
         """The 3 x 3 buckets around the middle one."""
         middle = self.buckets[len(self.buckets) // 2]
-        return [b for b in self.buckets if max(abs(b.ix - middle.ix), abs(b.iy - middle.iy)) <= 1]
+        return [
+            b for b in self.buckets if max(abs(b.ix - middle.ix), abs(b.iy - middle.iy)) <= 1
+        ]
 
 
 class CountingStore(LocalStore):
@@ -104,15 +112,23 @@ class Layout:
             for row, bucket, first in self._rows(cloud):
                 n = min(self.row, bucket.n - first)
                 values = np.zeros((1, width, self.row), dtype)
-                values[0, :, :n] = cloud.columns[name][:, bucket.start + first : bucket.start + first + n]
+                values[0, :, :n] = cloud.columns[name][
+                    :, bucket.start + first : bucket.start + first + n
+                ]
                 array[row : row + 1] = values
 
     def _rows(self, cloud: Cloud) -> Iterator[tuple[int, Bucket, int]]:
-        starts = [(bucket, first) for bucket in cloud.buckets for first in range(0, bucket.n, self.row)]
+        starts = [
+            (bucket, first)
+            for bucket in cloud.buckets
+            for first in range(0, bucket.n, self.row)
+        ]
         for row, (bucket, first) in enumerate(starts):
             yield row, bucket, first
 
-    def _array(self, group: Any, name: str, shape: tuple[int, ...], chunks: tuple[int, ...]) -> Any:
+    def _array(
+        self, group: Any, name: str, shape: tuple[int, ...], chunks: tuple[int, ...]
+    ) -> Any:
         inner = (1, chunks[1], self.inner) if self.inner else chunks
         shuffle: Any = self.shuffle
         codec: Any = self.codec
@@ -122,7 +138,10 @@ class Layout:
             chunks=inner,
             shards=chunks if self.inner else None,
             dtype=WIDTHS[name][1],
-            compressors=[BloscCodec(cname=codec, clevel=self.level, shuffle=shuffle), Crc32cCodec()],
+            compressors=[
+                BloscCodec(cname=codec, clevel=self.level, shuffle=shuffle),
+                Crc32cCodec(),
+            ],
             filters=None,
         )
 
@@ -140,7 +159,8 @@ class Layout:
         def read(bucket: Bucket, name: str, n: int) -> np.ndarray:
             row = first_row[bucket.name]
             parts = [
-                arrays[name][row + i, :, : min(self.row, n - i * self.row)] for i in range(-(-n // self.row))
+                arrays[name][row + i, :, : min(self.row, n - i * self.row)]
+                for i in range(-(-n // self.row))
             ]
             return np.concatenate(parts, axis=1)
 
@@ -159,7 +179,8 @@ def bucketed(columns: dict[str, np.ndarray], bucket: int, fine: int) -> Cloud:
     candidates = np.add.reduceat(lowest[order], starts, dtype=np.int64)
     lines = np.stack([keys & 0xFFFFF, keys >> 20, starts, counts, candidates], axis=1).tolist()
     return Cloud(
-        {n: np.ascontiguousarray(c[:, order]) for n, c in columns.items()}, [Bucket(*b) for b in lines]
+        {n: np.ascontiguousarray(c[:, order]) for n, c in columns.items()},
+        [Bucket(*b) for b in lines],
     )
 
 
@@ -243,12 +264,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--cloud", type=Path, help="LAS or LAZ file with colours; default: generated points")
-    parser.add_argument("--unit", type=float, default=1.0, help="metres in one unit of the file's CRS [1]")
-    parser.add_argument("--points", type=int, default=1_000_000, help="number of generated points [1000000]")
+    parser.add_argument(
+        "--cloud", type=Path, help="LAS or LAZ file with colours; default: generated points"
+    )
+    parser.add_argument(
+        "--unit", type=float, default=1.0, help="metres in one unit of the file's CRS [1]"
+    )
+    parser.add_argument(
+        "--points", type=int, default=1_000_000, help="number of generated points [1000000]"
+    )
     arguments = parser.parse_args()
-    zarr.config.set({"async.concurrency": 8, "threading.max_workers": 1, "array.write_empty_chunks": False})
-    cloud = decoded(arguments.cloud, arguments.unit) if arguments.cloud else generated(arguments.points)
+    zarr.config.set(
+        {"async.concurrency": 8, "threading.max_workers": 1, "array.write_empty_chunks": False}
+    )
+    cloud = (
+        decoded(arguments.cloud, arguments.unit)
+        if arguments.cloud
+        else generated(arguments.points)
+    )
     window = cloud.window()
     print(
         f"{cloud.n} points, {len(cloud.buckets)} buckets; window of {len(window)} buckets: "

@@ -21,7 +21,9 @@ from tests.benchmarks.last_look_weights import (
     trees_of,
 )
 
-lightgbm = pytest.importorskip("lightgbm", reason="LightGBM, which fits the trees, is not installed")
+lightgbm = pytest.importorskip(
+    "lightgbm", reason="LightGBM, which fits the trees, is not installed"
+)
 
 
 def made_up(seed: int, n: int = 20_000) -> Asked:
@@ -30,7 +32,9 @@ def made_up(seed: int, n: int = 20_000) -> Asked:
     features[:, FEATURES.index("ground_5")] = rng.integers(0, 1001, n)  # a share
     odds = features[:, 0] / 300 + (features[:, 3] > 200) * features[:, 5] / 400
     truth = np.where(rng.logistic(size=n) < odds, 2, 5).astype(np.uint8)
-    return Asked("made up", True, np.ones(n, np.uint8), np.arange(n, dtype=np.int32), features, truth)
+    return Asked(
+        "made up", True, np.ones(n, np.uint8), np.arange(n, dtype=np.int32), features, truth
+    )
 
 
 def test_two_fits_give_the_same_bytes() -> None:
@@ -52,9 +56,13 @@ def test_trees_decide_as_those_of_the_library() -> None:
 @pytest.mark.slow
 def test_the_file_beside_the_code_is_what_the_script_gives(shared_data: Path) -> None:
     if lightgbm.__version__ != VERSION:
-        pytest.skip(f"the trees were fitted with LightGBM {VERSION}, this is {lightgbm.__version__}")
+        pytest.skip(
+            f"the trees were fitted with LightGBM {VERSION}, this is {lightgbm.__version__}"
+        )
     scenes = last_look_weights.all_scenes()
     if len(scenes) != 17:
         pytest.skip("some of the scenes are not there")
     found = file_of(fitted([asked(scene, scene.load()) for scene in scenes]))
-    assert found == WEIGHTS.read_bytes(), "run python -m tests.benchmarks.last_look_weights --write"
+    assert found == WEIGHTS.read_bytes(), (
+        "run python -m tests.benchmarks.last_look_weights --write"
+    )

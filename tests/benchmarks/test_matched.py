@@ -39,7 +39,9 @@ def tiny() -> Cloud:
     spec = SceneSpec("tiny", "dim", "a small park", "tiny", "park", 3, 70.0, {"density": 8.0})
     site = spec.make_site()
     points = survey(site, spec.make_sensor())
-    return Cloud(points.xyz, points.label, points.rgb, None, site.terrain.height_at, spec.side_m)
+    return Cloud(
+        points.xyz, points.label, points.rgb, None, site.terrain.height_at, spec.side_m
+    )
 
 
 def test_one_tiny_scene(capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,7 +49,8 @@ def test_one_tiny_scene(capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     row = next(line for line in printed.splitlines() if line.startswith("| tiny"))
     (total, rmse), (floor, best) = (
-        map(float, cell.split("/")[2].replace("m", "").split(",")) for cell in row.split("|")[2:4]
+        map(float, cell.split("/")[2].replace("m", "").split(","))
+        for cell in row.split("|")[2:4]
     )
     assert 0 < floor <= total < 20
     assert 0 < best <= rmse < 1
@@ -57,10 +60,13 @@ def test_one_tiny_scene(capsys: pytest.CaptureFixture[str]) -> None:
 def test_settings_are_in_force_for_one_run_alone() -> None:
     cloud, default = tiny(), leave_one_out.matched_default()
     usual = leave_one_out.matched_error(cloud, default)
-    assert leave_one_out.matched_error(cloud, default | {"GROUND_M": -1.0}) > usual  # nothing is ground
+    # nothing is ground
+    assert leave_one_out.matched_error(cloud, default | {"GROUND_M": -1.0}) > usual
     assert leave_one_out.matched_error(cloud, {}) == usual
     assert default == leave_one_out.matched_default()
-    assert all(default[name] == values[1] for name, values in leave_one_out.MATCHED_GRID.items())
+    assert all(
+        default[name] == values[1] for name, values in leave_one_out.MATCHED_GRID.items()
+    )
 
 
 @needs_current_laspy
@@ -161,7 +167,11 @@ def test_smrf_sees_no_outliers(monkeypatch: pytest.MonkeyPatch) -> None:
             self.stages, self.arrays = json.loads(stages), arrays
 
         def execute(self) -> None:
-            assert [s["type"] for s in self.stages] == ["filters.elm", "filters.outlier", "filters.smrf"]
+            assert [s["type"] for s in self.stages] == [
+                "filters.elm",
+                "filters.outlier",
+                "filters.smrf",
+            ]
             assert self.stages[2]["ignore"] == "Classification[7:7]"
             self.arrays[0]["Classification"] = np.where(self.arrays[0]["Z"] < 1, 2, 1)
 
@@ -171,7 +181,9 @@ def test_smrf_sees_no_outliers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_current_laspy
-def test_ptd_of_lasr_is_read_back_in_the_order_of_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ptd_of_lasr_is_read_back_in_the_order_of_the_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def run(command: list[str], **_: object) -> None:
         las = laspy.read(command[-2])
         las.classification = np.where(las.z < 1, 2, 1)

@@ -32,7 +32,9 @@ def plain() -> Cloud:
 SCENES = [BenchScene(name, "tiny", "simulated things", plain) for name in ("house", "again")]
 
 
-def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: object) -> None:
+def test_two_tiny_scenes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: object
+) -> None:
     def refuses(cloud: Cloud) -> np.ndarray:
         raise ValueError("needs rgb")
 
@@ -40,17 +42,30 @@ def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         return np.ones(len(cloud.xyz), bool)
 
     own = scorecard.all_filters()["classic"]
-    filters = {"classic": own, "all": scorecard.Entry(everything, ""), "picky": scorecard.Entry(refuses, "")}
+    filters = {
+        "classic": own,
+        "all": scorecard.Entry(everything, ""),
+        "picky": scorecard.Entry(refuses, ""),
+    }
     monkeypatch.setattr(scorecard, "all_filters", lambda: filters)
     monkeypatch.setattr("os.sched_setaffinity", lambda *_: None, raising=False)
-    arguments = [str(tmp_path / "card.md"), "--json", str(tmp_path / "card.json"), "--repeats", "1"]
+    arguments = [
+        str(tmp_path / "card.md"),
+        "--json",
+        str(tmp_path / "card.json"),
+        "--repeats",
+        "1",
+    ]
     scorecard.main(arguments, SCENES)
     cells = json.loads((tmp_path / "card.json").read_text())
-    assert [(c["method"], c["scene"]) for c in cells] == [(m, s.name) for s in SCENES for m in filters]
+    assert [(c["method"], c["scene"]) for c in cells] == [
+        (m, s.name) for s in SCENES for m in filters
+    ]
     best, worst, none = cells[:3]
     assert best["total"] < 0.01
     assert best["seconds"] > 0
-    assert best["dtm_rmse_m"] == pytest.approx(0.1, abs=0.02)  # the plane is at 0, its truth at 0.1
+    # the plane is at 0, its truth at 0.1
+    assert best["dtm_rmse_m"] == pytest.approx(0.1, abs=0.02)
     assert worst["dtm_rmse_m"] > 0.9  # the house stands in it
     truth = plain().classification
     house, ground = (truth == 6).sum(), (truth == 2).sum()
@@ -59,7 +74,8 @@ def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert (none["refusal"], none["total"], none["seconds"]) == ("needs rgb", None, None)
     text = (tmp_path / "card.md").read_text()
     share = f"0.00 / 100.00 / {100 * house / (house + ground):.2f} / 0.00"
-    assert text.count(share) == 2 + 3  # both scenes; the means of the class, of the simulated, of all
+    # both scenes; the means of the class, of the simulated, of all
+    assert text.count(share) == 2 + 3
     assert f"**{100 * best['total']:.2f}**" in text
     assert "| tiny (2) |" in text
     assert f"{share}, {worst['dtm_rmse_m']:.3f} m" in text
@@ -68,7 +84,9 @@ def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert "28.21" in text  # published
 
 
-def test_what_was_measured_is_measured_again_only_where_its_sources_changed(tmp_path: Path) -> None:
+def test_what_was_measured_is_measured_again_only_where_its_sources_changed(
+    tmp_path: Path,
+) -> None:
     asked: list[str] = []
 
     def entry(name: str, key: str) -> scorecard.Entry:
@@ -92,7 +110,10 @@ def test_what_was_measured_is_measured_again_only_where_its_sources_changed(tmp_
 
 
 def test_a_module_changes_with_what_it_imports_but_not_with_other_methods() -> None:
-    found = {path.relative_to(kept.ROOT).as_posix() for path in kept.sources_of("ptd.methods.auto.method")}
+    found = {
+        path.relative_to(kept.ROOT).as_posix()
+        for path in kept.sources_of("ptd.methods.auto.method")
+    }
     assert {
         "ptd/methods/auto/method.py",
         "ptd/matched/passes.py",
@@ -103,9 +124,19 @@ def test_a_module_changes_with_what_it_imports_but_not_with_other_methods() -> N
 
 
 def test_each_sample_is_scored_with_what_is_best_on_the_others() -> None:
-    errors = {("a", 1): 0.3, ("a", 2): 0.0, ("b", 1): 0.1, ("b", 2): 0.2, ("c", 1): 0.1, ("c", 2): 0.1}
+    errors = {
+        ("a", 1): 0.3,
+        ("a", 2): 0.0,
+        ("b", 1): 0.1,
+        ("b", 2): 0.2,
+        ("c", 1): 0.1,
+        ("c", 2): 0.1,
+    }
     found = leave_one_out.leave_one_out(
-        "abc", {"rounds": (8, 4)}, None, lambda name, settings: errors[name, settings["rounds"] // 4]
+        "abc",
+        {"rounds": (8, 4)},
+        None,
+        lambda name, settings: errors[name, settings["rounds"] // 4],
     )
     assert [(f.sample, f.settings, f.total, f.default) for f in found.folds] == [
         ("a", {}, 0.3, 0.3),  # 4 rounds are better on b and c

@@ -7,7 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.benchmarks.sigma_constants import GIVEN, NAMES, POINTS, Sample, fitted, report, scored
+from tests.benchmarks.sigma_constants import (
+    GIVEN,
+    NAMES,
+    POINTS,
+    Sample,
+    fitted,
+    report,
+    scored,
+)
 from tests.benchmarks.sigma_scenes import Pixels
 from tiler.core.mask_values import CANOPY, MEASURED, WATER
 from tiler.grid.sigma_measures import Measures
@@ -18,7 +26,9 @@ def sample(name: str, seed: int) -> Sample:
     """Pixels whose errors have the spread that the model of matched clouds says."""
     random = np.random.default_rng(seed)
     measures = np.abs(random.normal(0, (0.2, 2.0, 0.3, 0.3, 0.4, 0.4), (2 * POINTS, 6))).T
-    mask = random.choice([MEASURED, CANOPY, WATER], 2 * POINTS, p=[0.8, 0.1, 0.1]).astype(np.float32)
+    mask = random.choice([MEASURED, CANOPY, WATER], 2 * POINTS, p=[0.8, 0.1, 0.1]).astype(
+        np.float32
+    )
     sigma = standard_error_m(Measures(*measures), mask, MATCHED)
     known = SimpleNamespace(name=name, kind="dim", group="simulated")
     return Sample(known, Pixels(measures, mask, random.normal(0, sigma)))

@@ -92,7 +92,9 @@ def main(n: int) -> None:
     for kind in KINDS:
         times = compare(kind, n, 5)
         own = times["ptd.tin"]
-        ratios = ", ".join(f"{name} takes {t / own:.1f} x" for name, t in times.items() if name != "ptd.tin")
+        ratios = ", ".join(
+            f"{name} takes {t / own:.1f} x" for name, t in times.items() if name != "ptd.tin"
+        )
         print(f"{kind:10} {n / own / 1e6:5.2f} M points/s; {ratios}", flush=True)
     tin = Tin.build(*scene("random", n))
     used = 16 * tin.n_vertices + 32 * tin.n_triangles
@@ -104,8 +106,13 @@ def main(n: int) -> None:
             pixels = Pixels(cell, 1, 0, columns - 1, columns, columns)
             limits = {"max_edge": 20_000, "max_radius": 20_000, "interpolator": interpolator}
             rasterise(tin, pixels, **limits)
-            spent = median(seconds(lambda p=pixels, o=limits: rasterise(tin, p, **o)) for _ in range(5))
-            print(f"{interpolator:8} {cell} mm: {columns**2 / spent / 1e6:5.2f} M cells/s", flush=True)
+            spent = median(
+                seconds(lambda p=pixels, o=limits: rasterise(tin, p, **o)) for _ in range(5)
+            )
+            print(
+                f"{interpolator:8} {cell} mm: {columns**2 / spent / 1e6:5.2f} M cells/s",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

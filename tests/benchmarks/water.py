@@ -49,12 +49,21 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
     y = bounds.top - (rows + 0.5) * size - ORIGIN[1]
     with rasterio.open(out / "mask.tif") as raster:
         found = raster.read(1) == WATER
-    inner = (np.minimum(x, site.side_m - x) > BORDER_M) & (np.minimum(y, site.north_m - y) > BORDER_M)
+    inner = (np.minimum(x, site.side_m - x) > BORDER_M) & (
+        np.minimum(y, site.north_m - y) > BORDER_M
+    )
     wet = site.terrain.wet_at(x, y)
     truth = site.terrain.height_at(x, y)
     both = found & wet & inner
-    beside = scipy.ndimage.binary_dilation(found, np.ones((3, 3))) & ~found & inner & (heights != -9999)
-    near = scipy.ndimage.distance_transform_edt(~found, return_distances=False, return_indices=True)
+    beside = (
+        scipy.ndimage.binary_dilation(found, np.ones((3, 3)))
+        & ~found
+        & inner
+        & (heights != -9999)
+    )
+    near = scipy.ndimage.distance_transform_edt(
+        ~found, return_distances=False, return_indices=True
+    )
     level = heights[tuple(near)]
     edge = found & ~scipy.ndimage.binary_erosion(found, np.ones((3, 3))) & inner
     dug = edge & ~wet & (truth > heights + 3 * BEYOND_NOISE_M)
@@ -63,11 +72,15 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
     corners = [(x[dug] + east, y[dug] + north) for east in offsets for north in offsets]
     lowest = np.min([site.terrain.height_at(*at) for at in corners], axis=0)
     dug_whole[dug] = lowest > heights[dug] + 3 * BEYOND_NOISE_M
-    from_water = scipy.ndimage.distance_transform_edt(~wet) if wet.any() else np.full(wet.shape, np.inf)
+    from_water = (
+        scipy.ndimage.distance_transform_edt(~wet) if wet.any() else np.full(wet.shape, np.inf)
+    )
     return {
         "recall": _share(both, wet & inner),
         "precision": _share(both, found & inner),
-        "level_rmse": float(np.sqrt(np.mean((heights - truth)[both] ** 2))) if both.any() else np.nan,
+        "level_rmse": float(np.sqrt(np.mean((heights - truth)[both] ** 2)))
+        if both.any()
+        else np.nan,
         "shore_rmse": _shore(wet, found, inner) * size,
         "floating": _share(beside & (heights < level - BEYOND_NOISE_M), beside),
         "void": _share(wet & (heights == -9999), wet),
@@ -103,11 +116,15 @@ def _profiles(out: Path) -> dict[str, Any]:
     rises = 0.0
     if "flow" in pyogrio.list_layers(path)[:, 0]:
         for line in shapely.from_wkb(pyogrio.raw.read(path, layer="flow")[2]):
-            rises = max(rises, float(np.diff(shapely.get_coordinates(line, include_z=True)[:, 2]).max()))
+            rises = max(
+                rises, float(np.diff(shapely.get_coordinates(line, include_z=True)[:, 2]).max())
+            )
     return {"rises": rises, "bodies": bodies}
 
 
-def scored(name: str, seed: int, folder: Path, classes: bool = False, **changes: Any) -> dict[str, Any]:
+def scored(
+    name: str, seed: int, folder: Path, classes: bool = False, **changes: Any
+) -> dict[str, Any]:
     """Simulate a scene, run the whole job on it, and measure; OUT is ``folder / "out"``."""
     spec = describe_scene(name, seed=seed)
     cloud = write_cloud(folder / "cloud.laz", spec, WATER_KNOWN if classes else UNKNOWN)
@@ -137,7 +154,12 @@ def main() -> None:
                 folder = arguments.out / f"{name}-{seed}" if arguments.out else Path(scratch)
                 folder.mkdir(parents=True, exist_ok=True)
                 figures = scored(name, seed, folder, arguments.classes)
-            print(f"{name:16}", seed, *(f"{key} {value:.3f}" for key, value in figures.items()), flush=True)
+            print(
+                f"{name:16}",
+                seed,
+                *(f"{key} {value:.3f}" for key, value in figures.items()),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
 """The whole job on some clouds: CPU and wall seconds of each stage, as multiples of one decode of the same files.
 
-    python tests/benchmarks/whole_job.py CLOUD... [--workers N] [--runs N] [--set NAME=VALUE ...] [--json FILE]
+    python tests/benchmarks/whole_job.py CLOUD... [--workers N] [--runs N] [--set NAME=VALUE
+    ...] [--json FILE]
 
-A decode reads all points of all files with laspy and lazrs, a million at a time, in the command's own process. It is
-measured before and after each run, as machines change their pace. Kernels are compiled before the first run. Of several
-runs the medians are shown. Memory is that of the largest worker, and of the command. Other people's filters take part
-where they are installed (`tests/benchmarks/peers.py`): labels alone, in memory, of points that were decoded before.
+A decode reads all points of all files with laspy and lazrs, a million at a time, in the
+command's own process. It is measured before and after each run, as machines change their pace.
+Kernels are compiled before the first run. Of several runs the medians are shown. Memory is that
+of the largest worker, and of the command. Other people's filters take part where they are
+installed (`tests/benchmarks/peers.py`): labels alone, in memory, of points that were decoded
+before.
 """
 
 from __future__ import annotations
@@ -136,13 +139,18 @@ def median(costs: Sequence[JobCost]) -> JobCost:
     """Each figure's median; multiples of one decode keep their meaning, as each run has its own."""
 
     def middle(values: Sequence[Cost]) -> Cost:
-        return Cost(statistics.median(v.cpu for v in values), statistics.median(v.wall for v in values))
+        return Cost(
+            statistics.median(v.cpu for v in values), statistics.median(v.wall for v in values)
+        )
 
     return JobCost(
         costs[0].points,
         middle([c.decode for c in costs]),
         middle([c.total for c in costs]),
-        {title: middle([c.stages[title] for c in costs if title in c.stages]) for title in costs[0].stages},
+        {
+            title: middle([c.stages[title] for c in costs if title in c.stages])
+            for title in costs[0].stages
+        },
         max(c.worker_bytes for c in costs),
         max(c.command_bytes for c in costs),
     )
@@ -163,19 +171,29 @@ def peers(paths: Sequence[Path]) -> dict[str, Cost]:
 
 def table(job: JobCost, others: dict[str, Cost] | None = None) -> str:
     """A table for people."""
-    rows = ["| stage | CPU s | wall s | CPU, decodes | wall, decodes |", "|---|---:|---:|---:|---:|"]
+    rows = [
+        "| stage | CPU s | wall s | CPU, decodes | wall, decodes |",
+        "|---|---:|---:|---:|---:|",
+    ]
 
     def row(title: str, cost: Cost) -> str:
         tick = 0.01  # what the system counts in: a small file may be decoded in none
         times = (cost.cpu / max(job.decode.cpu, tick), cost.wall / max(job.decode.wall, tick))
-        return f"| {title} | {cost.cpu:.1f} | {cost.wall:.1f} | {times[0]:.2f} | {times[1]:.2f} |"
+        return (
+            f"| {title} | {cost.cpu:.1f} | {cost.wall:.1f} | {times[0]:.2f} | {times[1]:.2f} |"
+        )
 
     rows += [row(title, cost) for title, cost in job.stages.items()]
     rows += [row("**whole job**", job.total), row("one decode", job.decode)]
     rows += [row(f"{name}, labels alone", cost) for name, cost in (others or {}).items()]
     mb = (job.worker_bytes / 1e6, job.command_bytes / 1e6)
-    rows += ["", f"{job.points:,} points, {1e6 * job.total.cpu / job.points:.2f} CPU s a million."]
-    rows += [f"Memory at most: a worker {mb[0]:.0f} MB, the command {mb[1]:.0f} MB when it ended."]
+    rows += [
+        "",
+        f"{job.points:,} points, {1e6 * job.total.cpu / job.points:.2f} CPU s a million.",
+    ]
+    rows += [
+        f"Memory at most: a worker {mb[0]:.0f} MB, the command {mb[1]:.0f} MB when it ended."
+    ]
     return "\n".join(rows)
 
 
@@ -185,10 +203,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("clouds", nargs="+", type=Path)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--runs", type=int, default=1)
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="options of tiler run")
+    parser.add_argument(
+        "--set", nargs="*", default=[], metavar="NAME=VALUE", help="options of tiler run"
+    )
     parser.add_argument("--json", type=Path)
     options = parser.parse_args(arguments)
-    paths = [p for c in options.clouds for p in (sorted(c.glob("*.la[sz]")) if c.is_dir() else [c])]
+    paths = [
+        p for c in options.clouds for p in (sorted(c.glob("*.la[sz]")) if c.is_dir() else [c])
+    ]
     settings = {"workers": options.workers, **dict(text.split("=", 1) for text in options.set)}
     warm([str(settings.get("method", "auto"))])
     costs = []

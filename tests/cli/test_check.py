@@ -17,29 +17,53 @@ def folder(tmp_path: Path) -> Path:
     """A tilted plane, and 32 checkpoints that lie 0.05 below it."""
     write_surface(tmp_path / "dtm.tif", tilted)
     x, y = np.random.default_rng(4).uniform(1, 39, (2, 32))
-    lines = [f"{a},{b},{c - 0.05},NVA,field" for a, b, c in zip(x, y, tilted(x, y), strict=True)]
+    lines = [
+        f"{a},{b},{c - 0.05},NVA,field" for a, b, c in zip(x, y, tilted(x, y), strict=True)
+    ]
     (tmp_path / "points.csv").write_text("x,y,z,type,cover\n" + "\n".join(lines))
     return tmp_path
 
 
 def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--points", str(folder / "points.csv"), "--tile-size", "10", "--require", "mean=4cm"]
+    options = [
+        "--points",
+        str(folder / "points.csv"),
+        "--tile-size",
+        "10",
+        "--require",
+        "mean=4cm",
+    ]
     assert main(["check", str(folder / "dtm.tif"), *options]) == 5
     out = capsys.readouterr().out.splitlines()
     assert out[0] == "DTM minus checkpoint, metre"
-    assert out[2].split() == ["NVA", "32", "0.050", "+0.050", "+0.050", "0.000", "0.050", "0.050", "0"]
+    assert out[2].split() == [
+        "NVA",
+        "32",
+        "0.050",
+        "+0.050",
+        "+0.050",
+        "0.000",
+        "0.050",
+        "0.050",
+        "0",
+    ]
     assert out[4].split()[0] == "field"
     assert "RMSEV = 5.0 cm with 32 checkpoints" in out[5]
     assert any(line.startswith("  tiles ") for line in out)
     assert any("NOT met" in line for line in out)
 
 
-def test_a_requirement_that_fails_ends_with_5(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_requirement_that_fails_ends_with_5(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["check", str(folder / "dtm.tif"), "--points", str(folder / "points.csv")]
     arguments += ["--require", "rmse=0.06"]
     assert main(arguments) == 0
     assert "NOT met" not in capsys.readouterr().out
-    assert main([*arguments, "--require", "mean=4cm", "--json", "--figures", str(folder / "f")]) == 5
+    assert (
+        main([*arguments, "--require", "mean=4cm", "--json", "--figures", str(folder / "f")])
+        == 5
+    )
     report = json.loads(capsys.readouterr().out)
     assert [r["met"] for r in report["requirements"]] == [True, False]
     assert report["accuracy"]["nva"]["rmse"] == pytest.approx(0.05, abs=1e-4)

@@ -54,15 +54,27 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 @pytest.mark.processes
 @pytest.mark.parametrize(
     ("command", "until"),
-    [("run", "export"), ("ingest", "ingest"), ("filter", "filter"), ("grid", "grid"), ("export", "export")],
+    [
+        ("run", "export"),
+        ("ingest", "ingest"),
+        ("filter", "filter"),
+        ("grid", "grid"),
+        ("export", "export"),
+    ],
 )
-def test_stages_are_the_run_up_to_there(command: str, until: str, calls: list[dict[str, Any]]) -> None:
+def test_stages_are_the_run_up_to_there(
+    command: str, until: str, calls: list[dict[str, Any]]
+) -> None:
     assert main([command, "a.laz", "b/*.las", "-o", "OUT", "--workers", "2"]) == 5
     inputs = ("a.laz", "b/*.las")
-    assert calls == [{"inputs": inputs, "out": "OUT", "config": RunConfig(workers=2), "until": until}]
+    assert calls == [
+        {"inputs": inputs, "out": "OUT", "config": RunConfig(workers=2), "until": until}
+    ]
 
 
-def test_summary_to_stdout_progress_to_stderr(calls: object, capsys: pytest.CaptureFixture[str]) -> None:
+def test_summary_to_stdout_progress_to_stderr(
+    calls: object, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["run", "a.laz", "-o", "OUT"]) == 5
     captured = capsys.readouterr()
     assert captured.err == "a note\nwarning: a warning\n"
@@ -77,7 +89,9 @@ def test_summary_to_stdout_progress_to_stderr(calls: object, capsys: pytest.Capt
     ]
 
 
-def test_quiet_prints_nothing_but_trouble_and_json(calls: object, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_prints_nothing_but_trouble_and_json(
+    calls: object, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["run", "a.laz", "-o", "OUT", "-q"]) == 5
     assert capsys.readouterr() == ("", "warning: a warning\n")
     assert main(["run", "a.laz", "-o", "OUT", "--json", "-q"]) == 5
@@ -95,7 +109,9 @@ def test_a_finished_job_says_that_it_did_nothing() -> None:
 MADE: dict[str, Any] = {
     "plan": {"metres_per_unit": {"horizontal": 0.3048, "vertical": 0.3048}},
     "dtm": {"width": 12, "height": 6, "resolution_m": 0.6096},
-    "outputs": dict.fromkeys(("dtm.tif", "contours.gpkg", "spots.gpkg", "outline.gpkg", "sheets.gpkg"), 1)
+    "outputs": dict.fromkeys(
+        ("dtm.tif", "contours.gpkg", "spots.gpkg", "outline.gpkg", "sheets.gpkg"), 1
+    )
     | {"classified/a.laz": 1},
     "classes": {"written": {"1": 5, "2": 1_999_000}},
     "contours": {"lines": 12, "interval": 5.0},
@@ -164,7 +180,9 @@ def test_plan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 
 
 def test_classify(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def classify_file(source: str, target: str, config: RunConfig, listener: Any) -> dict[str, Any]:
+    def classify_file(
+        source: str, target: str, config: RunConfig, listener: Any
+    ) -> dict[str, Any]:
         listener(Note("metres assumed"))
         assert (source, target, config) == ("a.las", "b.laz", RunConfig(keep_classes=()))
         return {"points": 7, "parameters": {"rounds": 1}, "failed_tasks": failed}
@@ -242,13 +260,23 @@ def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
     def answer(*arguments: Any) -> dict[str, Any]:
         seen.append(arguments)
-        return {**SCORES, "classes": {"6": {"points": 10, "labelled_ground": 1, "error": 0.1}}, "scenes": []}
+        return {
+            **SCORES,
+            "classes": {"6": {"points": 10, "labelled_ground": 1, "error": 0.1}},
+            "scenes": [],
+        }
 
-    monkeypatch.setattr("tiler.apps.evaluate.find_scenes", lambda clouds, references: [*clouds, *references])
+    monkeypatch.setattr(
+        "tiler.apps.evaluate.find_scenes", lambda clouds, references: [*clouds, *references]
+    )
     monkeypatch.setattr("tiler.apps.evaluate.evaluate_scenes", answer)
     monkeypatch.setattr("tiler.apps.evaluate.filter_and_evaluate", answer)
-    monkeypatch.setattr("tiler.apps.evaluate.evaluate_dtm", lambda *_: {"unit": "metre", "rmse": None})
-    monkeypatch.setattr("tiler.schedule.call_isolated", lambda work, *arguments, **how: work(*arguments))
+    monkeypatch.setattr(
+        "tiler.apps.evaluate.evaluate_dtm", lambda *_: {"unit": "metre", "rmse": None}
+    )
+    monkeypatch.setattr(
+        "tiler.schedule.call_isolated", lambda work, *arguments, **how: work(*arguments)
+    )
     return seen
 
 
@@ -278,7 +306,9 @@ def test_evaluate_filters_labelled_clouds(
     ]
 
 
-def test_evaluate_of_a_dtm_alone(evaluations: object, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_of_a_dtm_alone(
+    evaluations: object, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["evaluate", "--dtm", "a.tif", "--true-dtm", "b.tif", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"dtm": {"unit": "metre", "rmse": None}}
 
@@ -288,7 +318,10 @@ def test_evaluate_of_a_dtm_alone(evaluations: object, capsys: pytest.CaptureFixt
     [
         ([], "nothing to evaluate"),
         (["a.laz"], "give either --reference REF, or --method NAME"),
-        (["a.laz", "--reference", "b.laz", "--method", "classic"], "give either --reference REF"),
+        (
+            ["a.laz", "--reference", "b.laz", "--method", "classic"],
+            "give either --reference REF",
+        ),
         (["--dtm", "a.tif"], "--dtm and --true-dtm need each other; give both"),
         (["a.laz", "--reference", "b", "--difference", "d.tif"], "--difference needs --dtm"),
         (["a.laz", "--reference", "b", "--map-cell", "0"], "must be above 0"),
@@ -340,9 +373,22 @@ def test_facts_are_aligned_and_nested() -> None:
     ]
 
 
-def test_simulate_says_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulate_says_what_it_wrote(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "a.laz"
-    arguments = ["--scene", "hills", "--size", "6000cm", "--density", "0.5", "--seed", "2", "--sigma", "1cm"]
+    arguments = [
+        "--scene",
+        "hills",
+        "--size",
+        "6000cm",
+        "--density",
+        "0.5",
+        "--seed",
+        "2",
+        "--sigma",
+        "1cm",
+    ]
     assert main(["simulate", str(out), *arguments, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert list(facts) == [
@@ -356,7 +402,9 @@ def test_simulate_says_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert capsys.readouterr() == ("", "")
 
 
-def test_simulate_lists_its_scenes_and_refuses_others(capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulate_lists_its_scenes_and_refuses_others(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["simulate", "--list"]) == 0
     shown = capsys.readouterr().out
     assert "  quarry " in shown
@@ -365,7 +413,9 @@ def test_simulate_lists_its_scenes_and_refuses_others(capsys: pytest.CaptureFixt
     assert "unknown scene 'moon'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("encoding", "shades"), [("utf-8", "░▒▓█"), ("ascii", ".:*#"), (None, ".:*#")])
+@pytest.mark.parametrize(
+    ("encoding", "shades"), [("utf-8", "░▒▓█"), ("ascii", ".:*#"), (None, ".:*#")]
+)
 def test_a_map_of_density_in_shades(encoding: str | None, shades: str) -> None:
     density = {"width_m": 5.0, "height_m": 10.0, "per_m2": [[0, 4, 4, 4], [1, 2, 8, 0]]}
     head, *rows = map_lines(density, encoding)

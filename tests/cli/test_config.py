@@ -61,7 +61,10 @@ def test_every_kind_of_option(effective: Any) -> None:
 def test_products_come_in_their_order(effective: Any) -> None:
     assert effective("--products", "slope, dtm").products == ("dtm", "slope")
     assert effective("--surface", "p10", "--erode", "0").surface_percent == 10
-    assert [effective("--surface", name).surface_percent for name in ("all", "median")] == [None, 50]
+    assert [effective("--surface", name).surface_percent for name in ("all", "median")] == [
+        None,
+        50,
+    ]
 
 
 def test_no_class_at_all_can_be_said(effective: Any) -> None:
@@ -74,10 +77,16 @@ def test_options_win_over_the_file(effective: Any, tmp_path: Path) -> None:
         'resolution = 0.5\nmemory = "4GB"\nsalvage = true\nworkers = 2\n[parameters]\nrounds = 5\nlow_group = 7\n'
     )
     config = effective("--config", str(file))
-    assert (config.resolution, config.memory, config.salvage) == (Fraction(1, 2), 4 * 10**9, True)
+    assert (config.resolution, config.memory, config.salvage) == (
+        Fraction(1, 2),
+        4 * 10**9,
+        True,
+    )
     assert config.workers == 2
     assert config.parameters == (("rounds", "5"), ("low_group", "7"))
-    config = effective("--config", str(file), "--resolution", "2", "--no-salvage", "--set", "rounds=1")
+    config = effective(
+        "--config", str(file), "--resolution", "2", "--no-salvage", "--set", "rounds=1"
+    )
     assert (config.resolution, config.memory, config.salvage) == (Fraction(2), 4 * 10**9, False)
     assert dict(config.parameters) == {"rounds": "1", "low_group": "7"}
 
@@ -114,9 +123,25 @@ def test_template_gives_the_defaults(capsys: pytest.CaptureFixture[str]) -> None
         assert name == "parameters" or f"\n{name} = " in text or f"\n# {name} =" in text
 
 
-def test_effective_settings_come_back(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_effective_settings_come_back(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     bounds = ("--bounds", "0", "0", "0.1", "7")
-    assert main(["config", "--resolution", "1/3", "--set", "rounds=3", *bounds, "--crs", 'say "ä"\\']) == 0
+    assert (
+        main(
+            [
+                "config",
+                "--resolution",
+                "1/3",
+                "--set",
+                "rounds=3",
+                *bounds,
+                "--crs",
+                'say "ä"\\',
+            ]
+        )
+        == 0
+    )
     first = capsys.readouterr().out
     config = RunConfig.from_mapping(tomllib.loads(first))
     assert config.resolution == Fraction(1, 3)
@@ -145,6 +170,8 @@ def test_any_plain_value_is_a_line_that_toml_reads_back(value: Any) -> None:
 
 def test_a_file_of_windows_is_read(effective: Any, tmp_path: Path) -> None:
     file = tmp_path / "settings.toml"
-    file.write_bytes("resolution = 2\r\nmemory = 2000000000\r\nkeep_classes = 7\r\n".encode("utf-8-sig"))
+    file.write_bytes(
+        "resolution = 2\r\nmemory = 2000000000\r\nkeep_classes = 7\r\n".encode("utf-8-sig")
+    )
     config = effective("--config", str(file))
     assert (config.resolution, config.memory, config.keep_classes) == (2, 2_000_000_000, (7,))

@@ -40,9 +40,21 @@ class Panic(BaseException):
         (InputError("a.laz: cut short"), 3, "a.laz: cut short"),
         (StoreError("store.zarr: damaged"), 4, "store.zarr: damaged"),
         (ProcessingError("disk full\nreally"), 4, "disk full really"),
-        (ValueError("odd"), 4, "unexpected ValueError: odd; run the same command with -vv for the traceback"),
-        (MemoryError(), 4, "unexpected MemoryError; run the same command with -vv for the traceback"),
-        (Panic("index"), 4, "unexpected Panic: index; run the same command with -vv for the traceback"),
+        (
+            ValueError("odd"),
+            4,
+            "unexpected ValueError: odd; run the same command with -vv for the traceback",
+        ),
+        (
+            MemoryError(),
+            4,
+            "unexpected MemoryError; run the same command with -vv for the traceback",
+        ),
+        (
+            Panic("index"),
+            4,
+            "unexpected Panic: index; run the same command with -vv for the traceback",
+        ),
     ],
 )
 def test_errors_are_one_line_with_their_exit_code(
@@ -59,7 +71,9 @@ def test_errors_are_one_line_with_their_exit_code(
     assert captured.out == ""
 
 
-def test_traceback_with_vv_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_traceback_with_vv_only(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     failing_plan(monkeypatch, InputError("a.laz: cut short"))
     assert main(["plan", "a.laz", "-v"]) == 3
     assert "Traceback" not in capsys.readouterr().err
@@ -71,7 +85,10 @@ def test_traceback_with_vv_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), click.Abort()])
 def test_interrupt(
-    error: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    error: BaseException,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     failing_plan(monkeypatch, error)
     assert main(["plan", "a.laz"]) == 130
@@ -82,7 +99,10 @@ def test_interrupt(
 
     monkeypatch.setattr("tiler.pipeline.run", run)
     assert main(["run", "a.laz", "-o", str(tmp_path)]) == 130
-    assert capsys.readouterr().err.strip() == "tiler: interrupted; run the same command again to resume"
+    assert (
+        capsys.readouterr().err.strip()
+        == "tiler: interrupted; run the same command again to resume"
+    )
 
 
 def waiting(folder: Path) -> subprocess.Popen[str]:
@@ -193,8 +213,12 @@ def test_usage_errors_are_one_object_where_progress_is_json(
     assert told["message"].startswith("tiler: error: ")
 
 
-@pytest.mark.parametrize("arguments", [["run", "--nosuch", "--", "--progress", "json"], ["run", "--nosuch"]])
-def test_they_are_plain_where_it_is_not(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "arguments", [["run", "--nosuch", "--", "--progress", "json"], ["run", "--nosuch"]]
+)
+def test_they_are_plain_where_it_is_not(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(arguments) == 2
     # click 8.1 writes the option after a colon, later releases in quotes
     assert re.match("tiler: error: No such option:? '?--nosuch", capsys.readouterr().err)
@@ -214,7 +238,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"tiler, version {__version__}\n"
 
 
-def test_help_lists_every_command_with_the_line_of_its_own_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command_with_the_line_of_its_own_help(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["--help"]) == 0
     shown = capsys.readouterr().out
     modules = {p.stem for p in (ROOT / "cli" / "commands").glob("*.py")} - {"__init__"}
@@ -236,7 +262,9 @@ def test_every_option_says_its_default(name: str, capsys: pytest.CaptureFixture[
     command = group.get_command(click.Context(group), name)
     assert command is not None
     for option in (p for p in command.params if isinstance(p, click.Option)):
-        assert option.required or "default" in (option.help or ""), f"{option.opts[0]}: no default told"
+        assert option.required or "default" in (option.help or ""), (
+            f"{option.opts[0]}: no default told"
+        )
 
 
 @pytest.mark.processes
@@ -253,7 +281,11 @@ def test_help_imports_nothing_heavy() -> None:
     )
     for arguments in (["--help"], ["run", "--help"], ["--version"]):
         done = subprocess.run(
-            [sys.executable, "-c", script, *arguments], cwd=ROOT, capture_output=True, text=True, check=True
+            [sys.executable, "-c", script, *arguments],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         assert done.stderr.strip() == "[]"
 
@@ -261,7 +293,10 @@ def test_help_imports_nothing_heavy() -> None:
 @pytest.mark.processes
 def test_only_a_run_imports_dask() -> None:
     script = "import sys, tiler.apps.classify, tiler.apps.info, tiler.pipeline; print('distributed' in sys.modules)"
-    assert subprocess.check_output([sys.executable, "-c", script], cwd=ROOT, text=True).strip() == "False"
+    assert (
+        subprocess.check_output([sys.executable, "-c", script], cwd=ROOT, text=True).strip()
+        == "False"
+    )
 
 
 def test_a_closed_output_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:

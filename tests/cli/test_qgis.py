@@ -67,7 +67,9 @@ def test_every_option_is_there_with_the_words_of_the_command_line() -> None:
         command: click.Command = importlib.import_module(f"cli.commands.{name}").command
         entries = {entry["key"]: entry for entry in table()["commands"][name]["parameters"]}
         assert entries.keys() == {str(p.name) for p in command.params} - NOT_IN_QGIS
-        for option in (p for p in command.params if isinstance(p, click.Option) and p.name in entries):
+        for option in (
+            p for p in command.params if isinstance(p, click.Option) and p.name in entries
+        ):
             entry = entries[str(option.name)]
             assert str(option.help).startswith(entry["help"].split(" [")[0])
             assert f"unit: {entry['unit']}" in str(option.help) if entry["unit"] else True
@@ -106,7 +108,11 @@ def test_runs_on_the_python_of_old_qgis_and_imports_nothing_else(path: Path) -> 
             names = [node.module or ""]
         else:
             continue
-        assert {name.split(".")[0] for name in names} <= {*sys.stdlib_module_names, "qgis", "processing"}
+        assert {name.split(".")[0] for name in names} <= {
+            *sys.stdlib_module_names,
+            "qgis",
+            "processing",
+        }
 
 
 def test_an_archive_that_qgis_takes_and_that_is_always_the_same(tmp_path: Path) -> None:
@@ -122,7 +128,9 @@ def test_an_archive_that_qgis_takes_and_that_is_always_the_same(tmp_path: Path) 
         names = {Path(name).name for name in archive.namelist()}
         assert names == {*(p.name for p in SOURCES), *OTHER_FILES}
         assert archive.read(f"{installation.FOLDER}/LICENSE") == (ROOT / "LICENSE").read_bytes()
-        assert archive.read(f"{installation.FOLDER}/{metadata['general']['icon']}").startswith(b"\x89PNG")
+        assert archive.read(f"{installation.FOLDER}/{metadata['general']['icon']}").startswith(
+            b"\x89PNG"
+        )
     general = metadata["general"]
     assert {
         "name",
@@ -141,10 +149,15 @@ def test_an_archive_that_qgis_takes_and_that_is_always_the_same(tmp_path: Path) 
 
 @pytest.mark.parametrize("lacking", [*ADDRESSES, None])
 def test_nothing_is_packaged_for_upload_without_the_addresses(
-    lacking: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    lacking: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """They come from the facts of the installed package, which `pyproject.toml` makes."""
-    lines = [line for line in FACTS.splitlines() if not line.endswith(tuple(taken_out(lacking)))]
+    lines = [
+        line for line in FACTS.splitlines() if not line.endswith(tuple(taken_out(lacking)))
+    ]
     facts = message_from_string("\n".join(lines))
     monkeypatch.setattr("cli.qgis.addresses.metadata", lambda name: facts)
     target = tmp_path / "a.zip"
@@ -153,7 +166,8 @@ def test_nothing_is_packaged_for_upload_without_the_addresses(
         assert code == 2
         assert not target.exists()
         assert (
-            "which the repository of QGIS plugins requires; add the missing values" in capsys.readouterr().err
+            "which the repository of QGIS plugins requires; add the missing values"
+            in capsys.readouterr().err
         )
         return
     assert code == 0
@@ -176,24 +190,41 @@ def test_enums_are_named_in_full_as_qt6_asks(path: Path) -> None:
     tree = ast.parse(path.read_text("utf-8"))
     fine = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
     fine |= {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    fine |= {id(base) for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for base in node.bases}
+    fine |= {
+        id(base)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        for base in node.bases
+    }
     for node in ast.walk(tree):
-        if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name) or id(node) in fine:
+        if (
+            not isinstance(node, ast.Attribute)
+            or not isinstance(node.value, ast.Name)
+            or id(node) in fine
+        ):
             continue
         is_qt = re.match(r"Q(gs|t)?[A-Z]|Qt$|Qgis$", node.value.id) is not None
         named = f"{node.value.id}.{node.attr}"
-        assert not (is_qt and node.attr[0].isupper()) or named in NO_ENUMS, f"{path.name}: {named}"
+        assert not (is_qt and node.attr[0].isupper()) or named in NO_ENUMS, (
+            f"{path.name}: {named}"
+        )
 
 
-def test_no_foreign_archive_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_foreign_archive_is_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     foreign = tmp_path / "a.zip"
     foreign.write_bytes(b"mine")
     assert main(["qgis", "package", str(foreign)]) == 2
     assert foreign.read_bytes() == b"mine"
-    assert capsys.readouterr().err.startswith(f"tiler: error: {foreign}: already exists and is not a package")
+    assert capsys.readouterr().err.startswith(
+        f"tiler: error: {foreign}: already exists and is not a package"
+    )
 
 
-def test_installed_again_over_an_earlier_version(plugins: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_installed_again_over_an_earlier_version(
+    plugins: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["qgis", "install"]) == 0
     told = capsys.readouterr().out
     folder = plugins / installation.FOLDER
@@ -210,7 +241,9 @@ def test_installed_again_over_an_earlier_version(plugins: Path, capsys: pytest.C
     (folder / "styles.py").write_text("damaged")
     assert main(["qgis", "install"]) == 0
     assert {p.name for p in folder.iterdir()} == {*names, "mine.txt"}
-    assert (folder / "styles.py").read_bytes() == (ROOT / "cli/qgis/plugin/styles.py").read_bytes()
+    assert (folder / "styles.py").read_bytes() == (
+        ROOT / "cli/qgis/plugin/styles.py"
+    ).read_bytes()
 
 
 @pytest.mark.parametrize("kind", ["folder", "link", "file"])
@@ -228,7 +261,10 @@ def test_no_foreign_folder_is_touched(
     elif kind == "file":
         folder.write_text("mine")
     assert main(["qgis", "install"]) == 2
-    assert "was not written by `tiler qgis install`; remove or rename it first" in capsys.readouterr().err
+    assert (
+        "was not written by `tiler qgis install`; remove or rename it first"
+        in capsys.readouterr().err
+    )
     assert (folder if kind == "file" else other / "metadata.txt").read_text() == "mine"
     assert kind == "file" or [p.name for p in other.iterdir()] == ["metadata.txt"]
 
@@ -290,7 +326,9 @@ def test_what_a_command_says_is_passed_on(
 ) -> None:
     monkeypatch.setenv("PROJ_LIB", "/of/qgis")
     told: list[dict[str, Any]] = []
-    call = script(tmp_path / "a", f"echo '{LINE}' >&2; echo ${{PROJ_LIB:-unset}}; echo odd >&2; exit 5")
+    call = script(
+        tmp_path / "a", f"echo '{LINE}' >&2; echo ${{PROJ_LIB:-unset}}; echo odd >&2; exit 5"
+    )
     ended = process.run_command(call, told.append, lambda: False)
     assert (ended.code, ended.text, ended.cancelled) == (5, "unset\n", False)
     assert [event["message"] for event in told] == [None, "odd"]
@@ -298,23 +336,35 @@ def test_what_a_command_says_is_passed_on(
 
 
 @pytest.mark.parametrize(
-    "line", ['{"level": "error", "message": "tiler: error: no such file"}', "tiler: error: no such file"]
+    "line",
+    [
+        '{"level": "error", "message": "tiler: error: no such file"}',
+        "tiler: error: no such file",
+    ],
 )
-def test_an_error_is_the_line_of_the_command(line: str, process: ModuleType, tmp_path: Path) -> None:
+def test_an_error_is_the_line_of_the_command(
+    line: str, process: ModuleType, tmp_path: Path
+) -> None:
     with pytest.raises(process.CommandError, match=r"^no such file$"):
         process.run_command(
-            script(tmp_path / "a", f"echo '{line}' >&2; exit 3"), lambda event: None, lambda: False
+            script(tmp_path / "a", f"echo '{line}' >&2; exit 3"),
+            lambda event: None,
+            lambda: False,
         )
     with pytest.raises(process.CommandError, match="ended with code 137 and without a message"):
-        process.run_command(script(tmp_path / "b", "exit 137"), lambda event: None, lambda: False)
+        process.run_command(
+            script(tmp_path / "b", "exit 137"), lambda event: None, lambda: False
+        )
 
 
 @pytest.mark.processes
-def test_cancel_tells_the_command_and_waits_for_its_end(process: ModuleType, tmp_path: Path) -> None:
+def test_cancel_tells_the_command_and_waits_for_its_end(
+    process: ModuleType, tmp_path: Path
+) -> None:
     begun, stop = threading.Event(), tmp_path / "stopped"
-    text = (
-        f"trap 'sleep 0.2; touch \"{stop}\"; exit 130' TERM\necho '{LINE}' >&2\nwhile :; do sleep 0.05; done"
+    text = f"trap 'sleep 0.2; touch \"{stop}\"; exit 130' TERM\necho '{LINE}' >&2\nwhile :; do sleep 0.05; done"
+    ended = process.run_command(
+        script(tmp_path / "a", text), lambda event: begun.set(), begun.is_set
     )
-    ended = process.run_command(script(tmp_path / "a", text), lambda event: begun.set(), begun.is_set)
     assert ended.cancelled
     assert stop.exists()

@@ -49,8 +49,13 @@ def test_a_reader_that_went_away_is_no_failure(arguments: tuple[str, ...], code:
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "ascii"])
-def test_json_can_be_read_back_whatever_the_code_page(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    value, written = {"unit": "0.5\N{DEGREE SIGN}", "name": "M\u011bsto \U0001f3d4 \x1b"}, io.BytesIO()
+def test_json_can_be_read_back_whatever_the_code_page(
+    encoding: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    value, written = (
+        {"unit": "0.5\N{DEGREE SIGN}", "name": "M\u011bsto \U0001f3d4 \x1b"},
+        io.BytesIO(),
+    )
     stream = io.TextIOWrapper(written, encoding, newline="")
     monkeypatch.setattr(sys, "stdout", stream)
     print_json(value)

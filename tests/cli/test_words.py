@@ -19,7 +19,9 @@ from tiler.plan.plan_text import wrapped
 
 @pytest.fixture(scope="module")
 def cloud(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return str(clouds.write(tmp_path_factory.mktemp("clouds") / "a.laz", clouds.city(30.0, 1.0)))
+    return str(
+        clouds.write(tmp_path_factory.mktemp("clouds") / "a.laz", clouds.city(30.0, 1.0))
+    )
 
 
 def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -27,7 +29,9 @@ def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("method", "nearest"), [("csf", "auto"), ("SMRF", "chen2023"), ("pmf", "chen2023")])
+@pytest.mark.parametrize(
+    ("method", "nearest"), [("csf", "auto"), ("SMRF", "chen2023"), ("pmf", "chen2023")]
+)
 def test_methods_of_other_programs_name_what_comes_nearest(
     method: str, nearest: str, cloud: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -50,7 +54,11 @@ def test_out_with_the_name_of_a_file_is_refused_with_the_remedy(
 def test_products_add_up(capsys: pytest.CaptureFixture[str], cloud: str) -> None:
     assert main(["plan", cloud, "--products", "dtm,slope", "--products", "dsm"]) == 0
     assert "products    dtm, dsm, slope" in capsys.readouterr().out
-    assert RunConfig.from_mapping({"products": ["dtm,dsm", "mask"]}).products == ("dtm", "dsm", "mask")
+    assert RunConfig.from_mapping({"products": ["dtm,dsm", "mask"]}).products == (
+        "dtm",
+        "dsm",
+        "mask",
+    )
 
 
 def test_nodata_can_be_nan() -> None:
@@ -62,7 +70,12 @@ def test_nodata_can_be_nan() -> None:
 
 def test_a_raster_with_nan(cloud: str, tmp_path: Path) -> None:
     summary = do(
-        Path(cloud), tmp_path / "out", nodata="nan", products="dtm,mask", outline="hull", max_edge="3"
+        Path(cloud),
+        tmp_path / "out",
+        nodata="nan",
+        products="dtm,mask",
+        outline="hull",
+        max_edge="3",
     ).summary
     with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
         assert math.isnan(raster.nodata)
@@ -71,7 +84,9 @@ def test_a_raster_with_nan(cloud: str, tmp_path: Path) -> None:
         assert np.nanmin(heights) > 0
         assert (raster.read(1, masked=True).mask == np.isnan(heights)).all()
     for name in ("run.json", "stac.json"):
-        json.loads((tmp_path / "out" / name).read_text(), parse_constant=lambda text: pytest.fail(text))
+        json.loads(
+            (tmp_path / "out" / name).read_text(), parse_constant=lambda text: pytest.fail(text)
+        )
     assert (tmp_path / "out" / "report.html").exists()
 
 

@@ -50,7 +50,8 @@ def free_port() -> str:
 def blocks(page: Path) -> list[tuple[int, str]]:
     """Exit code and commands of each block that runs here; blocks of Python that follow one another are one script.
 
-    A block says in its first line, for the reader as well, that it is not run, or which programs it needs.
+    A block says in its first line, for the reader as well, that it is not run, or which
+    programs it needs.
     """
     runs = []
     for language, mark, text in BLOCK.findall(page.read_text("utf-8")):
@@ -60,7 +61,9 @@ def blocks(page: Path) -> list[tuple[int, str]]:
     for language, made in groupby(runs, key=lambda block: block[0]):
         if language == "python":
             script = "".join(text for _, _, text in made)
-            found.append((0, f"{shlex.quote(sys.executable)} - <<'END OF PAGE'\n{script}END OF PAGE\n"))
+            found.append(
+                (0, f"{shlex.quote(sys.executable)} - <<'END OF PAGE'\n{script}END OF PAGE\n")
+            )
         else:
             found += [(code, text) for _, code, text in made]
     return found
@@ -84,7 +87,9 @@ def test_every_block_is_run_or_says_why_not(page: Path) -> None:
         elif language == "r":
             assert NOT_RUN.match(block), block
         else:
-            assert language == "text" or page.name == "index.md", f"a block of the language {language!r}"
+            assert language == "text" or page.name == "index.md", (
+                f"a block of the language {language!r}"
+            )
 
 
 @pytest.mark.processes
@@ -97,7 +102,9 @@ def test_parameters_are_those_of_the_source() -> None:
         text=True,
         check=True,
     )
-    assert (ROOT / "docs/parameters.md").read_text("utf-8") == made.stdout, "run `python docs/reference.py`"
+    assert (ROOT / "docs/parameters.md").read_text("utf-8") == made.stdout, (
+        "run `python docs/reference.py`"
+    )
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda p: p.name)
@@ -123,10 +130,13 @@ def test_pictures_are_small_and_shown(picture: Path) -> None:
 def warm_tiler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A program `tiler` whose commands are forks of a warm process; starting them takes most of the time of a page."""
     program = tmp_path_factory.mktemp("warm") / "tiler"
-    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # an address of a socket has 107 bytes at most
+    # an address of a socket has 107 bytes at most
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
         address = Path(folder) / "socket"
         call = [sys.executable, "-m", "tests.docs.resident", str(address)]
-        with subprocess.Popen(call, cwd=ROOT, env=environment(), stdin=subprocess.PIPE) as server:
+        with subprocess.Popen(
+            call, cwd=ROOT, env=environment(), stdin=subprocess.PIPE
+        ) as server:
             wait_until(address.exists, server)
             write_client(program, address)
             yield program
@@ -152,7 +162,11 @@ def test_the_commands_of_the_readme_work(warm_tiler: Path, tmp_path: Path) -> No
         tiler simulate clouds/a.laz --size 80 --seed 1
         printf 'name,x,y,z,type\\n1,500040,5400040,118,NVA\\n' > checkpoints.csv
     """
-    readme = [b for b in blocks(ROOT / "README.md") if "pip install" not in b[1] and "docker" not in b[1]]
+    readme = [
+        b
+        for b in blocks(ROOT / "README.md")
+        if "pip install" not in b[1] and "docker" not in b[1]
+    ]
     assert readme
     run_blocks([(0, prepared), *readme], tmp_path, warm_tiler)
 

@@ -21,7 +21,9 @@ pytest.importorskip("sphinx", reason="the site needs the extra `docs`")
 
 pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
-LOADED = re.compile(r'<(?:script|img|iframe|source|link)\b[^>]*\b(?:src|href)="((?:https?:)?//[^"]*)"')
+LOADED = re.compile(
+    r'<(?:script|img|iframe|source|link)\b[^>]*\b(?:src|href)="((?:https?:)?//[^"]*)"'
+)
 LOADED_BY_STYLE = re.compile(r"(?:url\(|@import)\s*[\"']?((?:https?:)?//[^\"')]*)")
 
 

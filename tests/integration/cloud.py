@@ -28,7 +28,8 @@ def object_store() -> Iterator[dict[str, str]]:
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
-    reset = f"http://{host}:{port}/moto-api/reset"  # the servers of one process share their objects
+    # the servers of one process share their objects
+    reset = f"http://{host}:{port}/moto-api/reset"
     urllib.request.urlopen(reset, data=b"").close()
     try:
         yield {
@@ -60,8 +61,13 @@ class Cluster:
 
     def __enter__(self) -> Cluster:
         # It chooses its port: one that is chosen here may be another's by then.
-        told, options = self.folder / "scheduler.json", "--host 127.0.0.1 --port 0 --no-dashboard"
-        scheduler = self._start("dask.__main__", "scheduler", *options.split(), "--scheduler-file", str(told))
+        told, options = (
+            self.folder / "scheduler.json",
+            "--host 127.0.0.1 --port 0 --no-dashboard",
+        )
+        scheduler = self._start(
+            "dask.__main__", "scheduler", *options.split(), "--scheduler-file", str(told)
+        )
         wait_until(lambda: _address_in(told), scheduler)
         self.address = _address_in(told)
         self.port = int(self.address.rpartition(":")[2])
@@ -83,7 +89,9 @@ class Cluster:
     def worker(self, **variables: str) -> subprocess.Popen[bytes]:
         """One more worker, without a nanny: what kills it is the loss of a machine."""
         options = f"{self.address} --nthreads 1 --memory-limit 0 --no-dashboard --no-nanny --local-directory"
-        return self._start("dask.__main__", "worker", *options.split(), str(self.folder), **variables)
+        return self._start(
+            "dask.__main__", "worker", *options.split(), str(self.folder), **variables
+        )
 
     def workers(self, number: int) -> list[subprocess.Popen[bytes]]:
         """The first workers, once the scheduler knows them."""

@@ -27,12 +27,19 @@ def command(*arguments: object) -> list[str]:
 def ended(call: Sequence[object], **options: Any) -> subprocess.CompletedProcess[str]:
     """Run a program to its end, whatever its code."""
     usual = {"env": environment(), "timeout": PATIENCE_SECONDS, "check": False}
-    return subprocess.run([*map(str, call)], capture_output=True, text=True, **{**usual, **options})
+    return subprocess.run(
+        [*map(str, call)], capture_output=True, text=True, **{**usual, **options}
+    )
 
 
 def started(call: Sequence[object], **options: Any) -> subprocess.Popen[str]:
     """Start a program whose streams are pipes."""
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment()}
+    pipes = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "text": True,
+        "env": environment(),
+    }
     return subprocess.Popen([*map(str, call)], **{**pipes, **options})
 
 

@@ -40,7 +40,9 @@ def city_run(city: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoScene:
-    return demo_city(tmp_path_factory.mktemp("demo"), seed=5, side_m=SIDE_M, sensor=AlsSensor(density=1.5))
+    return demo_city(
+        tmp_path_factory.mktemp("demo"), seed=5, side_m=SIDE_M, sensor=AlsSensor(density=1.5)
+    )
 
 
 @pytest.fixture
@@ -49,18 +51,26 @@ def small_buckets(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def finished_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
+def finished_run(
+    demo: DemoScene, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, RunResult]:
     """OUT and result of the whole job by the Python API, with a method of one pass. Not to be changed."""
     out = tmp_path_factory.mktemp("run") / "out"
-    return out, run([str(path) for path in demo.paths], out, settings(tile_size="128", water="auto"))
+    return out, run(
+        [str(path) for path in demo.paths], out, settings(tile_size="128", water="auto")
+    )
 
 
 @pytest.fixture(scope="session")
-def default_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
+def default_run(
+    demo: DemoScene, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, RunResult]:
     """The same with the default method."""
     out = tmp_path_factory.mktemp("default") / "out"
     return out, run(
-        [str(path) for path in demo.paths], out, settings(tile_size="128", method="auto", water="auto")
+        [str(path) for path in demo.paths],
+        out,
+        settings(tile_size="128", method="auto", water="auto"),
     )
 
 

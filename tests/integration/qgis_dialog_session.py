@@ -1,7 +1,7 @@
 """Runs in the Python of QGIS, or with PyQt6 in place of QGIS 4: the menu and the dialog of the plugin, and its enums.
 
-Arguments: the folder of plugins, a command, another program, the file for what was seen. Without QGIS, modules stand in
-for its libraries; those of Qt are real.
+Arguments: the folder of plugins, a command, another program, the file for what was seen.
+Without QGIS, modules stand in for its libraries; those of Qt are real.
 """
 
 from __future__ import annotations
@@ -30,7 +30,15 @@ class StandIn(types.ModuleType):
 
 def stand_in_for_qgis() -> None:
     """Let modules of QGIS be found that have PyQt6 inside."""
-    names = ("qgis", "qgis.core", "qgis.gui", "qgis.PyQt", "processing", "processing.core", "processing.gui")
+    names = (
+        "qgis",
+        "qgis.core",
+        "qgis.gui",
+        "qgis.PyQt",
+        "processing",
+        "processing.core",
+        "processing.gui",
+    )
     more = (
         "processing.core.ProcessingConfig",
         "processing.core.ProcessingResults",

@@ -83,7 +83,11 @@ def layers() -> list[dict[str, Any]]:
     for group in QgsProject.instance().layerTreeRoot().children():
         for node in group.children():
             layer = node.layer()
-            entry = {"group": group.name(), "name": layer.name(), "shown": node.itemVisibilityChecked()}
+            entry = {
+                "group": group.name(),
+                "name": layer.name(),
+                "shown": node.itemVisibilityChecked(),
+            }
             entry["blend"] = int(layer.blendMode())
             if isinstance(layer, QgsRasterLayer):
                 entry["renderer"] = layer.renderer().type()

@@ -34,7 +34,13 @@ from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
 
-GROUND = ("grid-dtm", "grid-water-ground", "grid-water-planes", "grid-water-areas", "grid-dtm-outlined")
+GROUND = (
+    "grid-dtm",
+    "grid-water-ground",
+    "grid-water-planes",
+    "grid-water-areas",
+    "grid-dtm-outlined",
+)
 """Rasters that depend on the ground,"""
 PIXELS = ("grid-survey", "grid-domain")
 """on the size of pixels besides the points,"""
@@ -60,7 +66,9 @@ def again(demo: DemoScene, out: Path, **changes: Any) -> dict[str, int]:
 
 def test_nothing_new_is_nothing_done(out: Path, demo: DemoScene) -> None:
     before = output_digests(out)
-    stamps = {p: p.stat().st_mtime_ns for p in (out / "dtm.tif", *(out / "classified").iterdir())}
+    stamps = {
+        p: p.stat().st_mtime_ns for p in (out / "dtm.tif", *(out / "classified").iterdir())
+    }
     assert again(demo, out) == {}
     assert output_digests(out) == before
     assert {p: p.stat().st_mtime_ns for p in stamps} == stamps
@@ -75,14 +83,24 @@ def test_touched_files_are_read_but_not_decoded(out: Path, demo: DemoScene) -> N
 def test_advice_on_the_terrain_is_given_again(
     out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.grid.roofs.roofs_in_terrain", lambda *_: Advice("a roof", 1.0, 2.0))
+    monkeypatch.setattr(
+        "tiler.grid.roofs.roofs_in_terrain", lambda *_: Advice("a roof", 1.0, 2.0)
+    )
     assert again(demo, out, parameters={"max_building_size": "19"})["grid-dtm"]
     monkeypatch.undo()
-    monkeypatch.setattr("tiler.grid.roofs.roofs_in_terrain", lambda *_: pytest.fail("looked again"))
-    options = {"parameters": {"max_building_size": "19"}, "products": "dtm,slope", "tile_size": "128"}
+    monkeypatch.setattr(
+        "tiler.grid.roofs.roofs_in_terrain", lambda *_: pytest.fail("looked again")
+    )
+    options = {
+        "parameters": {"max_building_size": "19"},
+        "products": "dtm,slope",
+        "tile_size": "128",
+    }
     summary = do(list(demo.paths), out, **options).summary
     assert summary["advice"] == ["a roof"]
-    assert [p["where"] for p in summary["problems"] if p["why"] == "a roof"] == [(1.0, 2.0, 1.0, 2.0)]
+    assert [p["where"] for p in summary["problems"] if p["why"] == "a roof"] == [
+        (1.0, 2.0, 1.0, 2.0)
+    ]
 
 
 def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
@@ -97,7 +115,9 @@ def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScen
 
 
 def test_cells_that_the_store_was_not_made_for_are_told(out: Path, demo: DemoScene) -> None:
-    found = do(list(demo.paths), out, until="filter", parameters={"thin_cell": "0.7"}).summary["notes"]
+    found = do(list(demo.paths), out, until="filter", parameters={"thin_cell": "0.7"}).summary[
+        "notes"
+    ]
     assert any("passes read all points" in text and "0.7 m" in text for text in found)
 
 
@@ -128,7 +148,9 @@ def test_clean_store_leaves_the_results_alone(out: Path, demo: DemoScene) -> Non
 
 def test_a_store_of_another_crs_is_refused(out: Path, tmp_path: Path) -> None:
     other = clouds.write(tmp_path / "other.laz", clouds.city(100.0), crs="EPSG:25833")
-    with pytest.raises(ConfigError, match=r"contains points in .*; use --overwrite or another -o"):
+    with pytest.raises(
+        ConfigError, match=r"contains points in .*; use --overwrite or another -o"
+    ):
         do(other, out)
 
 
@@ -138,7 +160,9 @@ def test_an_added_file_redoes_only_what_it_can_reach(tmp_path: Path) -> None:
     hills = clouds.city(200.0, 0.5, kind="hills")
     west = hills.take(hills.xyz[:, 1] < 60)
     pieces = [Cloud(west.xyz + (200.0 * i, 0.0, 0.0), west.truth) for i in range(6)]
-    paths = [clouds.write(tmp_path / "in" / f"{i}.laz", piece) for i, piece in enumerate(pieces)]
+    paths = [
+        clouds.write(tmp_path / "in" / f"{i}.laz", piece) for i, piece in enumerate(pieces)
+    ]
     out = tmp_path / "out"
     first = do(paths[:-1], out, tile_size="96", halo=40)
     result = do(paths, out, tile_size="96", halo=40)
@@ -151,7 +175,9 @@ def test_an_added_file_redoes_only_what_it_can_reach(tmp_path: Path) -> None:
     assert output_digests(out) == output_digests(tmp_path / "alone")
 
 
-def test_a_file_left_out_later_is_gone_from_the_terrain(demo: DemoScene, out: Path, tmp_path: Path) -> None:
+def test_a_file_left_out_later_is_gone_from_the_terrain(
+    demo: DemoScene, out: Path, tmp_path: Path
+) -> None:
     do(list(demo.paths[:3]), out, tile_size="128")
     do(list(demo.paths[:3]), tmp_path / "alone", tile_size="128")
     assert_same_terrain(out, tmp_path / "alone")
@@ -171,7 +197,8 @@ def test_a_changed_file_is_read_again(demo: DemoScene, tmp_path: Path) -> None:
     ("part", "in_process"),
     [
         ((1 / 8, 1 / 4), True),
-        # Times of day that are garbled let the decoder overflow its stack: a worker ends, and no other file suffers.
+        # Times of day that are garbled let the decoder overflow its stack: a worker ends, and
+        # no other file suffers.
         pytest.param((1 / 3, 5 / 6), False, marks=pytest.mark.slow),
     ],
 )
@@ -185,13 +212,23 @@ def test_a_corrupt_file_among_good_ones_is_left_out(
     first, end = (int(share * len(content)) for share in part)
     content[first:end] = b"\xff" * (end - first)
     garbled.write_bytes(content)
-    result = do([*demo.paths[:3], cut, garbled], tmp_path / "out", tile_size="128", in_process=in_process)
+    result = do(
+        [*demo.paths[:3], cut, garbled],
+        tmp_path / "out",
+        tile_size="128",
+        in_process=in_process,
+    )
     assert result.exit_code == 5
-    assert {Path(q["path"]).name for q in result.summary["quarantined"]} == {"cut.laz", "garbled.laz"}
+    assert {Path(q["path"]).name for q in result.summary["quarantined"]} == {
+        "cut.laz",
+        "garbled.laz",
+    }
     assert all(q["error"] and "\n" not in q["error"] for q in result.summary["quarantined"])
     do(list(demo.paths[:3]), tmp_path / "alone", tile_size="128")
     assert_same_terrain(tmp_path / "out", tmp_path / "alone")
-    assert np.array_equal(classes_by_point(tmp_path / "out"), classes_by_point(tmp_path / "alone"))
+    assert np.array_equal(
+        classes_by_point(tmp_path / "out"), classes_by_point(tmp_path / "alone")
+    )
 
 
 def test_a_corrupt_file_stops_a_strict_run(demo: DemoScene, tmp_path: Path) -> None:
@@ -212,15 +249,22 @@ def test_a_terrain_without_a_height_is_warned_of(demo: DemoScene, tmp_path: Path
     shutil.copy(demo.truth_paths[0], tmp_path / "in")
     (tmp_path / "in" / "page.laz").write_text("<html>")
     result = run(
-        [str(tmp_path / "in")], tmp_path / "out", settings(method="keep", ground_classes="99"), listen
+        [str(tmp_path / "in")],
+        tmp_path / "out",
+        settings(method="keep", ground_classes="99"),
+        listen,
     )
     assert result.exit_code == 5
     assert any("page.laz: left out: begins with b'<htm'" in text for text in told)
-    assert any("the terrain model is empty: no three points of class 99" in text for text in told)
+    assert any(
+        "the terrain model is empty: no three points of class 99" in text for text in told
+    )
     assert told[-1] in result.summary["notes"]
 
 
-def test_a_cloud_of_nothing_but_noise_says_why_there_is_no_terrain(demo: DemoScene, tmp_path: Path) -> None:
+def test_a_cloud_of_nothing_but_noise_says_why_there_is_no_terrain(
+    demo: DemoScene, tmp_path: Path
+) -> None:
     cloud = laspy.read(demo.truth_paths[0])
     cloud.points = cloud.points[:500]
     cloud.classification = np.full(500, 7, dtype=np.uint8)
@@ -233,8 +277,12 @@ def test_a_cloud_of_nothing_but_noise_says_why_there_is_no_terrain(demo: DemoSce
 def assert_classes_of_the_input(out: Path, demo: DemoScene, cells: list[list[int]]) -> None:
     """The points of these buckets have the class of their source in the classified files."""
     store = the_store(out)
-    numbers = {entry["number"]: Path(path) for path, entry in store.get_state("sources").items()}
-    origin = np.concatenate([store.read_bucket(Cell(*cell), ("origin",)).origin for cell in cells])
+    numbers = {
+        entry["number"]: Path(path) for path, entry in store.get_state("sources").items()
+    }
+    origin = np.concatenate(
+        [store.read_bucket(Cell(*cell), ("origin",)).origin for cell in cells]
+    )
     sources, rows = unpack_origin(origin)
     assert len(rows) > 100
     for number in np.unique(sources):
@@ -259,7 +307,9 @@ def test_a_tile_that_fails_leaves_no_old_labels(
 
     monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", work)
     # Kernels and neighbours are sound: the run goes on, says so, and knows nothing of the tile.
-    result = do(list(demo.paths), out, parameters={"iteration_distance": "1.39"}, tile_size="128")
+    result = do(
+        list(demo.paths), out, parameters={"iteration_distance": "1.39"}, tile_size="128"
+    )
     assert result.exit_code == 5
     assert [f["error"] for f in result.summary["failed_tasks"]] == ["this tile fails"]
     store = the_store(out)
@@ -269,7 +319,9 @@ def test_a_tile_that_fails_leaves_no_old_labels(
     assert_classes_of_the_input(out, demo, broken)
     monkeypatch.undo()
     monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
-    mended = do(list(demo.paths), out, parameters={"iteration_distance": "1.39"}, tile_size="128")
+    mended = do(
+        list(demo.paths), out, parameters={"iteration_distance": "1.39"}, tile_size="128"
+    )
     assert mended.exit_code == 0
     assert computed(mended)["filter0"] == 1
 
@@ -282,7 +334,9 @@ def test_a_tile_that_fails_stops_a_strict_run(
         raise ZeroDivisionError("no tile succeeds")
 
     monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", work)
-    with pytest.raises(ProcessingError, match="ZeroDivisionError: no tile succeeds .*--on-error skip"):
+    with pytest.raises(
+        ProcessingError, match="ZeroDivisionError: no tile succeeds .*--on-error skip"
+    ):
         do(list(demo.paths[:1]), tmp_path / "out", on_error="stop")
     with pytest.raises(
         ProcessingError, match=r"^no tile could be filtered; the first error: ZeroDivisionError"

@@ -32,8 +32,28 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def ran(cloud: Path, out: Path, *options: object) -> tuple[dict, np.ndarray, np.ndarray]:
     """run.json, the heights (NaN where there are none), and the mask."""
-    given = ("--crs", "EPSG:32632", "--kind", "dim", "--products", "dtm,mask", "--classified", "none")
-    arguments = ("run", cloud, "-o", out, *given, "--resolution", 1, "--in-process", "-q", *options)
+    given = (
+        "--crs",
+        "EPSG:32632",
+        "--kind",
+        "dim",
+        "--products",
+        "dtm,mask",
+        "--classified",
+        "none",
+    )
+    arguments = (
+        "run",
+        cloud,
+        "-o",
+        out,
+        *given,
+        "--resolution",
+        1,
+        "--in-process",
+        "-q",
+        *options,
+    )
     assert main([str(a) for a in arguments]) == 0
     with rasterio.open(out / "dtm.tif") as dtm, rasterio.open(out / "mask.tif") as mask:
         heights = dtm.read(1, masked=True).astype(np.float64).filled(np.nan)

@@ -72,7 +72,9 @@ def test_the_virtual_cloud_says_what_the_clouds_hold(out: Path) -> None:
             values = np.asarray(getattr(las, name.lower()), np.float64)
             true = {"average": values.mean(), "variance": values.var(), "minimum": values.min()}
             true["maximum"] = values.max()
-            assert {figure: told[name][figure] for figure in true} == pytest.approx(true, abs=1e-6)
+            assert {figure: told[name][figure] for figure in true} == pytest.approx(
+                true, abs=1e-6
+            )
         assert 'ID["EPSG",32632]' in properties["proj:wkt2"]
         west, south, _, east, north, _ = feature["bbox"]
         assert 8 < west < east < 10
@@ -99,7 +101,9 @@ def test_the_item_is_valid_and_its_links_lead_to_files(out: Path) -> None:
     assert {"dtm", "outline", "classified.vpc", "report"} < item.assets.keys()
 
 
-def test_equal_inputs_give_equal_bytes_wherever_they_lie(folder: Path, out: Path, tmp_path: Path) -> None:
+def test_equal_inputs_give_equal_bytes_wherever_they_lie(
+    folder: Path, out: Path, tmp_path: Path
+) -> None:
     shutil.copytree(folder, tmp_path / "moved")
     do(tmp_path / "moved", tmp_path / "other", **{**CITY, "tile_size": "128"})
     for name in ("classified.vpc", "stac.json"):
@@ -117,7 +121,9 @@ def test_sheets_are_a_collection(folder: Path, tmp_path: Path) -> None:
     assert "pc:count" not in (out / "stac.json").read_text()
     core.validate_core(read(out / "stac.json"), pystac.STACObjectType.COLLECTION, "1.1.0")
     for item in items:
-        core.validate_core(read(Path(item.get_self_href())), pystac.STACObjectType.ITEM, "1.1.0")
+        core.validate_core(
+            read(Path(item.get_self_href())), pystac.STACObjectType.ITEM, "1.1.0"
+        )
         boxes = found.extent.spatial.bboxes[0], item.bbox
         assert boxes[0][0] <= boxes[1][0] < boxes[1][2] <= boxes[0][2]
         assert item.get_collection().id == found.id
@@ -150,7 +156,11 @@ def test_members_are_found_beside_the_file_or_elsewhere(folder: Path, tmp_path: 
         found = find_inputs([str(file)])
     finally:
         file.unlink()
-    assert [*map(str, found)] == [str(folder / "east/a b.laz"), str(folder / "west/a b.laz"), url]
+    assert [*map(str, found)] == [
+        str(folder / "east/a b.laz"),
+        str(folder / "west/a b.laz"),
+        url,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -163,7 +173,10 @@ def test_members_are_found_beside_the_file_or_elsewhere(folder: Path, tmp_path: 
         (b'{"type": "FeatureCollection", "features": []}', "names no cloud at all"),
         (b'{"type": "FeatureCollection", "features": [7]}', "its feature 1 names no cloud"),
         *(
-            (json.dumps({"type": "FeatureCollection", "features": [member(href)]}).encode(), reason)
+            (
+                json.dumps({"type": "FeatureCollection", "features": [member(href)]}).encode(),
+                reason,
+            )
             for href, reason in (
                 ("/etc/passwd", "no file of .las, .laz"),
                 ("a.vpc", "no file of .las, .laz"),
@@ -174,26 +187,39 @@ def test_members_are_found_beside_the_file_or_elsewhere(folder: Path, tmp_path: 
         ),
     ],
 )
-def test_what_is_no_virtual_cloud_is_told_in_one_line(content: bytes, reason: str, tmp_path: Path) -> None:
+def test_what_is_no_virtual_cloud_is_told_in_one_line(
+    content: bytes, reason: str, tmp_path: Path
+) -> None:
     file = tmp_path / "bad.vpc"
     file.write_bytes(content)
-    with pytest.raises(InputError, match=r"bad\.vpc: is not a readable virtual point cloud") as refused:
+    with pytest.raises(
+        InputError, match=r"bad\.vpc: is not a readable virtual point cloud"
+    ) as refused:
         find_inputs([str(file)])
     assert reason in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
-def test_clouds_are_written_as_las_or_not_at_all(folder: Path, out: Path, tmp_path: Path) -> None:
+def test_clouds_are_written_as_las_or_not_at_all(
+    folder: Path, out: Path, tmp_path: Path
+) -> None:
     again = tmp_path / "again"
     shutil.copytree(out, again)
     plain = do(folder, again, **CITY, classified="las")
     assert plain.summary["stages"]["filter0"]["computed"] == 0
     for name in ("east/a b", "west/a b"):
-        las, laz = laspy.read(again / f"classified/{name}.las"), laspy.read(out / f"classified/{name}.laz")
+        las, laz = (
+            laspy.read(again / f"classified/{name}.las"),
+            laspy.read(out / f"classified/{name}.laz"),
+        )
         assert las.points.array.tobytes() == laz.points.array.tobytes()
         assert not las.header.are_points_compressed
     (first, _) = read(again / "classified.vpc")["features"]
-    data = {"href": "./classified/east/a b.las", "type": "application/vnd.las", "roles": ["data"]}
+    data = {
+        "href": "./classified/east/a b.las",
+        "type": "application/vnd.las",
+        "roles": ["data"],
+    }
     assert first["assets"]["data"] == data
     assert first["properties"]["pc:encoding"] == "LAS"
     assert not list((again / "classified").rglob("*.laz"))
@@ -204,7 +230,9 @@ def test_clouds_are_written_as_las_or_not_at_all(folder: Path, out: Path, tmp_pa
     assert first["assets"]["data"] == data
     with laspy.CopcReader.open(again / "classified/east/a b.copc.laz") as reader:
         points = reader.query().array.tolist()
-    assert sorted(points) == sorted(laspy.read(out / "classified/east/a b.laz").points.array.tolist())
+    assert sorted(points) == sorted(
+        laspy.read(out / "classified/east/a b.laz").points.array.tolist()
+    )
     none = do(folder, again, **CITY, classified="none")
     assert none.exit_code == 0
     assert not (again / "classified.vpc").exists()

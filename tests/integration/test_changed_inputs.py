@@ -31,7 +31,9 @@ def files(tmp_path: Path) -> tuple[Path, Path, Path]:
     cloud = clouds.city(96.0)
     west, east = (cloud.take(side) for side in (cloud.xyz[:, 0] < 48, cloud.xyz[:, 0] >= 48))
     back = clouds.Cloud(east.xyz[::-1], east.truth[::-1])
-    paths = tuple(tmp_path / "in" / name for name in ("west.las", "east.las", "elsewhere/east.las"))
+    paths = tuple(
+        tmp_path / "in" / name for name in ("west.las", "east.las", "elsewhere/east.las")
+    )
     for path, part in zip(paths, (west, east, back), strict=True):
         clouds.write(path, part)
     assert paths[1].stat().st_size == paths[2].stat().st_size
@@ -60,7 +62,11 @@ def in_place(old: Path, new: Path) -> None:
 
 
 def change_before(
-    patch: pytest.MonkeyPatch, module: Any, name: str, change: Callable[..., object], *paths: Path
+    patch: pytest.MonkeyPatch,
+    module: Any,
+    name: str,
+    change: Callable[..., object],
+    *paths: Path,
 ) -> None:
     """Let something happen to files before the work of this name is done for the first time."""
     changed = before_the_first(getattr(module, name), functools.partial(change, *paths))
@@ -69,7 +75,10 @@ def change_before(
 
 @pytest.mark.parametrize("how", [by_name, in_place])
 def test_replaced_before_it_is_decoded(
-    files: tuple[Path, Path, Path], how: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    files: tuple[Path, Path, Path],
+    how: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     good, path, other = files
     change_before(monkeypatch, ingest_tasks, "spool_piece", how, path, other)
@@ -85,7 +94,9 @@ def test_replaced_before_it_is_decoded(
     assert again.exit_code == 0
     do([good, path], tmp_path / "alone")
     for name in ("dtm.tif", "classified/east.laz"):
-        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+        assert (tmp_path / "out" / name).read_bytes() == (
+            tmp_path / "alone" / name
+        ).read_bytes()
 
 
 def test_replaced_before_its_classes_are_written(
@@ -124,10 +135,16 @@ def while_it_is_read(work: Work, old: Path, new: Path, monkeypatch: pytest.Monke
     ids=["spool", "write"],
 )
 def test_replaced_while_it_is_read(
-    stage: Any, name: str, files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stage: Any,
+    name: str,
+    files: tuple[Path, Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     good, path, other = files
-    monkeypatch.setattr(stage, name, while_it_is_read(getattr(stage, name), path, other, monkeypatch))
+    monkeypatch.setattr(
+        stage, name, while_it_is_read(getattr(stage, name), path, other, monkeypatch)
+    )
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     told = [*result.summary["quarantined"], *result.summary["failed_tasks"]]
@@ -173,7 +190,9 @@ def test_an_empty_file_and_one_that_went_away(
 ) -> None:
     """What is left holds no point: no input could be read, though one of them could."""
     path = files[1]
-    empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
+    empty = clouds.write(
+        tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp))
+    )
     aside, line = (
         tmp_path / "aside.las",
         r"^no input could be read; the first error: .*east\.las: .*was removed during",

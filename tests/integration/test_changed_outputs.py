@@ -74,7 +74,12 @@ def test_a_product_that_this_run_does_not_make_is_put_aside(cloud: Path, out: Pa
     spoilt = flip(out / "slope.tif", unseen=True)
     assert "slope.tif" in do(cloud, out).summary["outputs"]
     result = do(cloud, out, verify=True)
-    assert set(result.summary["outputs"]) == {*FILES, "outline.gpkg", "classified.vpc", "stac.json"}
+    assert set(result.summary["outputs"]) == {
+        *FILES,
+        "outline.gpkg",
+        "classified.vpc",
+        "stac.json",
+    }
     assert (out / "outdated" / "slope.tif").read_bytes() == spoilt
     told = "slope.tif: changed since a run wrote it; moved to outdated/"
     assert any(told in note for note in result.summary["notes"])
@@ -93,7 +98,10 @@ def test_a_new_store_keeps_what_was_changed(
     assert [(out / "outdated" / name).read_bytes() for name in FILES] == [b"mine", b"mine"]
     told = "classified/hill.laz, dtm.tif: changed since a run wrote them; moved to outdated/ and made again"
     assert told in result.summary["notes"]
-    assert sorted(path.name for path in (out / "outdated").iterdir()) == ["classified", "dtm.tif"]
+    assert sorted(path.name for path in (out / "outdated").iterdir()) == [
+        "classified",
+        "dtm.tif",
+    ]
 
 
 def test_what_is_put_aside_never_replaces_what_was(cloud: Path, out: Path) -> None:

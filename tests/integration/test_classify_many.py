@@ -35,7 +35,9 @@ def test_each_file_is_seen_with_its_neighbours(halves: Path, tmp_path: Path) -> 
     clouds.write(whole, clouds.city(80.0, 2.0))
     classify_file(whole, tmp_path / "one.laz", settings())
     one = laspy.read(tmp_path / "one.laz")
-    expected = {tuple(p): int(c) for p, c in zip(one.xyz.tolist(), one.classification, strict=True)}
+    expected = {
+        tuple(p): int(c) for p, c in zip(one.xyz.tolist(), one.classification, strict=True)
+    }
     found = sorted(p.relative_to(tmp_path / "out") for p in (tmp_path / "out").rglob("*.*"))
     assert found == [Path("east/half.laz"), Path("half.laz")]
     points = 0
@@ -45,7 +47,9 @@ def test_each_file_is_seen_with_its_neighbours(halves: Path, tmp_path: Path) -> 
         assert [expected[tuple(p)] for p in cloud.xyz.tolist()] == cloud.classification.tolist()
     assert (facts["files"], facts["points"]) == (2, len(one))
     assert facts["points"] == points
-    assert facts["classes"] == {str(c): n for c, n in enumerate(np.bincount(one.classification)) if n}
+    assert facts["classes"] == {
+        str(c): n for c, n in enumerate(np.bincount(one.classification)) if n
+    }
 
 
 def test_many_files_need_a_folder(halves: Path, tmp_path: Path) -> None:
@@ -68,7 +72,9 @@ def test_a_broken_file_is_left_out_and_named(
 ) -> None:
     (halves / "broken.laz").write_bytes(b"LASF" + bytes(100))
     out = tmp_path / "out"
-    assert main(["classify", str(halves), str(out), "--method", "classic", "--workers", "1"]) == 5
+    assert (
+        main(["classify", str(halves), str(out), "--method", "classic", "--workers", "1"]) == 5
+    )
     told = capsys.readouterr().out
     assert f"left out    {halves}/broken.laz: " in told
     assert sorted(p.name for p in out.rglob("*.*")) == ["half.laz", "half.laz"]
@@ -114,7 +120,9 @@ def test_a_file_that_cannot_be_written_leaves_the_others(
         (["{folder}"], "c.laz", False),
     ],
 )
-def test_one_file_is_told_from_many(tmp_path: Path, sources: list[str], target: str, one: bool) -> None:
+def test_one_file_is_told_from_many(
+    tmp_path: Path, sources: list[str], target: str, one: bool
+) -> None:
     assert is_one_file([s.format(folder=tmp_path) for s in sources], target) == one
 
 

@@ -24,10 +24,15 @@ def test_a_clean_store_is_smaller_and_everything_in_it_is_done(
     out, fresh = tmp_path / "out", tmp_path / "fresh"
     west = clouds.write(tmp_path / "west.laz", clouds.city(96.0))
     moved = clouds.city(96.0, seed=2)
-    east = clouds.write(tmp_path / "east.laz", clouds.Cloud(moved.xyz + [90.0, 0, 0], moved.truth))
+    east = clouds.write(
+        tmp_path / "east.laz", clouds.Cloud(moved.xyz + [90.0, 0, 0], moved.truth)
+    )
     do([west], out)
     before, size = output_digests(out), the_store(out).usage().size_bytes
-    left = [out / f"store.zarr/points/xyz/0.{32 * 'a'}.partial", out / ".tiler-dtm.tif.cog.partial"]
+    left = [
+        out / f"store.zarr/points/xyz/0.{32 * 'a'}.partial",
+        out / ".tiler-dtm.tif.cog.partial",
+    ]
     for path in left:
         path.write_bytes(b"scratch")
 
@@ -49,7 +54,9 @@ def test_a_clean_store_is_smaller_and_everything_in_it_is_done(
 
     more = do([west, east], out)
     assert more.exit_code == 0
-    assert computed(more)["spool"] == 1, "of the file from before, what touches the new one's buckets"
+    assert computed(more)["spool"] == 1, (
+        "of the file from before, what touches the new one's buckets"
+    )
     do([west, east], fresh)
     assert output_digests(out) == output_digests(fresh)
 
@@ -88,7 +95,9 @@ def test_a_folder_that_is_no_result_is_left_alone(tmp_path: Path) -> None:
     out, other = tmp_path / "out", tmp_path / "other"
     do([clouds.write(tmp_path / "in" / "a.laz", clouds.city(64.0))], out)
     other.mkdir()
-    (other / "run.json").write_text(json.dumps({"configuration": {"store": str(out / "store.zarr")}}))
+    (other / "run.json").write_text(
+        json.dumps({"configuration": {"store": str(out / "store.zarr")}})
+    )
     (other / ".tiler-a.laz.partial").write_bytes(b"of another run")
     with pytest.raises(StoreError, match="no tile store here"):
         clean(other)

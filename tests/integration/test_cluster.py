@@ -21,7 +21,18 @@ from tiler.version import __version__
 
 pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
-OPTIONS = ("--method", "classic", "--resolution", 1, "--tile-size", 64, "--halo", 80, "--memory", "1GiB")
+OPTIONS = (
+    "--method",
+    "classic",
+    "--resolution",
+    1,
+    "--tile-size",
+    64,
+    "--halo",
+    80,
+    "--memory",
+    "1GiB",
+)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +87,9 @@ def test_a_worker_is_lost_and_one_joins(
     first, _ = cluster.workers(2)
     out = tmp_path / "out"
     store = f"s3://{BUCKET}/killed"
-    process = start(f"s3://{BUCKET}/clouds", "-o", out, "--store", store, "--scheduler", cluster.address)
+    process = start(
+        f"s3://{BUCKET}/clouds", "-o", out, "--store", store, "--scheduler", cluster.address
+    )
     wait_for(out, "task_done", "filter0", process)
     first.kill()
     cluster.worker()
@@ -86,7 +99,11 @@ def test_a_worker_is_lost_and_one_joins(
 
 
 def test_everything_by_url(
-    bucket: Any, two_workers: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: Any,
+    two_workers: Cluster,
+    local: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     arguments = (
@@ -97,14 +114,19 @@ def test_everything_by_url(
         two_workers.address,
     )
     ended(start(*arguments, "--products", "dtm,slope"))
-    assert {p.name for p in (tmp_path / "town").iterdir()} == {"events.jsonl", "report.html", "run.json"}
+    assert {p.name for p in (tmp_path / "town").iterdir()} == {
+        "events.jsonl",
+        "report.html",
+        "run.json",
+    }
     bucket.get(f"{BUCKET}/town/dtm.tif", str(tmp_path / "copy/dtm.tif"))
     bucket.get(f"{BUCKET}/town/classified/", str(tmp_path / "copy/classified/"), recursive=True)
     assert output_digests(tmp_path / "copy") == output_digests(local)
     assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["state"] == "done"
     assert (tmp_path / "town/report.html").read_text().count("data:image/png;base64,") == 2
     (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")  # what runs from here wrote stands in the run.json of the URL
+    # what runs from here wrote stands in the run.json of the URL
+    monkeypatch.chdir(tmp_path / "elsewhere")
     bucket.rm_file(f"{BUCKET}/town/dtm.tif")
     again = json.loads(tiler("run", *arguments, *OPTIONS, "--json").stdout)["stages"]
     done = {name: stage["computed"] for name, stage in again.items() if stage["computed"]}
@@ -112,14 +134,18 @@ def test_everything_by_url(
     ended(start(*arguments, "--sheets", "100"))
     sheets = json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"]
     assert sum(name.startswith("dtm/dtm_") for name in sheets) == 4  # CRS 0 is a corner
-    assert all(bucket.info(f"{BUCKET}/town/{name}")["size"] == size for name, size in sheets.items())
+    assert all(
+        bucket.info(f"{BUCKET}/town/{name}")["size"] == size for name, size in sheets.items()
+    )
     assert sorted(bucket.ls(f"{BUCKET}/town/outdated")) == [
         f"{BUCKET}/town/outdated/{name}" for name in ("dtm.tif", "slope.tif")
     ]
     assert not bucket.exists(f"{BUCKET}/town/slope.tif")
 
 
-def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_path: Path) -> None:
+def test_the_connection_is_cut(
+    cluster: Cluster, cloud: Path, local: Path, tmp_path: Path
+) -> None:
     """It is taken up again; a scheduler that is gone ends the run, which goes on without it."""
     cluster.workers(2)
     cable, out = Cable(cluster.port), tmp_path / "out"
@@ -131,7 +157,9 @@ def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_p
     assert output_digests(out) == output_digests(local)
     gone = tmp_path / "gone"
     hold(gone)
-    process = started(held("run", cloud, "-o", gone, "--scheduler", cable.address, "-q", *OPTIONS))
+    process = started(
+        held("run", cloud, "-o", gone, "--scheduler", cable.address, "-q", *OPTIONS)
+    )
     wait_for(gone, "task_done", "filter0", process)
     cable.cut(for_good=True)
     _, error = process.communicate(timeout=PATIENCE_SECONDS)
@@ -144,12 +172,20 @@ def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_p
 
 
 def test_workers_that_see_no_folder_of_the_client(
-    bucket: Any, two_workers: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: Any,
+    two_workers: Cluster,
+    local: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The command writes the files itself."""
     monkeypatch.setattr("tiler.schedule.cluster_check.sees", blind)
     out = tmp_path / "out"
-    changes = {"store": f"s3://{BUCKET}/blind", "scheduler": two_workers.address, "in_process": False}
+    changes = {
+        "store": f"s3://{BUCKET}/blind",
+        "scheduler": two_workers.address,
+        "in_process": False,
+    }
     result = do([f"s3://{BUCKET}/clouds"], out, **changes)  # type: ignore[list-item]
     assert any("cannot write into" in note for note in result.summary["notes"])
     assert output_digests(out) == output_digests(local)
@@ -199,9 +235,19 @@ def test_a_worker_with_another_version(cluster: Cluster, cloud: Path, tmp_path: 
 
 def test_workers_without_credentials(bucket: Any, cluster: Cluster, tmp_path: Path) -> None:
     """One line, before the first task."""
-    cluster.worker(AWS_ACCESS_KEY_ID="", AWS_SECRET_ACCESS_KEY="", AWS_EC2_METADATA_DISABLED="true")
+    cluster.worker(
+        AWS_ACCESS_KEY_ID="", AWS_SECRET_ACCESS_KEY="", AWS_EC2_METADATA_DISABLED="true"
+    )
     cluster.wait_for(1)
-    places = (f"s3://{BUCKET}/clouds", "-o", tmp_path / "out", "--store", f"s3://{BUCKET}/denied")
+    places = (
+        f"s3://{BUCKET}/clouds",
+        "-o",
+        tmp_path / "out",
+        "--store",
+        f"s3://{BUCKET}/denied",
+    )
     done = tiler("run", *places, "--scheduler", cluster.address, *OPTIONS, "-q")
     assert done.returncode == 2
-    assert_one_line(done.stderr.splitlines()[-1], "cannot read s3://", "credentials of the workers")
+    assert_one_line(
+        done.stderr.splitlines()[-1], "cannot read s3://", "credentials of the workers"
+    )

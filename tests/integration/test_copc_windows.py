@@ -38,27 +38,38 @@ def test_the_octree_is_the_one_that_laspy_reads(copc: Path) -> None:
         levels = max(key[0] for key in info.octree.keys)
         for level in range(levels + 1):
             own = [
-                points for points, key in zip(info.chunks, info.octree.keys, strict=True) if key[0] == level
+                points
+                for points, key in zip(info.chunks, info.octree.keys, strict=True)
+                if key[0] == level
             ]
             assert len(reader.query(level=level)) == sum(own)
     for chunk, key in enumerate(info.octree.keys):
         x, y = (np.asarray(c[starts[chunk] : starts[chunk + 1]]) for c in (points.x, points.y))
         west, south, east, north = info.octree.box(key)
-        assert np.all((x >= west - 1e-6) & (x <= east + 1e-6) & (y >= south - 1e-6) & (y <= north + 1e-6))
+        assert np.all(
+            (x >= west - 1e-6) & (x <= east + 1e-6) & (y >= south - 1e-6) & (y <= north + 1e-6)
+        )
 
 
 def test_a_window_has_the_bytes_of_the_whole_file_cropped(
     copc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = do(copc, tmp_path / "window", **WINDOW)
-    for module in ("plan.area", "ingest.tasks.fingerprints", "ingest.tasks.points", "export.tasks.files"):
+    for module in (
+        "plan.area",
+        "ingest.tasks.fingerprints",
+        "ingest.tasks.points",
+        "export.tasks.files",
+    ):
         monkeypatch.setattr(f"tiler.{module}.chunks_of", lambda plan, source, margin=None: None)
     whole = do(copc, tmp_path / "whole", **WINDOW)
     assert window.summary["counts"]["read"] < whole.summary["counts"]["read"] / 2
     # That has its buckets filled.
     assert window.summary["counts"]["stored"] < whole.summary["counts"]["stored"]
     for name in ("dtm.tif", "classified/city.laz", "stac.json"):
-        assert (tmp_path / "window" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+        assert (tmp_path / "window" / name).read_bytes() == (
+            tmp_path / "whole" / name
+        ).read_bytes(), name
 
 
 def test_over_http_only_the_nodes_that_matter_are_fetched(copc: Path, tmp_path: Path) -> None:
@@ -70,7 +81,9 @@ def test_over_http_only_the_nodes_that_matter_are_fetched(copc: Path, tmp_path: 
     fetched = there.summary["fetched"]
     share = here.summary["counts"]["read"] / inspect(copc).points
     assert fetched["points"] < 1.3 * share * copc.stat().st_size + (3 << 16)
-    ours, theirs = (laspy.read(tmp_path / name / "classified/city.laz") for name in ("there", "here"))
+    ours, theirs = (
+        laspy.read(tmp_path / name / "classified/city.laz") for name in ("there", "here")
+    )
     x0, y0, x1, y1 = WINDOW["bounds"]  # type: ignore[misc]
     x, y = np.asarray(theirs.x), np.asarray(theirs.y)
     inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)  # type: ignore[has-type]
@@ -86,11 +99,17 @@ def test_a_damaged_octree_is_one_line(where: str, copc: Path, tmp_path: Path) ->
     if where == "page":
         struct.pack_into("<Q", content, 375 + 54 + 48, len(content) * 2)
     else:
-        place, form, value = {"count": (28, "<i", 7), "key": (0, "<i", 99), "offset": (16, "<Q", 5)}[where]
+        place, form, value = {
+            "count": (28, "<i", 7),
+            "key": (0, "<i", 99),
+            "offset": (16, "<Q", 5),
+        }[where]
         struct.pack_into(form, content, start + place, value)
     bad = tmp_path / "bad.copc.laz"
     bad.write_bytes(content)
-    with pytest.raises(InputError, match=r"bad\.copc\.laz: its octree .*; get the file again") as refused:
+    with pytest.raises(
+        InputError, match=r"bad\.copc\.laz: its octree .*; get the file again"
+    ) as refused:
         do(bad, tmp_path / "out", **WINDOW)
     assert "\n" not in str(refused.value)
     # Without a window it is a LAZ file.
@@ -99,7 +118,8 @@ def test_a_damaged_octree_is_one_line(where: str, copc: Path, tmp_path: Path) ->
 
 def test_fetched_bytes_are_in_run_json(copc: Path, tmp_path: Path) -> None:
     do(copc, tmp_path / "out", **WINDOW, until="ingest")
-    assert "fetched" not in json.loads((tmp_path / "out/run.json").read_text())  # of files on a disk
+    # of files on a disk
+    assert "fetched" not in json.loads((tmp_path / "out/run.json").read_text())
 
 
 def test_windows_cut_by_the_octree_hold_all_their_points(copc: Path, tmp_path: Path) -> None:

@@ -18,7 +18,10 @@ CHUNKS = {
     "points": ("points/xyz/c.*.0.0", {"spool": 0}),
     "origins": ("points/origin/c.*.0.0", {"spool": 0}),
     "labels": ("labels/labels/c.*.0.0", {"spool": 0, "assemble": 0}),
-    "raster": ("rasters/dtm-outlined/c.*.*", {"filter0": 0, "grid-dtm": 0, "grid-dtm-outlined": 1}),
+    "raster": (
+        "rasters/dtm-outlined/c.*.*",
+        {"filter0": 0, "grid-dtm": 0, "grid-dtm-outlined": 1},
+    ),
 }
 WHOLE = {
     "index": "index/*.npy",
@@ -43,7 +46,9 @@ def test_a_source_is_decoded_again_only_where_its_records_are_damaged(
     damaged: bool, city: Path, city_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     decoded = []
-    monkeypatch.setattr(classified, "PointReader", lambda *a, **k: decoded.append(a) or PointReader(*a, **k))
+    monkeypatch.setattr(
+        classified, "PointReader", lambda *a, **k: decoded.append(a) or PointReader(*a, **k)
+    )
     do(city, tmp_path, until="ingest")
     (chunk,) = (tmp_path / "store.zarr").glob("records/*/c.0.0")
     if damaged:
@@ -56,7 +61,9 @@ def test_a_source_is_decoded_again_only_where_its_records_are_damaged(
 
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("kind", CHUNKS)
-def test_a_damaged_chunk_is_made_again(kind: str, damage: str, city: Path, city_run: Path, out: Path) -> None:
+def test_a_damaged_chunk_is_made_again(
+    kind: str, damage: str, city: Path, city_run: Path, out: Path
+) -> None:
     pattern, redone = CHUNKS[kind]
     DAMAGES[damage](max((out / "store.zarr").glob(pattern), key=lambda p: p.stat().st_size))
     # A new resolution needs the labels and points again, which the files alone may not.
@@ -68,7 +75,9 @@ def test_a_damaged_chunk_is_made_again(kind: str, damage: str, city: Path, city_
 
 
 @pytest.mark.parametrize("kind", WHOLE)
-def test_what_is_damaged_as_a_whole_is_made_again(kind: str, city: Path, city_run: Path, out: Path) -> None:
+def test_what_is_damaged_as_a_whole_is_made_again(
+    kind: str, city: Path, city_run: Path, out: Path
+) -> None:
     flip(next((out / "store.zarr").glob(WHOLE[kind])))
     result = do(city, out)
     assert result.exit_code == 0

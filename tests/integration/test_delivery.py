@@ -30,7 +30,9 @@ def categories(path: Path) -> list[str | None]:
     return [node.text for node in ElementTree.parse(copy).iter("Category")]
 
 
-def test_sheets_have_the_names_of_the_template_and_an_index(cloud: Path, tmp_path: Path) -> None:
+def test_sheets_have_the_names_of_the_template_and_an_index(
+    cloud: Path, tmp_path: Path
+) -> None:
     changes = {"products": "dtm,mask", "sheets": "40", "crs": "EPSG:32632+5783"}
     do(cloud, tmp_path, sheet_name="{x_km:.2f}-{y_km:.2f}_{name}", **changes)
     files = sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.glob("dtm/*.tif"))
@@ -41,16 +43,22 @@ def test_sheets_have_the_names_of_the_template_and_an_index(cloud: Path, tmp_pat
     for i, path in enumerate(found["location"]):
         with rasterio.open(tmp_path / path) as raster:
             values = raster.read(1, masked=True)
-            assert tuple(found[n][i] for n in ("west", "south", "east", "north")) == tuple(raster.bounds)
+            assert tuple(found[n][i] for n in ("west", "south", "east", "north")) == tuple(
+                raster.bounds
+            )
             x, y = raster.bounds.left / 1000, raster.bounds.bottom / 1000
             assert Path(path).name == f"{x:.2f}-{y:.2f}_dtm.tif"
-            assert found["void_percent"][i] == pytest.approx(100 * np.ma.getmaskarray(values).mean())
+            assert found["void_percent"][i] == pytest.approx(
+                100 * np.ma.getmaskarray(values).mean()
+            )
             assert (found["min"][i], found["max"][i]) == (values.min(), values.max())
             assert raster.tags()["VERTICAL_DATUM"] == "DHHN92 height (EPSG:5783)"
             assert pyproj.CRS(raster.crs.to_wkt()).sub_crs_list[1].to_epsg() == 5783
     assert categories(tmp_path / "mask.vrt") == list(MASK_VALUES.values())
     assert do(cloud, tmp_path, sheet_name="{x_km:.2f}-{y_km:.2f}_{name}", **changes).did_nothing
-    with pytest.raises(ConfigError, match="several products would have the same name; add {name} to it"):
+    with pytest.raises(
+        ConfigError, match="several products would have the same name; add {name} to it"
+    ):
         do(cloud, tmp_path, sheet_name="{x}_{y}", **changes)
     do(cloud, tmp_path, **changes)
     assert not [p for p in tmp_path.glob("dtm/*.tif") if "-" in p.name]

@@ -16,7 +16,11 @@ PLAIN = {"dtm.tif", "outline.gpkg", "classified/hill.laz", "classified.vpc", "st
 
 
 def rasters(out: Path) -> set[str]:
-    return {str(path.relative_to(out)) for path in out.rglob("*.tif") if "store.zarr" not in path.parts}
+    return {
+        str(path.relative_to(out))
+        for path in out.rglob("*.tif")
+        if "store.zarr" not in path.parts
+    }
 
 
 def test_a_product_of_the_same_settings_stays(cloud: Path, tmp_path: Path) -> None:
@@ -47,7 +51,9 @@ def test_a_product_of_other_settings_is_put_aside_and_told(cloud: Path, tmp_path
     assert not [text for text in again.summary["notes"] if "moved" in text]
 
 
-def test_files_give_way_to_sheets_and_labels_to_the_inputs_own(cloud: Path, tmp_path: Path) -> None:
+def test_files_give_way_to_sheets_and_labels_to_the_inputs_own(
+    cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     do(cloud, out)
     do(cloud, out, sheets="40", method="keep", ground_classes="1")
@@ -85,7 +91,9 @@ def test_an_early_stage_says_whose_files_these_are(cloud: Path, tmp_path: Path) 
     do(cloud, out)
     assert not do(cloud, out, until="filter").summary["notes"]
     found = do(cloud, out, until="filter", parameters={"iteration_distance": "1.2"}).summary
-    assert found["notes"][-1].startswith(f"files in {out} are those of an earlier run until `tiler export`")
+    assert found["notes"][-1].startswith(
+        f"files in {out} are those of an earlier run until `tiler export`"
+    )
     assert "dtm.tif" in found["earlier_outputs"]
 
 

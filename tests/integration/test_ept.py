@@ -27,7 +27,9 @@ WINDOW = {**SETTINGS, "bounds": (500002.0, 5400002.0, 500012.0, 5400012.0)}
 @pytest.fixture(scope="module")
 def city(tmp_path_factory: pytest.TempPathFactory) -> laspy.LasData:
     """A city of 60 m."""
-    return laspy.read(clouds.write(tmp_path_factory.mktemp("city") / "city.laz", clouds.city(60.0, 2.0)))
+    return laspy.read(
+        clouds.write(tmp_path_factory.mktemp("city") / "city.laz", clouds.city(60.0, 2.0))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,9 @@ def ept(city: laspy.LasData, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_ept(tmp_path_factory.mktemp("ept") / "city", city, 1500)
 
 
-def test_its_points_give_the_terrain_of_the_cloud(city: laspy.LasData, ept: Path, tmp_path: Path) -> None:
+def test_its_points_give_the_terrain_of_the_cloud(
+    city: laspy.LasData, ept: Path, tmp_path: Path
+) -> None:
     city.write(tmp_path / "city.laz")
     tiles = do(ept, tmp_path / "tiles", **SETTINGS)
     do(tmp_path / "city.laz", tmp_path / "cloud", **SETTINGS)
@@ -50,7 +54,11 @@ def test_its_points_give_the_terrain_of_the_cloud(city: laspy.LasData, ept: Path
 
 def test_it_is_described_by_its_hierarchy(city: laspy.LasData, ept: Path) -> None:
     facts = describe(str(ept))
-    assert (facts["kind"], facts["format"], facts["points"]) == ("cloud", "EPT", len(city.points))
+    assert (facts["kind"], facts["format"], facts["points"]) == (
+        "cloud",
+        "EPT",
+        len(city.points),
+    )
     assert facts["nodes"] == len(list((ept.parent / "ept-data").iterdir()))
     x0, y0, x1, y1 = facts["bounds"]
     assert x0 <= city.x.min() < city.x.max() <= x1
@@ -77,14 +85,26 @@ def test_a_window_over_http_reads_the_nodes_near_it(
 @pytest.mark.parametrize(
     ("file", "content", "reason"),
     [
-        ("ept.json", {"dataType": "binary"}, "of the type 'binary', but only laszip can be read"),
+        (
+            "ept.json",
+            {"dataType": "binary"},
+            "of the type 'binary', but only laszip can be read",
+        ),
         ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0]}, "no cube"),
         ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0, 10**400, 1, 1]}, "no cube"),
-        ("ept.json", {"dataType": "laszip", "bounds": [-1.7e308, 0, 0, 1.7e308, 1, 1]}, "no cube"),
+        (
+            "ept.json",
+            {"dataType": "laszip", "bounds": [-1.7e308, 0, 0, 1.7e308, 1, 1]},
+            "no cube",
+        ),
         ("ept.json", "[]", "not a JSON object"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 5, "1-7-0-0": 3}, "says '1-7-0-0: 3'"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": -1}, "has no number of points"),
-        ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 5, "2-0-0-0": -1}, "2-0-0-0.json cannot be read"),
+        (
+            "ept-hierarchy/0-0-0-0.json",
+            {"0-0-0-0": 5, "2-0-0-0": -1},
+            "2-0-0-0.json cannot be read",
+        ),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 0}, "names no points"),
         ("ept-hierarchy/0-0-0-0.json", "{", "0-0-0-0.json: Expecting"),
     ],
@@ -93,7 +113,9 @@ def test_what_is_damaged_is_one_line(
     city: laspy.LasData, tmp_path: Path, file: str, content: object, reason: str
 ) -> None:
     path = write_ept(tmp_path / "ept", laspy.LasData(city.header, city.points[:10]), 100)
-    (path.parent / file).write_text(content if isinstance(content, str) else json.dumps(content))
+    (path.parent / file).write_text(
+        content if isinstance(content, str) else json.dumps(content)
+    )
     with pytest.raises(InputError) as refused:
         find_inputs([str(path)])
     assert reason in str(refused.value)
@@ -111,7 +133,9 @@ def told(path: Path, **changes: object) -> list[str]:
     return [note for note in plan.notes if note.startswith(str(path))]
 
 
-SCHEMA = [{"name": axis, "type": "signed", "size": 4, "scale": 0.001, "offset": 0} for axis in "XYZ"]
+SCHEMA = [
+    {"name": axis, "type": "signed", "size": 4, "scale": 0.001, "offset": 0} for axis in "XYZ"
+]
 
 
 def test_what_is_true_is_not_told(ept: Path, city: laspy.LasData, tmp_path: Path) -> None:
@@ -132,7 +156,9 @@ def test_what_is_true_is_not_told(ept: Path, city: laspy.LasData, tmp_path: Path
         ),
         (
             {"schema": [{**entry, "scale": 0.01} for entry in SCHEMA]},
-            ("its schema has scales (0.01, 0.01, 0.01), but they are (0.001, 0.001, 0.001) in 0-0-0-0.laz",),
+            (
+                "its schema has scales (0.01, 0.01, 0.01), but they are (0.001, 0.001, 0.001) in 0-0-0-0.laz",
+            ),
         ),
         (
             {"schema": [{"name": n} for n in ("X", "Red", "Green", "Blue")]},
@@ -149,7 +175,9 @@ def test_what_the_files_do_not_say_is_told(
     assert "\n" not in note
 
 
-def test_a_node_of_other_points_and_another_crs_is_told(city: laspy.LasData, tmp_path: Path) -> None:
+def test_a_node_of_other_points_and_another_crs_is_told(
+    city: laspy.LasData, tmp_path: Path
+) -> None:
     path = write_ept(tmp_path / "ept", city, 1500)
     node = path.parent / "ept-data/0-0-0-0.laz"
     las = laspy.read(node)
@@ -159,9 +187,7 @@ def test_a_node_of_other_points_and_another_crs_is_told(city: laspy.LasData, tmp
     (note,) = told(path)
     nodes = len(list(node.parent.iterdir()))
     count = len(las.points)
-    line = (
-        f"its hierarchy lists {count + 5} points, but there are {count} in 0-0-0-0.laz (1 of {nodes} files)"
-    )
+    line = f"its hierarchy lists {count + 5} points, but there are {count} in 0-0-0-0.laz (1 of {nodes} files)"
     assert line in note
     content = json.loads(path.read_text())
     content["srs"] = {"authority": "EPSG", "horizontal": "25833"}
@@ -172,5 +198,10 @@ def test_a_node_of_other_points_and_another_crs_is_told(city: laspy.LasData, tmp
         las.write(other)
     notes = told(path)
     (srs,) = [note for note in notes if "srs" in note]
-    assert "its srs is ETRS89 / UTM zone 33N, but the CRS is WGS 84 / UTM zone 32N in 0-0-0-0.laz" in srs
-    assert len(told(path, bounds=(500002.0, 5400002.0, 500012.0, 5400012.0))) == 2, "also of a part"
+    assert (
+        "its srs is ETRS89 / UTM zone 33N, but the CRS is WGS 84 / UTM zone 32N in 0-0-0-0.laz"
+        in srs
+    )
+    assert len(told(path, bounds=(500002.0, 5400002.0, 500012.0, 5400012.0))) == 2, (
+        "also of a part"
+    )

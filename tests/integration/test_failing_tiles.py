@@ -24,7 +24,9 @@ def deadly_cells(
 ) -> list[list[int]]:
     """The buckets of a tile that will be deadly to its worker; the ingest is done."""
     do(city, tmp_path / "out", tile_size="64", until="filter")
-    cells: list[list[int]] = max(the_store(tmp_path / "out").committed("filter0").items())[1][1]["cells"]
+    cells: list[list[int]] = max(the_store(tmp_path / "out").committed("filter0").items())[1][
+        1
+    ]["cells"]
     monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", deadly.deadly_tile)
     monkeypatch.setenv(deadly.CELL, f"{cells[0][0]},{cells[0][1]}")
     return cells
@@ -34,7 +36,9 @@ def deadly_cells(
     ("deed", "cause", "settings"),
     [
         ("exit", "killed its worker 3 times: it crashed (exit code 1)", {}),
-        pytest.param("sleep", "it did not end within 5 s", {"task_seconds": 5}, marks=pytest.mark.slow),
+        pytest.param(
+            "sleep", "it did not end within 5 s", {"task_seconds": 5}, marks=pytest.mark.slow
+        ),
         pytest.param("allocate", "Unable to allocate 32.0 GiB", {}, marks=pytest.mark.slow),
     ],
 )
@@ -59,19 +63,27 @@ def test_a_deadly_tile_leaves_a_hole_that_is_told(
     edges = map(int, (*cells.min(axis=0), *(cells.max(axis=0) + 1)))
     assert failed["bounds"] == [lattice.first(edge) / COUNTS_PER_UNIT for edge in edges]
     events = [json.loads(line) for line in (out / "events.jsonl").read_text().splitlines()]
-    told = [e["event"] for e in events if e["event"].startswith("task_") and e["key"] == failed["key"]]
+    told = [
+        e["event"]
+        for e in events
+        if e["event"].startswith("task_") and e["key"] == failed["key"]
+    ]
     assert told[-3:] == ["task_again", "task_again", "task_failed"]
     west, south, east, north = failed["bounds"]
     before, after = laspy.read(city), laspy.read(out / "classified" / city.name)
     inside = (before.x >= west) & (before.x < east) & (before.y >= south) & (before.y < north)
     assert inside.sum() > 100
-    assert np.array_equal(np.asarray(before.classification)[inside], np.asarray(after.classification)[inside])
+    assert np.array_equal(
+        np.asarray(before.classification)[inside], np.asarray(after.classification)[inside]
+    )
     assert (np.asarray(after.classification)[~inside] == 2).sum() > 1000
     assert (dtm(out)[0] != -9999).mean() > 0.5
     assert_hole_in_mask(out, failed["bounds"])
     # What was passing is gone: the same command ends in the bytes of a run in peace.
     monkeypatch.setenv(deadly.CELL, "0,0")
-    assert do(city, out, parameters=parameters, tile_size="64", products="dtm,mask").exit_code == 0
+    assert (
+        do(city, out, parameters=parameters, tile_size="64", products="dtm,mask").exit_code == 0
+    )
     do(city, tmp_path / "peace", tile_size="64", products="dtm,mask", parameters=parameters)
     assert output_digests(out) == output_digests(tmp_path / "peace")
 

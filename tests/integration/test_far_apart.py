@@ -39,14 +39,18 @@ def site(
     """A slope with one point a square metre or more."""
     random = np.random.default_rng(seed)
     x, y = random.random((2, number)) * side
-    return write_points(path, np.round(np.stack([x + west, y + south, 100 + 0.1 * x + 0.05 * y]), 2))
+    return write_points(
+        path, np.round(np.stack([x + west, y + south, 100 + 0.1 * x + 0.05 * y]), 2)
+    )
 
 
 def test_four_points_4000_km_apart(tmp_path: Path) -> None:
     """Their buckets' lattice has a thousand million cells."""
     corners = np.array([[0.0, 4e6, 0.0, 4e6], [0.0, 0.0, 4e6, 4e6], [1.0, 2.0, 3.0, 4.0]])
     path = write_points(tmp_path / "four.las", corners)
-    result = do(path, tmp_path / "out", method="keep", crs="none", resolution=None, max_edge="20000")
+    result = do(
+        path, tmp_path / "out", method="keep", crs="none", resolution=None, max_edge="20000"
+    )
     assert result.exit_code == 0
     assert any("the terrain model is empty" in note for note in result.summary["notes"])
     with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
@@ -55,7 +59,10 @@ def test_four_points_4000_km_apart(tmp_path: Path) -> None:
 
 def test_coarse_pixels_of_a_wide_extent(tmp_path: Path) -> None:
     """A block of 512 such pixels is wider than what one TIN can be exact for."""
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 60e3, 1500.0), np.arange(0, 4500.0, 1500.0)))
+    x, y = (
+        axis.ravel()
+        for axis in np.meshgrid(np.arange(0, 60e3, 1500.0), np.arange(0, 4500.0, 1500.0))
+    )
     path = write_points(tmp_path / "strip.las", np.stack([x, y, 100 + 0.001 * x]))
     do(path, tmp_path / "out", method="keep", crs="none", resolution="500", max_edge="4000")
     with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
@@ -99,17 +106,26 @@ def test_a_file_with_absurd_coordinates_is_left_out(
     assert not (tmp_path / "stopped").exists()
 
 
-def test_one_good_file_is_told_from_one_beyond_its_crs(good: list[Path], tmp_path: Path) -> None:
+def test_one_good_file_is_told_from_one_beyond_its_crs(
+    good: list[Path], tmp_path: Path
+) -> None:
     bad = site(tmp_path / "bad.las", 0.0, 0.0)
-    assert do([bad, good[0]], tmp_path / "out", **KEEP).summary["quarantined"][0]["path"] == str(bad)
-    with pytest.raises(ConfigError, match=r"bad.las and .*g0.las lie up to .* run them separately"):
+    assert do([bad, good[0]], tmp_path / "out", **KEEP).summary["quarantined"][0][
+        "path"
+    ] == str(bad)
+    with pytest.raises(
+        ConfigError, match=r"bad.las and .*g0.las lie up to .* run them separately"
+    ):
         do([bad, good[0]], tmp_path / "local", **{**KEEP, "crs": "none"})
 
 
 @pytest.mark.parametrize("in_one_file", [True, False])
 def test_two_sites_400_km_apart(in_one_file: bool, tmp_path: Path) -> None:
     """One raster over both would have 1.6e11 pixels; as sheets they are a few."""
-    one, two = site(tmp_path / "1.las", 500_000, 5_000_000), site(tmp_path / "2.las", 900_000, 5_400_000)
+    one, two = (
+        site(tmp_path / "1.las", 500_000, 5_000_000),
+        site(tmp_path / "2.las", 900_000, 5_400_000),
+    )
     inputs = [one, two]
     if in_one_file:
         points = np.concatenate([laspy.read(path).xyz.T for path in inputs], axis=1)
@@ -126,7 +142,9 @@ def test_two_sites_400_km_apart(in_one_file: bool, tmp_path: Path) -> None:
     assert evaluate_dtm(vrt, vrt)["rmse"] == 0
     with pytest.raises(ConfigError, match=r"up to 400 km apart: .* use --sheets or --bounds"):
         do(inputs, tmp_path / "whole", **KEEP)
-    near = do(inputs, tmp_path / "part", bounds=[499_990, 4_999_990, 500_060, 5_000_060], **KEEP)
+    near = do(
+        inputs, tmp_path / "part", bounds=[499_990, 4_999_990, 500_060, 5_000_060], **KEEP
+    )
     assert near.exit_code == 0
     assert near.summary["dtm"]["width"] == 50
 
@@ -150,7 +168,9 @@ def test_a_header_that_hides_where_points_lie(good: list[Path], tmp_path: Path) 
 
 def test_heights_that_no_run_can_hold(good: list[Path], tmp_path: Path) -> None:
     x, y = np.random.default_rng(1).random((2, 500)) * 50
-    high = write_points(tmp_path / "high.las", np.stack([500_200 + x, 5_000_000 + y, np.full(500, 2e7)]))
+    high = write_points(
+        tmp_path / "high.las", np.stack([500_200 + x, 5_000_000 + y, np.full(500, 2e7)])
+    )
     result = do([*good, high], tmp_path / "out", **KEEP)
     assert result.exit_code == 5
     assert [q["path"] for q in result.summary["quarantined"]] == [str(high)]
@@ -163,11 +183,16 @@ def test_one_more_input_makes_the_sheets_that_it_touches(tmp_path: Path) -> None
     do(first, tmp_path / "out", **how)
 
     def tags() -> dict[str, str]:
-        return {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out/dtm").iterdir()}
+        return {
+            p.name: rasterio.open(p).tags()["TILER_INPUTS"]
+            for p in (tmp_path / "out/dtm").iterdir()
+        }
 
     before = tags()
     assert len(set(before.values())) == 2
-    result = do([*first, site(tmp_path / "1.las", west + 1000, south + 1000)], tmp_path / "out", **how)
+    result = do(
+        [*first, site(tmp_path / "1.las", west + 1000, south + 1000)], tmp_path / "out", **how
+    )
     assert result.summary["stages"]["export"]["tasks"] == 4  # the outline, too
     assert result.summary["stages"]["export"]["computed"] == 2
     assert tags().items() > before.items()

@@ -25,7 +25,12 @@ def look(things: list[Any], steps: list[Any]) -> None:
                 tried(tree, what)
 
 
-HOW = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck), "print_blob": False}
+HOW = {
+    "deadline": None,
+    "database": None,
+    "suppress_health_check": list(HealthCheck),
+    "print_blob": False,
+}
 
 
 @seed(11)

@@ -32,7 +32,9 @@ def put(out: Path, *names: str) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_first_run_replaces_nothing(name: str, overwrite: bool, cloud: Path, tmp_path: Path) -> None:
+def test_a_first_run_replaces_nothing(
+    name: str, overwrite: bool, cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     before = put(out, name)
     with pytest.raises(ConfigError, match=rf"-o {out}: {name}: already exists .* or --force"):
@@ -55,7 +57,9 @@ def test_all_of_them_are_named_and_forced(cloud: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["", "{", "[1]", '{"outputs": {"dtm.tif": 1}, "name": "of another program"}']
 )
-def test_a_run_file_that_is_none_of_tiler_lists_nothing(text: str, cloud: Path, tmp_path: Path) -> None:
+def test_a_run_file_that_is_none_of_tiler_lists_nothing(
+    text: str, cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     put(out, "dtm.tif")
     (out / "run.json").write_text(text)
@@ -153,7 +157,8 @@ def test_a_file_whose_task_fails_stays_the_runs_own(
 def test_scratch_has_names_that_no_file_of_the_user_has(cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     names = [
-        f"{name}.partial" for name in ("dtm.tif.cog", "dtm.tif.plain", "run.json", "classified/hill.laz")
+        f"{name}.partial"
+        for name in ("dtm.tif.cog", "dtm.tif.plain", "run.json", "classified/hill.laz")
     ]
     before = put(out, *names)
     do(cloud, out)

@@ -16,8 +16,21 @@ import pytest
 
 from tests.integration.command import ended
 from tests.invariants import clouds
-from tests.invariants.runs import EVERY_STAGE, WITH_EVERY_STAGE, all_digests, do, output_digests, settings
-from tiler.errors import ConfigError, CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
+from tests.invariants.runs import (
+    EVERY_STAGE,
+    WITH_EVERY_STAGE,
+    all_digests,
+    do,
+    output_digests,
+    settings,
+)
+from tiler.errors import (
+    ConfigError,
+    CorruptStoreError,
+    DiskFullError,
+    ProcessingError,
+    StoreAccessError,
+)
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Event, Note, StageStarted
@@ -75,10 +88,14 @@ class SmallDisk:
     def has(self, size_bytes: int, again: bool = False) -> None:
         options = f"size={size_bytes // 4096 * 4096},mode=700" + (",remount" if again else "")
         done = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", options, "tmpfs", self.folder], capture_output=True, text=True
+            ["mount", "-t", "tmpfs", "-o", options, "tmpfs", self.folder],
+            capture_output=True,
+            text=True,
         )
         if done.returncode:
-            pytest.skip(f"no small disk: a tmpfs cannot be mounted here ({done.stderr.strip()})")
+            pytest.skip(
+                f"no small disk: a tmpfs cannot be mounted here ({done.stderr.strip()})"
+            )
 
 
 @pytest.fixture
@@ -92,11 +109,15 @@ def disk(tmp_path: Path) -> Iterator[SmallDisk]:
 
 
 def room(folder: Path) -> int:
-    return sum(-(-path.stat().st_size // 4096) * 4096 for path in folder.rglob("*") if path.is_file())
+    return sum(
+        -(-path.stat().st_size // 4096) * 4096 for path in folder.rglob("*") if path.is_file()
+    )
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("share", [0.2, 0.85, *(pytest.param(s, marks=pytest.mark.slow) for s in SHARES)])
+@pytest.mark.parametrize(
+    "share", [0.2, 0.85, *(pytest.param(s, marks=pytest.mark.slow) for s in SHARES)]
+)
 def test_a_disk_that_fills_up(
     share: float, cloud: Path, whole: Path, disk: SmallDisk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,7 +125,9 @@ def test_a_disk_that_fills_up(
     monkeypatch.setattr("tiler.plan.disk.projected_disk", lambda plan: {"store": 0})
     disk.has(int(room(whole) * share))
     out = disk.folder / "out"
-    with pytest.raises(DiskFullError, match="the disk is full; free some space and run again") as caught:
+    with pytest.raises(
+        DiskFullError, match="the disk is full; free some space and run again"
+    ) as caught:
         do(cloud, out)
     assert caught.value.exit_code == 4
     assert "\n" not in str(caught.value)
@@ -135,7 +158,9 @@ def test_a_disk_that_is_full_when_a_stage_begins(
             used = shutil.disk_usage(disk.folder).used
             disk.has(used + left, again=True)
 
-    with pytest.raises(DiskFullError, match="the disk is full; free some space and run again") as caught:
+    with pytest.raises(
+        DiskFullError, match="the disk is full; free some space and run again"
+    ) as caught:
         run([str(cloud)], out, settings(**WITH_EVERY_STAGE), fill)
     assert "\n" not in str(caught.value)
     assert not [path for path in out.rglob("*.partial*") if "store.zarr" not in path.parts]
@@ -165,7 +190,9 @@ def test_a_store_that_cannot_be_written_is_no_fault_of_the_inputs(
 ) -> None:
     monkeypatch.setattr("tiler.store.storage._write_file", refusing(key, number))
     out = tmp_path / "out"
-    with pytest.raises(StoreAccessError, match=f"store.zarr: {key}.* cannot be written") as caught:
+    with pytest.raises(
+        StoreAccessError, match=f"store.zarr: {key}.* cannot be written"
+    ) as caught:
         do(cloud, out)
     assert caught.value.exit_code == 4
     assert os.strerror(number) in str(caught.value)
@@ -192,14 +219,20 @@ def test_a_raster_that_may_not_grow_says_why(tmp_path: Path) -> None:
 def test_a_read_only_out_is_one_line(cloud: Path, disk: SmallDisk) -> None:
     disk.has(64 << 20)
     (disk.folder / "out").mkdir()
-    done = subprocess.run(["mount", "-o", "remount,ro", disk.folder], capture_output=True, text=True)
+    done = subprocess.run(
+        ["mount", "-o", "remount,ro", disk.folder], capture_output=True, text=True
+    )
     if done.returncode:
         pytest.skip(f"no read-only disk here: {done.stderr.strip()}")
-    with pytest.raises(ConfigError, match="cannot be written; give a folder that can be written"):
+    with pytest.raises(
+        ConfigError, match="cannot be written; give a folder that can be written"
+    ):
         do(cloud, disk.folder / "out")
 
 
-def test_an_out_that_rasters_cannot_be_written_to_is_refused(cloud: Path, tmp_path: Path) -> None:
+def test_an_out_that_rasters_cannot_be_written_to_is_refused(
+    cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out\udcff"
     with pytest.raises(ConfigError, match="its name is not UTF-8; give another folder"):
         do(cloud, out)

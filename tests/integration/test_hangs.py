@@ -48,7 +48,10 @@ def asked(cloud: Path, hostile: dict[str, Path], out: Path) -> dict[str, list[st
 
 
 DEFAULT = ("plan --aoi", "check --points", "info")
-SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("run --aoi", "check --tile-size", "evaluate --dtm")]
+SLOW = [
+    pytest.param(n, marks=pytest.mark.slow)
+    for n in ("run --aoi", "check --tile-size", "evaluate --dtm")
+]
 
 
 @pytest.mark.parametrize("name", [*DEFAULT, *SLOW])
@@ -70,7 +73,9 @@ def test_what_never_ends_is_given_up(
     )
 
 
-def test_settings_without_end_are_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_settings_without_end_are_not_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "endless.toml").symlink_to("/dev/zero")
     (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
     (tmp_path / "long.toml").write_text("a = " + "9" * 5000)
@@ -127,13 +132,17 @@ def interrupted(folder: Path, program: str, grace_seconds: float) -> str:
     """What a program says that is interrupted once it is stuck, for a minute each time."""
     grace = f"import cli.ending\ncli.ending.GRACE_SECONDS = {grace_seconds}\n"
     (folder / "stuck.py").write_text(grace + program)
-    return end_of([sys.executable, str(folder / "stuck.py")], lambda _: (folder / "ready").exists())
+    return end_of(
+        [sys.executable, str(folder / "stuck.py")], lambda _: (folder / "ready").exists()
+    )
 
 
 @pytest.mark.processes
 def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
     """As a compressor does whose file is written by Python."""
-    stuck = STUCK.format("__import__('time').sleep(60)").replace("pass", "raise ValueError('write')")
+    stuck = STUCK.format("__import__('time').sleep(60)").replace(
+        "pass", "raise ValueError('write')"
+    )
     assert interrupted(tmp_path, stuck, grace_seconds=900) == "tiler: interrupted\n"
 
 

@@ -39,7 +39,8 @@ result = tiler.run(sys.argv[1], sys.argv[2], {"method": "classic", "resolution":
 assert result.exit_code == 0
 assert not [entry for entry in sys.path if str(shared) in entry]
 """
-"""A run beside a neighbour who made Dask's folder first: what is made in it is replaced at once by something of his."""
+"""A run beside a neighbour who made Dask's folder first: what is made in it is replaced at once
+by something of his."""
 
 
 @pytest.fixture
@@ -49,7 +50,9 @@ def folder(tmp_path: Path) -> Path:
     folder.mkdir()
     clouds.write(folder / "town.laz", clouds.city(60.0))
     for name in MODULES.split():
-        (folder / f"{name}.py").write_text(f"open({str(tmp_path / f'{name}.imported')!r}, 'w').close()\n")
+        (folder / f"{name}.py").write_text(
+            f"open({str(tmp_path / f'{name}.imported')!r}, 'w').close()\n"
+        )
     return folder
 
 
@@ -57,7 +60,9 @@ def imported(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.parent.glob("*.imported"))
 
 
-def tiler(folder: Path, *arguments: object, path: str = str(ROOT)) -> subprocess.CompletedProcess[str]:
+def tiler(
+    folder: Path, *arguments: object, path: str = str(ROOT)
+) -> subprocess.CompletedProcess[str]:
     """A command from there, as the installed script starts it: without the current folder in its path."""
     call = [sys.executable, "-P", "-m", "cli.main", *arguments]
     return ended(call, cwd=folder, env={**os.environ, "PYTHONPATH": path})
@@ -91,14 +96,18 @@ def test_settings_of_the_compiler_that_lie_there_are_not_read(folder: Path) -> N
     assert (done.returncode, done.stdout) == (0, "0\n")
 
 
-def test_a_neighbour_who_made_the_temporary_folder_of_dask_has_nothing_imported(tmp_path: Path) -> None:
+def test_a_neighbour_who_made_the_temporary_folder_of_dask_has_nothing_imported(
+    tmp_path: Path,
+) -> None:
     cloud, shared = clouds.write(tmp_path / "town.laz", clouds.city(40.0)), tmp_path / "shared"
     (shared / "dask-scratch-space").mkdir(parents=True)
     call = [sys.executable, "-c", NEIGHBOUR, cloud, tmp_path / "out", tmp_path / "imported-"]
     done = ended(call, env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(shared)})
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.glob("imported-*"))
-    assert [path.relative_to(shared).as_posix() for path in shared.rglob("*")] == ["dask-scratch-space"]
+    assert [path.relative_to(shared).as_posix() for path in shared.rglob("*")] == [
+        "dask-scratch-space"
+    ]
 
 
 @pytest.mark.slow

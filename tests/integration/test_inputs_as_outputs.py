@@ -35,7 +35,9 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return line
 
 
-@pytest.mark.parametrize("store", ["out", ".", "in", "in/hill.laz", "link", "out/classified", "out/dtm"])
+@pytest.mark.parametrize(
+    "store", ["out", ".", "in", "in/hill.laz", "link", "out/classified", "out/dtm"]
+)
 def test_a_store_is_no_place_of_inputs_or_results(
     store: str, cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -73,7 +75,9 @@ def test_a_store_that_is_a_link_is_used_and_emptied(cloud: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("link", ["classified", "outdated"])
-def test_a_folder_of_results_that_leads_to_the_inputs(link: str, cloud: Path, tmp_path: Path) -> None:
+def test_a_folder_of_results_that_leads_to_the_inputs(
+    link: str, cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / link).symlink_to(cloud.parent)
@@ -91,7 +95,9 @@ def test_a_result_that_is_a_link_to_an_input(cloud: Path, tmp_path: Path) -> Non
     assert cloud.read_bytes() == before
 
 
-def test_preview_and_classify(cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_preview_and_classify(
+    cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = content(tmp_path)
     assert "use .png" in refused(capsys, "preview", cloud, "-o", cloud)
     picture = tmp_path / "in" / "link.png"
@@ -118,7 +124,9 @@ def raster(path: Path) -> Path:
     return path
 
 
-def test_evaluate_and_check(cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_and_check(
+    cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     true, mine = raster(tmp_path / "true.tif"), raster(tmp_path / "hill.tif")
     vrt = tmp_path / "mine.vrt"
     vrt.write_text(
@@ -129,7 +137,9 @@ def test_evaluate_and_check(cloud: Path, tmp_path: Path, capsys: pytest.CaptureF
     before = content(tmp_path)
     pair = ("evaluate", "--dtm", vrt, "--true-dtm", true)
     for difference in (true, mine, tmp_path / "." / "true.tif"):
-        assert f"--difference {difference}: is an input" in refused(capsys, *pair, "--difference", difference)
+        assert f"--difference {difference}: is an input" in refused(
+            capsys, *pair, "--difference", difference
+        )
     assert "use .tif" in refused(capsys, *pair, "--difference", cloud)
     scored = ("evaluate", cloud, "--reference", cloud, "--dtm", vrt, "--true-dtm", true)
     assert "hill.tif: is an input" in refused(capsys, *scored, "--maps", tmp_path)
@@ -162,12 +172,16 @@ def test_what_commands_name_themselves_replaces_no_other_file(
     capsys.readouterr()
     terrain = tmp_path / "scene_dtm.tif"
     terrain.write_text("mine")
-    assert f"{terrain}: already exists" in refused(capsys, "simulate", tmp_path / "scene.laz", "--size", 60)
+    assert f"{terrain}: already exists" in refused(
+        capsys, "simulate", tmp_path / "scene.laz", "--size", 60
+    )
     assert terrain.read_text() == "mine"
 
 
 @pytest.mark.parametrize("name", ["input/city_sw.laz", "input/truth/dtm.tif", "evaluate.json"])
-def test_a_demo_replaces_nothing(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_demo_replaces_nothing(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / name).write_text("mine")
     assert f"{name}: already exists" in refused(capsys, "demo", "-o", tmp_path)

@@ -70,7 +70,11 @@ def start(interruptible: None) -> Iterator[Start]:
     ],
 )
 def test_an_interrupt_ends_it_and_the_command_goes_on(
-    interrupt: signal.Signals, start: Start, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
+    interrupt: signal.Signals,
+    start: Start,
+    cloud: Path,
+    undisturbed: dict[str, str],
+    tmp_path: Path,
 ) -> None:
     """Either goes to every process: by the terminal to its group, by a batch system to all of a job."""
     out = tmp_path / "out"
@@ -86,7 +90,8 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     wait_until_gone(group)
     assert json.loads((out / "run.json").read_text())["state"] == "interrupted"
     assert not list(out.rglob("*.partial*"))
-    # The job again, here: nothing that was finished is done once more, and the bytes are those of a run in peace.
+    # The job again, here: nothing that was finished is done once more, and the bytes are those
+    # of a run in peace.
     store = the_store(out)
     before = {stage: len(store.committed(stage)) for stage in STAGES}
     assert before["filter0"]
@@ -97,7 +102,9 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     assert output_digests(out) == undisturbed
 
 
-def test_kill_of_the_command_alone_takes_its_workers_along(start: Start, cloud: Path, tmp_path: Path) -> None:
+def test_kill_of_the_command_alone_takes_its_workers_along(
+    start: Start, cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     process = start(cloud, out)
     wait_for(out, "task_done", "filter0", process)

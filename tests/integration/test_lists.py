@@ -31,10 +31,15 @@ def ept(folder: Path, page: bytes) -> Path:
     return folder / "ept.json"
 
 
-@pytest.mark.skipif(not limits_memory(), reason="the memory of a process cannot be limited here")
+@pytest.mark.skipif(
+    not limits_memory(), reason="the memory of a process cannot be limited here"
+)
 @pytest.mark.parametrize("kind", ["vpc", "ept.json", "page", "info"])
 def test_memory_ends_with_a_line(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kind: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(lists, "MEMORY_BYTES", 128 << 20)
     path = tmp_path / "town.vpc" if kind == "vpc" else ept(tmp_path, LISTS)
@@ -54,12 +59,15 @@ def test_a_server_that_stops_is_given_up(
     monkeypatch.setattr(locations, "QUIET_SECONDS", 0.3)
     monkeypatch.setattr(locations, "REQUEST_SECONDS", 1.0)
     with stalling_server(parts) as server:
-        with pytest.raises(InputError, match=r"cannot be read \(its server did not answer in time\)"):
+        with pytest.raises(
+            InputError, match=r"cannot be read \(its server did not answer in time\)"
+        ):
             find_inputs([f"{server}/{name}"], in_process=True)
         monkeypatch.setattr(lists, "LIST_SECONDS", 1.0)
         assert main(["plan", f"{server}/{name}"]) == 3
     assert_one_line(
-        capsys.readouterr().err, f"{server}/{name}: the process that reads it did not end within 1 s"
+        capsys.readouterr().err,
+        f"{server}/{name}: the process that reads it did not end within 1 s",
     )
 
 
@@ -69,14 +77,18 @@ def test_a_cloud_on_such_a_server_is_given_up(
     monkeypatch.setattr("tiler.inputs.sources.INSPECTION_SECONDS", 1.0)
     with stalling_server() as server:
         assert main(["info", f"{server}/town.laz"]) == 3
-    assert_one_line(capsys.readouterr().err, f"{server}/town.laz: the process that reads it did not end")
+    assert_one_line(
+        capsys.readouterr().err, f"{server}/town.laz: the process that reads it did not end"
+    )
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
 def test_a_pipe_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lists, "LIST_SECONDS", 0.5)
     os.mkfifo(tmp_path / "town.vpc")
-    with pytest.raises(InputError, match=r"town\.vpc: the process that reads it did not end within 0\.5 s"):
+    with pytest.raises(
+        InputError, match=r"town\.vpc: the process that reads it did not end within 0\.5 s"
+    ):
         find_inputs([str(tmp_path / "town.vpc")])
 
 
@@ -91,9 +103,18 @@ def test_schemes_are_known_in_capitals(tmp_path: Path) -> None:
     ept(tmp_path, b'{"0-0-0-0": 5}')
     with http_server(tmp_path) as server:
         shouted = server.replace("http", "HTTP")
-        found = [*map(str, find_inputs([f"{shouted}/town.vpc", f"{shouted}/ept.json"], in_process=True))]
+        found = [
+            *map(
+                str,
+                find_inputs([f"{shouted}/town.vpc", f"{shouted}/ept.json"], in_process=True),
+            )
+        ]
         assert str(locations.list_inputs(f"{shouted}/", (".vpc",))[0]) == f"{server}/town.vpc"
-    assert found == [f"{server}/a.laz", f"{server}/ept-data/0-0-0-0.laz", "https://Host/B.laz?Key=1"]
+    assert found == [
+        f"{server}/a.laz",
+        f"{server}/ept-data/0-0-0-0.laz",
+        "https://Host/B.laz?Key=1",
+    ]
     assert locations.plain_scheme("SimpleCache::S3://B/C") == "simplecache::s3://B/C"
     assert locations.plain_scheme("./A/b") == "./A/b"
 
@@ -104,7 +125,9 @@ def test_no_list_names_more_clouds_than_the_command_has_room_for(
     monkeypatch.setattr("tiler.inputs.virtual_cloud.MAX_CLOUDS", 2)
     monkeypatch.setattr("tiler.inputs.point_tiles.MAX_CLOUDS", 2)
     path = vpc(tmp_path / "town.vpc", "a.laz", "b.laz", "c.laz")
-    with pytest.raises(InputError, match="names 3 clouds, 2 at most can be read; write it again"):
+    with pytest.raises(
+        InputError, match="names 3 clouds, 2 at most can be read; write it again"
+    ):
         find_inputs([str(path)], in_process=True)
     path = ept(tmp_path, b'{"0-0-0-0": 5, "1-0-0-0": 5, "1-1-0-0": 5}')
     with pytest.raises(InputError, match="twice, or more than 2 nodes"):
@@ -117,4 +140,6 @@ def test_half_of_a_character_names_no_cloud(
 ) -> None:
     path = vpc(tmp_path / "town.vpc", f"{place}\ud800.laz")
     assert main(["plan", str(path)]) == 3
-    assert_one_line(capsys.readouterr().err, "its feature 1 names", "which holds half of a character")
+    assert_one_line(
+        capsys.readouterr().err, "its feature 1 names", "which holds half of a character"
+    )

@@ -33,7 +33,9 @@ def cloud(folder: Path, size: int, suffix: str) -> Path:
         (255, ".las", "none"),
     ],
 )
-def test_the_longest_names_are_written(size: int, suffix: str, classified: str, tmp_path: Path) -> None:
+def test_the_longest_names_are_written(
+    size: int, suffix: str, classified: str, tmp_path: Path
+) -> None:
     path = cloud(tmp_path, size, suffix)
     assert do(path, tmp_path / "out", classified=classified, **HOW).exit_code == 0
     made = [file.name for file in (tmp_path / "out/classified").glob("*")]
@@ -47,7 +49,8 @@ def test_longer_ones_are_refused_in_the_plan(size: int, tmp_path: Path) -> None:
     path = cloud(tmp_path, size, ".laz")
     told = rf"its classified cloud n+\.\.\.\.laz would have a name of {size + 5} bytes, but at most 255 are possible; "
     with pytest.raises(
-        ConfigError, match=told + "rename the input, use --classified laz, or use --classified none"
+        ConfigError,
+        match=told + "rename the input, use --classified laz, or use --classified none",
     ):
         make_plan([str(path)], settings(classified="copc", **HOW))
     with pytest.raises(ConfigError, match=told):
@@ -56,6 +59,8 @@ def test_longer_ones_are_refused_in_the_plan(size: int, tmp_path: Path) -> None:
         {"out": tmp_path / ("o" * 256)},
         {"out": tmp_path / "out", "store": str(tmp_path / ("o" * 256) / "s")},
     ):
-        with pytest.raises(ConfigError, match=r"^-(o|-store) o{20}\.\.\.: its name has 256 bytes"):
+        with pytest.raises(
+            ConfigError, match=r"^-(o|-store) o{20}\.\.\.: its name has 256 bytes"
+        ):
             do(path, **how, **HOW)
     assert not (tmp_path / "out").exists()

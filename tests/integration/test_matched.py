@@ -35,11 +35,17 @@ def ran(cloud: Path, out: Path, *options: object) -> dict:
     return json.loads((out / "run.json").read_text())
 
 
-def test_what_is_decided_of_a_matched_cloud_is_told_and_done(cloud: Path, tmp_path: Path) -> None:
+def test_what_is_decided_of_a_matched_cloud_is_told_and_done(
+    cloud: Path, tmp_path: Path
+) -> None:
     found = ran(cloud, tmp_path / "out")
-    assert (found["configuration"]["surface"], found["configuration"]["erode"]) == ("median", "0.5")
+    assert (found["configuration"]["surface"], found["configuration"]["erode"]) == (
+        "median",
+        "0.5",
+    )
     assert any(
-        "the surface is the median height of each cell half a pixel wide" in note for note in found["notes"]
+        "the surface is the median height of each cell half a pixel wide" in note
+        for note in found["notes"]
     )
     labels = np.asarray(laspy.read(tmp_path / "out/classified/village.laz").classification)
     assert np.array_equal(labels, ptd.classify(village()[0], kind="dim").classification)
@@ -53,7 +59,9 @@ def test_what_is_decided_of_a_matched_cloud_is_told_and_done(cloud: Path, tmp_pa
 
 
 def test_the_classes_of_a_matched_cloud_can_be_kept(cloud: Path, tmp_path: Path) -> None:
-    found = ran(cloud, tmp_path / "out", "--method", "keep", "--kind", "dim", "--ground-classes", 0)
+    found = ran(
+        cloud, tmp_path / "out", "--method", "keep", "--kind", "dim", "--ground-classes", 0
+    )
     assert (found["state"], found["configuration"]["surface"]) == ("done", None)
 
 
@@ -64,4 +72,6 @@ def test_what_the_user_says_of_the_surface_is_obeyed(cloud: Path, tmp_path: Path
     assert not any("the surface is" in note for note in found["notes"])
     said = ran(cloud, tmp_path / "laser", "--kind", "als")
     assert said["configuration"]["surface"] is None
-    assert any("laser scanning (given by --kind or the preset)" in note for note in said["notes"])
+    assert any(
+        "laser scanning (given by --kind or the preset)" in note for note in said["notes"]
+    )

@@ -26,7 +26,9 @@ CELLS = [
 
 def executed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[dict[str, Any]]]:
     """The outputs of each cell of the notebook, which is executed in a folder."""
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS])
+    notebook = nbformat.v4.new_notebook(
+        cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS]
+    )
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     client = nbclient.NotebookClient(
         notebook,
@@ -40,7 +42,9 @@ def executed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[dict[st
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default::DeprecationWarning", "default::ResourceWarning")
-def test_a_notebook_shows_progress_and_results(cloud: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_notebook_shows_progress_and_results(
+    cloud: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     _, run, result, array, quiet = executed(cloud.parent, monkeypatch)
     (bar,) = [output["data"]["text/html"] for output in run]
     assert '<progress value="1.0000" max="1"></progress> done' in bar

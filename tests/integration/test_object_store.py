@@ -25,7 +25,9 @@ from tiler.store import locked_folder
 pytestmark = pytest.mark.slow
 
 
-def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_and_store_by_url(
+    bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     cloud = clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
     out = f"s3://{BUCKET}/town"
@@ -45,7 +47,9 @@ def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pyte
         path.unlink()  # as from another machine
     assert do().did_nothing
     assert do(overwrite=True, clean_store=True).exit_code == 0
-    assert bucket.find(f"{BUCKET}/town/store.zarr") == [f"{BUCKET}/town/store.zarr/points/notes.txt"]
+    assert bucket.find(f"{BUCKET}/town/store.zarr") == [
+        f"{BUCKET}/town/store.zarr/points/notes.txt"
+    ]
     assert not [name for name in bucket.find(f"{BUCKET}/town") if "lock" in name]
     assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["state"] == "done"
     with pytest.raises(ConfigError, match=f"--store s3://{BUCKET}/: contains {out}"):
@@ -78,10 +82,14 @@ def test_a_real_cloud_has_the_same_bytes_everywhere(
     for name in ("dtm.tif", "classified/churo.laz"):
         expected = (tmp_path / "two" / name).read_bytes()
         assert bucket.cat(f"{BUCKET}/churo/{name}") == expected
-        assert [(tmp_path / out / name).read_bytes() == expected for out in ("one", "small")] == [True, True]
+        assert [
+            (tmp_path / out / name).read_bytes() == expected for out in ("one", "small")
+        ] == [True, True]
 
 
-def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_takes_urls(
+    bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same as of files; what is not there is one line."""
     monkeypatch.chdir(tmp_path)
     cloud = clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
@@ -98,7 +106,9 @@ def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pyte
         assert found.get("heights") == same.get("heights")
     assert describe(f"{out}/store.zarr")["points"] == describe(url)["points"]
     (tmp_path / "points.csv").write_text("x,y,z\n500020,5400020,100\n")
-    accuracies = [tiler.check(dtm, tmp_path / "points.csv").summary["accuracy"]["nva"] for dtm in dtms]
+    accuracies = [
+        tiler.check(dtm, tmp_path / "points.csv").summary["accuracy"]["nva"] for dtm in dtms
+    ]
     assert accuracies[0] == accuracies[1]
     tiler.classify(url, "there.laz", settings())
     tiler.classify(cloud, "same.laz", settings())
@@ -110,13 +120,22 @@ def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pyte
     assert run([url], out, settings()).did_nothing
     for refused, line in (
         (lambda: describe(f"s3://{BUCKET}/none"), f"s3://{BUCKET}/none: no tile store here"),
-        (lambda: tiler.check(f"{out}/no.tif", "points.csv"), f"{out}/no.tif: nothing there; give a raster"),
+        (
+            lambda: tiler.check(f"{out}/no.tif", "points.csv"),
+            f"{out}/no.tif: nothing there; give a raster",
+        ),
         (
             lambda: tiler.classify(f"{out}/no.laz", "a.laz"),
             f"{out}/no.laz: no such file; give a LAS or LAZ file",
         ),
-        (lambda: tiler.classify(url, f"{out}/a.laz"), f"{out}/a.laz: one file is written here; give a file"),
-        (lambda: write_report_at(f"s3://{BUCKET}/none"), f"s3://{BUCKET}/none/run.json: cannot be read"),
+        (
+            lambda: tiler.classify(url, f"{out}/a.laz"),
+            f"{out}/a.laz: one file is written here; give a file",
+        ),
+        (
+            lambda: write_report_at(f"s3://{BUCKET}/none"),
+            f"s3://{BUCKET}/none/run.json: cannot be read",
+        ),
     ):
         with pytest.raises(TilerError, match=f"^{line}"):
             refused()

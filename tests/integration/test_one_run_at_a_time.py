@@ -36,7 +36,9 @@ def dies_at_first_state(cloud: Path, out: Path) -> None:
 
 
 @pytest.mark.processes
-def test_a_run_that_is_killed_as_it_begins_has_settled_all_or_nothing(cloud: Path, tmp_path: Path) -> None:
+def test_a_run_that_is_killed_as_it_begins_has_settled_all_or_nothing(
+    cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     assert ended(forked(dies_at_first_state, cloud, out)) == 9
     settled = the_store(out).settled
@@ -48,12 +50,17 @@ def test_a_run_that_is_killed_as_it_begins_has_settled_all_or_nothing(cloud: Pat
     assert output_digests(out) == output_digests(tmp_path / "alone")
 
 
-def test_it_is_settled_under_the_lock(cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_settled_under_the_lock(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "out"
 
     def made(url: str, *arguments: Any, **settings: Any) -> TileStore:
         assert (out / ".tiler-lock.json").is_file()
-        assert json.loads((out / "store.zarr" / "lock.json").read_text())["body"]["pid"] == os.getpid()
+        assert (
+            json.loads((out / "store.zarr" / "lock.json").read_text())["body"]["pid"]
+            == os.getpid()
+        )
         return create_store(url, *arguments, **settings)
 
     monkeypatch.setattr("tiler.pipeline.create_store", made)

@@ -22,14 +22,19 @@ def land(shape: str) -> shapely.Geometry:
     box, centre = shapely.box(0, 0, SIDE, SIDE), shapely.Point(150, 150)
     bites = shapely.MultiPoint([(0, 60), (0, 200), (120, 0), (300, 250)]).buffer(24)
     return {
-        "ragged": box - bites - shapely.box(200, 0, 240, 120) - shapely.Point(100, 200).buffer(30),
+        "ragged": box
+        - bites
+        - shapely.box(200, 0, 240, 120)
+        - shapely.Point(100, 200).buffer(30),
         "strip": shapely.LineString([(0, 0), (300, 300)]).buffer(30) & box,
         "ring": centre.buffer(140) - centre.buffer(80),
         "islands": shapely.Point(80, 80).buffer(60) | shapely.Point(230, 230).buffer(50),
     }[shape]
 
 
-def make(tmp_path: Path, shape: str, **settings: object) -> tuple[np.ndarray, np.ndarray, np.ndarray, Path]:
+def make(
+    tmp_path: Path, shape: str, **settings: object
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Path]:
     """The DTM's mask of heights, and x and y of its pixels; OUT."""
     rng = np.random.default_rng(5)
     x, y = rng.uniform(0, SIDE, (2, 90_000))
@@ -42,7 +47,10 @@ def make(tmp_path: Path, shape: str, **settings: object) -> tuple[np.ndarray, np
     with rasterio.open(out / "dtm.tif") as raster:
         heights = raster.read(1) != raster.nodata
         rows, cols = np.mgrid[: raster.height, : raster.width]
-        west, north = raster.bounds.left - clouds.CORNER[0], raster.bounds.top - clouds.CORNER[1]
+        west, north = (
+            raster.bounds.left - clouds.CORNER[0],
+            raster.bounds.top - clouds.CORNER[1],
+        )
     return heights, west + cols + 0.5, north - rows - 0.5, out
 
 
@@ -52,7 +60,9 @@ def test_no_height_beyond_the_survey(shape: str, tmp_path: Path) -> None:
     assert json.loads((out / "run.json").read_text())["outline"]["gap_m"] == 20
     true = land(shape)
     closed = true.buffer(10).buffer(-10)
-    enclosed = shapely.union_all([shapely.Polygon(part.exterior) for part in shapely.get_parts(closed)])
+    enclosed = shapely.union_all(
+        [shapely.Polygon(part.exterior) for part in shapely.get_parts(closed)]
+    )
     beyond = ~shapely.contains_xy(enclosed.buffer(3), x, y)  # a coarse cell is 2 m wide
     assert not heights[beyond].any()
     assert heights[shapely.contains_xy(true.buffer(-3), x, y)].all()
@@ -66,7 +76,9 @@ def test_no_height_beyond_the_survey(shape: str, tmp_path: Path) -> None:
     whole = shapely.union_all([shapely.Polygon(part.exterior) for part in polygons])
     within = shapely.contains_xy(whole, x, y)
     assert within[heights].all(), "the outline is the edge of the terrain"
-    assert (within & ~heights).sum() == json.loads((out / "run.json").read_text())["voids"]["pixels"]
+    assert (within & ~heights).sum() == json.loads((out / "run.json").read_text())["voids"][
+        "pixels"
+    ]
 
 
 def test_the_hull_can_be_asked_for(tmp_path: Path) -> None:

@@ -32,7 +32,8 @@ print(sum(name.startswith(("ptd", "tiler", "cli")) for name in sys.modules))
 
 
 MAX_LENGTH_BELOW_OUT = 120
-"""Of the 259 characters of a path that Windows takes, so many lie below OUT at most, in this run."""
+"""Of the 259 characters of a path that Windows takes, so many lie below OUT at most, in this
+run."""
 LIKE_WINDOWS = """
 import builtins, os, pathlib, subprocess, sys, tempfile
 
@@ -115,7 +116,16 @@ def test_a_run_with_files_as_on_windows_gives_the_same(
 ) -> None:
     """From the clouds to the files, then resumed, changed and cleaned; the cloud is named in another case."""
     cloud = shutil.copy(demo.paths[0], tmp_path / "Town.laz")
-    options = ("--method", "classic", "--workers", 2, "--tile-size", 64, "--products", "dtm,hillshade")
+    options = (
+        "--method",
+        "classic",
+        "--workers",
+        2,
+        "--tile-size",
+        64,
+        "--products",
+        "dtm,hillshade",
+    )
     plain, out = tmp_path / "plain", tmp_path / "out"
     whole = ended(command("run", cloud, "-o", plain, *options))
     assert whole.returncode == 0, whole.stderr
@@ -131,7 +141,9 @@ def test_a_run_with_files_as_on_windows_gives_the_same(
     again = ended(command("run", named, "-o", out, *options, "--json"), **windows)
     assert again.returncode == 0, again.stderr
     assert not any(stage["computed"] for stage in json.loads(again.stdout)["stages"].values())
-    changed = ended(command("run", named, "-o", out, *options[:-2], "--resolution", 2), **windows)
+    changed = ended(
+        command("run", named, "-o", out, *options[:-2], "--resolution", 2), **windows
+    )
     assert changed.returncode == 0, changed.stderr
     assert (out / "outdated/hillshade.tif").is_file()
     other = ended(command("run", cloud, "-o", out, *options), **windows)

@@ -29,7 +29,9 @@ def terrain(tiles: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / "dtm.tif"
 
 
-def pairs(terrain: Path, tiles: Path, east: float, north: float) -> tuple[np.ndarray, np.ndarray]:
+def pairs(
+    terrain: Path, tiles: Path, east: float, north: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Heights of both at the producer's pixel centres, ours looked up (east, north) metres away."""
     ours, theirs = [], []
     with rasterio.open(terrain) as mine:
@@ -62,12 +64,15 @@ def test_it_is_the_producers_dtm(terrain: Path, tiles: Path) -> None:
     assert rmse(terrain, tiles) <= 0.05
 
 
-@pytest.mark.parametrize("shift", [(-0.25, 0.0), (0.0, 0.25), (0.25, 0.25), (-0.25, -0.25), (-0.25, 0.25)])
+@pytest.mark.parametrize(
+    "shift", [(-0.25, 0.0), (0.0, 0.25), (0.25, 0.25), (-0.25, -0.25), (-0.25, 0.25)]
+)
 def test_it_does_not_fit_better_half_a_pixel_away(
     shift: tuple[float, float], terrain: Path, tiles: Path
 ) -> None:
     """Not to the east or south: the producer took its heights at the south-east corners of its pixels.
 
-    There a TIN of its ground points gives them exactly (median difference 0), at the centres it does not.
+    There a TIN of its ground points gives them exactly (median difference 0), at the centres it
+    does not.
     """
     assert rmse(terrain, tiles, *shift) > rmse(terrain, tiles)

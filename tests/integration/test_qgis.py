@@ -22,8 +22,25 @@ from tiler.core.mask_values import MASK_VALUES
 QGIS_PROCESS = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
 PYTHON = "/usr/bin/python3"
 SESSION = Path(__file__).with_name("qgis_session.py")
-OPTIONS = {"METHOD": "classic", "WORKERS": 1, "TILE_SIZE": "64", "HALO": "80", "RESOLUTION": "1"}
-CALL = ("--method", "classic", "--workers", 1, "--tile-size", 64, "--halo", 80, "--resolution", 1)
+OPTIONS = {
+    "METHOD": "classic",
+    "WORKERS": 1,
+    "TILE_SIZE": "64",
+    "HALO": "80",
+    "RESOLUTION": "1",
+}
+CALL = (
+    "--method",
+    "classic",
+    "--workers",
+    1,
+    "--tile-size",
+    64,
+    "--halo",
+    80,
+    "--resolution",
+    1,
+)
 STOPPED_AT = "grid: terrain"
 MULTIPLY = 13  # of the modes of QPainter
 
@@ -51,8 +68,13 @@ def by_command(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def profile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Variables for a QGIS of its own, in which the plugin is installed and switched on."""
     home = tmp_path_factory.mktemp("qgis")
-    # QGIS takes the Python of an activated environment for its own: it gets the system's programs alone.
-    own = {"QGIS_CUSTOM_CONFIG_PATH": str(home), "QT_QPA_PLATFORM": "offscreen", "PATH": os.defpath}
+    # QGIS takes the Python of an activated environment for its own: it gets the system's
+    # programs alone.
+    own = {
+        "QGIS_CUSTOM_CONFIG_PATH": str(home),
+        "QT_QPA_PLATFORM": "offscreen",
+        "PATH": os.defpath,
+    }
     variables = {**os.environ, **own}
     known = {**environment(), "QGIS_CUSTOM_CONFIG_PATH": str(home)}
     call = command("qgis", "install")
@@ -69,8 +91,16 @@ def assert_done(done: subprocess.CompletedProcess[str]) -> None:
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
 
 
-def run(variables: dict[str, str], name: str, **parameters: object) -> subprocess.CompletedProcess[str]:
-    return qgis(variables, "run", f"tiler:{name}", "--", *(f"{n}={value}" for n, value in parameters.items()))
+def run(
+    variables: dict[str, str], name: str, **parameters: object
+) -> subprocess.CompletedProcess[str]:
+    return qgis(
+        variables,
+        "run",
+        f"tiler:{name}",
+        "--",
+        *(f"{n}={value}" for n, value in parameters.items()),
+    )
 
 
 def test_a_run_gives_the_bytes_of_the_command(
@@ -84,7 +114,9 @@ def test_a_run_gives_the_bytes_of_the_command(
     assert "EXIT_CODE:\t0" in done.stdout
 
 
-def test_an_error_is_one_line_and_no_success(profile: dict[str, str], cloud: Path, tmp_path: Path) -> None:
+def test_an_error_is_one_line_and_no_success(
+    profile: dict[str, str], cloud: Path, tmp_path: Path
+) -> None:
     done = run(profile, "run", INPUT=tmp_path / "none.laz", OUTPUT=tmp_path / "out")
     assert done.returncode != 0
     line = f"{tmp_path}/none.laz: no such file or folder; give LAS or LAZ files, folders, globs or .vpc files"
@@ -97,20 +129,38 @@ def test_classify_check_and_preview(
     profile: dict[str, str], cloud: Path, by_command: Path, tmp_path: Path
 ) -> None:
     target, points = tmp_path / "classified.laz", tmp_path / "points.csv"
-    assert_done(run(profile, "classify", INPUT=cloud, OUTPUT=target, METHOD="classic", WORKERS=1))
+    assert_done(
+        run(profile, "classify", INPUT=cloud, OUTPUT=target, METHOD="classic", WORKERS=1)
+    )
     plain = tmp_path / "plain.laz"
-    assert tiler("classify", cloud, plain, "--method", "classic", "--workers", 1).returncode == 0
+    assert (
+        tiler("classify", cloud, plain, "--method", "classic", "--workers", 1).returncode == 0
+    )
     assert target.read_bytes() == plain.read_bytes()
     points.write_text("x,y,z\n500050,5400050,0\n")
-    checked = run(profile, "check", INPUT=by_command / "dtm.tif", POINTS=points, REQUIRE="rmse=0.001")
+    checked = run(
+        profile, "check", INPUT=by_command / "dtm.tif", POINTS=points, REQUIRE="rmse=0.001"
+    )
     assert checked.returncode != 0
     assert "NOT met" in checked.stderr
     picture = tmp_path / "preview.png"
-    assert_done(run(profile, "preview", INPUT=cloud, OUTPUT=picture, METHOD="classic", WINDOWS=1, SIZE="40"))
+    assert_done(
+        run(
+            profile,
+            "preview",
+            INPUT=cloud,
+            OUTPUT=picture,
+            METHOD="classic",
+            WINDOWS=1,
+            SIZE="40",
+        )
+    )
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_session(profile: dict[str, str], cloud: Path, by_command: Path, tmp_path: Path) -> None:
+def test_a_session(
+    profile: dict[str, str], cloud: Path, by_command: Path, tmp_path: Path
+) -> None:
     """Stopped and started again, layers in the project, corrections drawn there and applied."""
     out, given, edits, told = (tmp_path / name for name in ("out", "given", "edits", "told"))
     wanted = {"INPUT": [str(cloud)], "OUTPUT": str(out), "PRODUCTS": "dtm,mask", "LOAD": True}
@@ -128,7 +178,13 @@ def test_a_session(profile: dict[str, str], cloud: Path, by_command: Path, tmp_p
     assert found["resumed"]["ok"], found["resumed"]["errors"]
     assert output_digests(tmp_path / "then") == output_digests(by_command)
     names = [layer["name"] for layer in found["layers"]]
-    assert names == ["edits", "outline of the survey", "hillshade", "source of heights", "terrain"]
+    assert names == [
+        "edits",
+        "outline of the survey",
+        "hillshade",
+        "source of heights",
+        "terrain",
+    ]
     edits_layer, _, shade, mask, heights = found["layers"]
     assert {layer["group"] for layer in found["layers"]} == {"out"}
     assert edits_layer["widget"] == "ValueMap"
@@ -140,11 +196,23 @@ def test_a_session(profile: dict[str, str], cloud: Path, by_command: Path, tmp_p
     assert not found["unsaved"]["ok"]
     assert "edits: has unsaved changes" in found["unsaved"]["errors"][0]
     assert found["edited"]["ok"], found["edited"]["errors"]
-    assert [layer["name"] for layer in found["layers_again"]] == names, "they are read again, not added twice"
+    assert [layer["name"] for layer in found["layers_again"]] == names, (
+        "they are read again, not added twice"
+    )
     with rasterio.open(out / "dtm.tif") as terrain:
         assert next(terrain.sample([(x + 50, y + 50)])) == 200.0
     assert [2, "Ground"] in found["classes"]
     by_hand = tmp_path / "by_hand"
-    call = ("run", cloud, "-o", by_hand, *CALL, "--products", "dtm,mask", "--edits", out / "edits.gpkg")
+    call = (
+        "run",
+        cloud,
+        "-o",
+        by_hand,
+        *CALL,
+        "--products",
+        "dtm,mask",
+        "--edits",
+        out / "edits.gpkg",
+    )
     assert tiler(*call).returncode == 0
     assert output_digests(out) == output_digests(by_hand)

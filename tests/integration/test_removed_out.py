@@ -43,14 +43,21 @@ def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(
     ("what", "name", "early"),
     [
-        pytest.param(what, name, early, marks=() if what and early == (n % 2 == 0) else pytest.mark.slow)
+        pytest.param(
+            what, name, early, marks=() if what and early == (n % 2 == 0) else pytest.mark.slow
+        )
         for what in ("", "store.zarr")
         for early in (True, False)
         for n, name in enumerate(WORKS)
     ],
 )
 def test_what_was_removed_is_named(
-    what: str, name: str, early: bool, cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    what: str,
+    name: str,
+    early: bool,
+    cloud: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
     remove_at(name, out / what, early, monkeypatch)
@@ -83,7 +90,9 @@ def test_a_run_is_not_done_without_its_results(
 ) -> None:
     out = tmp_path / "out"
     remove_at(name, out, False, monkeypatch)
-    with pytest.raises(ProcessingError, match=r"out(/.*)?: (was removed|removed|cannot be written)"):
+    with pytest.raises(
+        ProcessingError, match=r"out(/.*)?: (was removed|removed|cannot be written)"
+    ):
         do(cloud, out, store=str(tmp_path / "store"))
     monkeypatch.undo()
     assert do(cloud, out, store=str(tmp_path / "store")).exit_code == 0

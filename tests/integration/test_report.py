@@ -29,15 +29,21 @@ def test_it_says_what_run_json_says(finished_run: Finished) -> None:
     for source in run["inputs"]:
         assert source["path"] in page.texts["inputs"]
     tiles = {stage["name"]: stage["tiles"] for stage in page.data["stages"]}
-    assert {"filter0", "grid-dtm", "grid-occupancy", "grid-survey", "grid-dtm-outlined"} <= set(tiles)
+    assert {"filter0", "grid-dtm", "grid-occupancy", "grid-survey", "grid-dtm-outlined"} <= set(
+        tiles
+    )
     assert len(tiles["filter0"]) == run["filter"]["tiles"]
     assert all(tile[5] == "done" and tile[7] >= 0 for stage in tiles.values() for tile in stage)
     west, south, east, north = page.data["extent"]
-    assert all(t[1] < east and t[3] > west and t[2] < north and t[4] > south for t in tiles["filter0"])
+    assert all(
+        t[1] < east and t[3] > west and t[2] < north and t[4] > south for t in tiles["filter0"]
+    )
 
 
 def stages_of(out: Path) -> list[dict[str, Any]]:
-    return sorted(results.read(out / "report.html").data["stages"], key=lambda stage: str(stage["name"]))
+    return sorted(
+        results.read(out / "report.html").data["stages"], key=lambda stage: str(stage["name"])
+    )
 
 
 def test_a_second_run_knows_the_times_of_the_first(

@@ -28,7 +28,8 @@ PATHS: dict[str, Any] = {
     "outputs": dict, "stages.<name>.seconds": NUMBER, "stages.<name>.peak_rss_bytes": int, "seconds": NUMBER,
     "peak_rss_bytes": int,
 }  # fmt: skip
-"""None of these may be renamed, moved or taken away, nor be of another type: scripts of users read them."""
+"""None of these may be renamed, moved or taken away, nor be of another type: scripts of users
+read them."""
 OF_MATCHED_CLOUDS = {"canopy.share", "canopy.mode", "canopy.places"}
 """Further paths in runs on matched clouds; `test_canopy` reads them."""
 
@@ -37,7 +38,9 @@ def values(content: Any, path: str) -> list[Any]:
     """What stands at a path; KeyError where nothing does."""
     found = [content]
     for name in path.split("."):
-        found = [v for part in found for v in (part.values() if name == "<name>" else [part[name]])]
+        found = [
+            v for part in found for v in (part.values() if name == "<name>" else [part[name]])
+        ]
     return found
 
 
@@ -58,9 +61,15 @@ def test_every_path_is_there_and_of_its_type(tmp_path: Path) -> None:
             assert found, path
             assert all(isinstance(v, kind) and not isinstance(v, bool) for v in found), path
         assert (content["state"], content["exit_code"]) == ("done", 0)
-        assert content["counts"]["read"] == content["inputs"][0]["points"] == len(clouds.city(60))
+        assert (
+            content["counts"]["read"] == content["inputs"][0]["points"] == len(clouds.city(60))
+        )
         assert content["statistics"]["survey"]["survey"]["kind"] == "lidar"
-        assert (content["dtm"]["width"], content["dtm"]["height"], content["dtm"]["resolution_m"]) == (
+        assert (
+            content["dtm"]["width"],
+            content["dtm"]["height"],
+            content["dtm"]["resolution_m"],
+        ) == (
             60,
             60,
             1.0,
@@ -115,7 +124,9 @@ def test_a_run_that_ends_early_says_with_which_code(
     assert (read(out)["state"], read(out)["exit_code"]) == ("done", 0)
 
 
-def test_a_task_that_fails_is_warned_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_that_fails_is_warned_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cloud, out = clouds.write(tmp_path / "a.laz", clouds.city(40)), tmp_path / "out"
 
     def fails(*arguments: Any) -> dict[str, Any]:

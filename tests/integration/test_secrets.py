@@ -20,7 +20,18 @@ pytest.importorskip("aiohttp")
 
 PASSWORD, TOKEN = "hunter2pass", "tok3n-of-today"
 SECRETS = (PASSWORD, TOKEN, base64.b64encode(f"anna:{PASSWORD}".encode()).decode())
-OPTIONS = ("--method", "classic", "--workers", 1, "--resolution", 1, "--tile-size", 64, "--halo", 80)
+OPTIONS = (
+    "--method",
+    "classic",
+    "--workers",
+    1,
+    "--resolution",
+    1,
+    "--tile-size",
+    64,
+    "--halo",
+    80,
+)
 
 
 class Guarded(http.server.SimpleHTTPRequestHandler):
@@ -35,17 +46,23 @@ class Guarded(http.server.SimpleHTTPRequestHandler):
     def do_GET(self, body: bool = True) -> None:
         name, _, query = self.path.partition("?")
         file = self.folder / name.strip("/")
-        if self.headers.get("Authorization") != f"Basic {SECRETS[2]}" or not query.startswith("token="):
+        if self.headers.get("Authorization") != f"Basic {SECRETS[2]}" or not query.startswith(
+            "token="
+        ):
             return self.answer(401)
         if not file.is_file():
             return self.answer(404)
         data = file.read_bytes()
         if found := re.match(r"bytes=(\d+)-(\d*)", self.headers.get("Range") or ""):
             first, last = int(found[1]), min(int(found[2] or len(data)), len(data) - 1)
-            return self.answer(206, data[first : last + 1], f"bytes {first}-{last}/{len(data)}", body)
+            return self.answer(
+                206, data[first : last + 1], f"bytes {first}-{last}/{len(data)}", body
+            )
         return self.answer(200, data, None, body)
 
-    def answer(self, code: int, data: bytes = b"", part: str | None = None, body: bool = True) -> None:
+    def answer(
+        self, code: int, data: bytes = b"", part: str | None = None, body: bool = True
+    ) -> None:
         self.send_response(code)
         if part is not None:
             self.send_header("Content-Range", part)
@@ -97,7 +114,9 @@ def test_no_output_of_a_run_holds_a_secret_and_it_resumes(
     assert (out / "classified" / "town.laz").is_file()
     assert_secret(out, done.stdout, done.stderr)
     # Signed anew, as such links are each day: the same file, and nothing to do.
-    again = tiler("run", cloud.replace(TOKEN, "tok3n-of-tomorrow"), "-o", out, *OPTIONS, *products)
+    again = tiler(
+        "run", cloud.replace(TOKEN, "tok3n-of-tomorrow"), "-o", out, *OPTIONS, *products
+    )
     assert again.returncode == 0, again.stderr
     assert again.stdout.startswith("nothing to do")
     for command in (("plan", cloud), ("info", out), ("report", out), ("info", out / "dtm.vrt")):
@@ -116,7 +135,12 @@ def test_no_output_of_a_run_holds_a_secret_and_it_resumes(
         ("plan", "nosuch://anna:{p}@{host}/town.laz?token={t}"),
         ("info", "http://anna:{p}@{host}/town.laz?token={t}"),
         ("check", "http://anna:{p}@{host}/dtm.tif?token={t}", "--tile-size", 50),
-        ("evaluate", "http://anna:{p}@{host}/a.laz?token={t}", "--reference", "https://{p}@{host}/b.laz"),
+        (
+            "evaluate",
+            "http://anna:{p}@{host}/a.laz?token={t}",
+            "--reference",
+            "https://{p}@{host}/b.laz",
+        ),
         ("preview", "http://anna:{p}@{host}/broken.laz?token={t}"),
         ("classify", "http://anna:{p}@{host}/town.laz?token={t}", "out.laz"),
         ("clean", "out", "--store", "nosuch://anna:{p}@{host}/store?token={t}"),
@@ -153,14 +177,30 @@ def test_no_object_of_a_store_and_no_result_at_a_url_holds_a_secret(
     monkeypatch.setattr(MemoryFileSystem, "pseudo_dirs", [""])
     monkeypatch.chdir(tmp_path)
     clouds.write(tmp_path / "town.laz", clouds.city(60.0))
-    out, store = f"memory://anna:{PASSWORD}@host/out", f"memory://anna:{PASSWORD}@host/elsewhere"
-    call = ["run", "town.laz", "-o", out, "--store", store, "--in-process", *map(str, OPTIONS), "-vv"]
+    out, store = (
+        f"memory://anna:{PASSWORD}@host/out",
+        f"memory://anna:{PASSWORD}@host/elsewhere",
+    )
+    call = [
+        "run",
+        "town.laz",
+        "-o",
+        out,
+        "--store",
+        store,
+        "--in-process",
+        *map(str, OPTIONS),
+        "-vv",
+    ]
     call += ["--products", "dtm,slope"]
     for _ in range(2):
         assert main(call) == 0
         assert_secret(tmp_path, *capfd.readouterr())
     assert (tmp_path / "out" / "report.html").read_text().count("data:image/png;base64,") == 2
-    objects = {key.replace(PASSWORD, ""): file.getvalue() for key, file in MemoryFileSystem.store.items()}
+    objects = {
+        key.replace(PASSWORD, ""): file.getvalue()
+        for key, file in MemoryFileSystem.store.items()
+    }
     names = ("out/dtm.tif", "out/run.json", "elsewhere/zarr.json")
     assert {f"/anna:@host/{name}" for name in names} <= objects.keys()
     for key, content in objects.items():

@@ -35,7 +35,10 @@ def cloud(tmp_path: Path) -> Path:
     points = laspy.ScaleAwarePointRecord.zeros(2 * n, header=header)
     points["x"], points["y"] = np.tile(500_000 + x, 2), np.tile(5_400_000 + y, 2)
     points["z"] = np.repeat([100.0, 100.0 + HIGH_M], n)
-    points["return_number"], points["number_of_returns"] = np.repeat([2, 1], n), np.full(2 * n, 2)
+    points["return_number"], points["number_of_returns"] = (
+        np.repeat([2, 1], n),
+        np.full(2 * n, 2),
+    )
     points["scan_angle"] = np.repeat([1000, -4000], n)
     points["point_source_id"] = np.repeat([5, 77], n)
     points["classification"] = np.repeat([1, 64], n)
@@ -48,9 +51,16 @@ def cloud(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_left_out_is_in_no_raster_but_in_the_clouds(cloud: Path, tmp_path: Path, name: str) -> None:
+def test_what_is_left_out_is_in_no_raster_but_in_the_clouds(
+    cloud: Path, tmp_path: Path, name: str
+) -> None:
     out = tmp_path / "out"
-    settings = {"products": ["dtm", "dsm"], "crs": "EPSG:25832", "withheld": "keep", "classified": "las"}
+    settings = {
+        "products": ["dtm", "dsm"],
+        "crs": "EPSG:25832",
+        "withheld": "keep",
+        "classified": "las",
+    }
     tiler.run([str(cloud)], out, {**settings, **CASES[name], "in_process": True, "kind": "als"})
     for product in ("dtm", "dsm"):
         with rasterio.open(out / f"{product}.tif") as raster:
@@ -74,7 +84,9 @@ def test_withheld_points_are_seen_if_they_are_kept(cloud: Path, tmp_path: Path) 
         settings = {"products": ["dsm"], "crs": "EPSG:25832", "in_process": True, "kind": "als"}
         result = tiler.run([str(cloud)], out, {**settings, "withheld": withheld})
         counts = result.summary["counts"]
-        assert counts.get("unselected", {}) == ({"withheld": 25_600} if withheld == "drop" else {})
+        assert counts.get("unselected", {}) == (
+            {"withheld": 25_600} if withheld == "drop" else {}
+        )
         with rasterio.open(out / "dsm.tif") as raster:
             heights[withheld] = float(np.ma.median(raster.read(1, masked=True)))
     assert heights["drop"] == pytest.approx(100.0, abs=0.01)

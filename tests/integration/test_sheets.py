@@ -39,7 +39,9 @@ def test_points_on_the_outer_edge_make_no_row_no_column_and_no_sheet(
         with rasterio.open(tmp_path / "whole" / f"{product}.tif") as raster:
             assert raster.shape == (100, 150)
             assert tuple(raster.bounds) == (500_000, 5_400_000, 500_150, 5_400_100)
-            assert (raster.read(1) != (0 if product in ("density", "mask") else raster.nodata)).all()
+            assert (
+                raster.read(1) != (0 if product in ("density", "mask") else raster.nodata)
+            ).all()
     cut = do(six, tmp_path / "cut", tile_size=tile_size, sheets="50", **KEEP)
     names = {f"dtm_{500_000 + x}_{5_400_000 + y}.tif" for x in (0, 50, 100) for y in (0, 50)}
     assert {path.name for path in (tmp_path / "cut/dtm").iterdir()} == names
@@ -60,7 +62,9 @@ def test_bounds_follow_the_same_rule(six: list[Path], tmp_path: Path, edge: str)
 def test_sheets_without_a_height_are_written_where_they_are_asked_for(tmp_path: Path) -> None:
     """One bucket of points in two corners: the sheets between them hold nothing."""
     parts = [plane(0.0, 0.0, 20.0), plane(100.0, 100.0, 20.0)]
-    both = clouds.Cloud(np.concatenate([p.xyz for p in parts]), np.concatenate([p.truth for p in parts]))
+    both = clouds.Cloud(
+        np.concatenate([p.xyz for p in parts]), np.concatenate([p.truth for p in parts])
+    )
     cloud, out = clouds.write(tmp_path / "in.laz", both), tmp_path / "out"
     how = {**KEEP, "sheets": "20", "max_edge": "10", "products": "dtm,density"}
     first = do(cloud, out, **how)

@@ -20,7 +20,18 @@ from tests.waiting import PATIENCE_SECONDS, wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
-OPTIONS = ("--method", "classic", "--workers", "2", "--resolution", "1", "--tile-size", "64", "--halo", "80")
+OPTIONS = (
+    "--method",
+    "classic",
+    "--workers",
+    "2",
+    "--resolution",
+    "1",
+    "--tile-size",
+    "64",
+    "--halo",
+    "80",
+)
 JOBS = ("run", "ingest", "filter", "grid", "export")
 LAST_STAGE = {
     "ingest": "assemble",
@@ -46,7 +57,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def arguments(name: str, folder: Path, out: Path) -> list[str]:
     """A call that works for a while."""
     town, done = str(folder / "town.laz"), folder / "done"
-    checks = ["--points", str(folder / "points.csv"), "--strips", str(done / "classified" / "town.laz")]
+    checks = [
+        "--points",
+        str(folder / "points.csv"),
+        "--strips",
+        str(done / "classified" / "town.laz"),
+    ]
     return {
         **{job: [job, town, "-o", str(out), *OPTIONS] for job in JOBS},
         "plan": ["plan", town, *OPTIONS],
@@ -74,11 +90,17 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
     }[name]
 
 
-def interrupted(call: list[str], is_time: Callable[[subprocess.Popen[str]], bool], **variables: str) -> int:
+def interrupted(
+    call: list[str], is_time: Callable[[subprocess.Popen[str]], bool], **variables: str
+) -> int:
     """Start a command, send SIGTERM once it is time, and return its exit code."""
-    process = started(command(*call), stdout=subprocess.DEVNULL, env={**environment(), **variables})
+    process = started(
+        command(*call), stdout=subprocess.DEVNULL, env={**environment(), **variables}
+    )
     wait_until(lambda: process.poll() is not None or is_time(process))
-    children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+    children = (
+        psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+    )
     process.send_signal(signal.SIGTERM)
     _, error = process.communicate(timeout=PATIENCE_SECONDS)
     wait_until_gone(children)
@@ -122,7 +144,9 @@ def test_at_work(name: str, folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", LAST_STAGE)
 def test_in_its_last_stage(name: str, folder: Path, tmp_path: Path) -> None:
     call = arguments(name, folder, tmp_path)
-    assert interrupted(call, lambda _: has_event(tmp_path, "stage_started", LAST_STAGE[name])) in (130, 0)
+    assert interrupted(
+        call, lambda _: has_event(tmp_path, "stage_started", LAST_STAGE[name])
+    ) in (130, 0)
 
 
 @pytest.mark.parametrize("stage", ["spool", "filter0", "export"])
@@ -139,5 +163,7 @@ def test_while_kernels_compile(n_kernels: int, folder: Path, tmp_path: Path) -> 
     cache = tmp_path / "cache"
     variables = {"NUMBA_CACHE_DIR": str(cache), "XDG_CACHE_HOME": str(cache)}
     call = [*arguments("run", folder, tmp_path / "out"), "--method", "auto"]
-    code = interrupted(call, lambda _: len(list(cache.rglob("*.nbc"))) >= n_kernels, **variables)
+    code = interrupted(
+        call, lambda _: len(list(cache.rglob("*.nbc"))) >= n_kernels, **variables
+    )
     assert code in (130, 0)

@@ -63,7 +63,9 @@ def test_the_recipe_gives_the_bytes_of_one_machine(tmp_path: Path) -> None:
         "JOBS": str(jobs),
         "DASK_JOBQUEUE__SLURM__SCHEDULER_OPTIONS": '{"host": "127.0.0.1", "dashboard": False}',
     }
-    done = ended([sys.executable, tmp_path / "cluster.py"], cwd=tmp_path, env={**environment(), **own})
+    done = ended(
+        [sys.executable, tmp_path / "cluster.py"], cwd=tmp_path, env={**environment(), **own}
+    )
     log = (jobs / "log").read_text("utf-8")
     assert done.returncode == 0, done.stdout + done.stderr + log
     job = (jobs / "job").read_text("utf-8")

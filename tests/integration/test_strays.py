@@ -33,7 +33,9 @@ def moved(cloud: Cloud, *offset: float) -> Cloud:
 
 
 def together(*parts: Cloud) -> Cloud:
-    return Cloud(np.concatenate([p.xyz for p in parts]), np.concatenate([p.truth for p in parts]))
+    return Cloud(
+        np.concatenate([p.xyz for p in parts]), np.concatenate([p.truth for p in parts])
+    )
 
 
 @pytest.mark.parametrize("away_m", [3_000.0, 400_000.0])
@@ -42,7 +44,10 @@ def test_a_stray_point_is_written_back_and_listed(
 ) -> None:
     stray = moved(city.take(np.arange(len(city.xyz)) < 1), away_m, -away_m, 50.0)
     middle = len(city.xyz) // 3  # not where a sample would find it
-    parts = city.take(np.arange(len(city.xyz)) < middle), city.take(np.arange(len(city.xyz)) >= middle)
+    parts = (
+        city.take(np.arange(len(city.xyz)) < middle),
+        city.take(np.arange(len(city.xyz)) >= middle),
+    )
     path = clouds.write(tmp_path / "in.laz", together(parts[0], stray, parts[1]))
     result = do(path, tmp_path / "out")
     assert result.exit_code == 0
@@ -61,10 +66,14 @@ def test_a_stray_point_is_written_back_and_listed(
     assert "far from all others" in (tmp_path / "out" / "events.jsonl").read_text()
 
 
-def test_a_point_outside_of_the_bounds_of_a_header_is_a_stray(city: Cloud, tmp_path: Path) -> None:
+def test_a_point_outside_of_the_bounds_of_a_header_is_a_stray(
+    city: Cloud, tmp_path: Path
+) -> None:
     first = np.arange(len(city.xyz)) < 4000
     stray = moved(city.take(np.arange(len(city.xyz)) < 1), -300.0, 0.0, 0.0)
-    path = clouds.write(tmp_path / "in.las", together(city.take(first), stray, city.take(~first)))
+    path = clouds.write(
+        tmp_path / "in.las", together(city.take(first), stray, city.take(~first))
+    )
     x, y = (city.xyz[:, axis] + CORNER[axis] for axis in (0, 1))
     data = bytearray(path.read_bytes())
     data[179:211] = np.array([x.max(), x.min(), y.max(), y.min()]).tobytes()
@@ -75,16 +84,27 @@ def test_a_point_outside_of_the_bounds_of_a_header_is_a_stray(city: Cloud, tmp_p
 
 @pytest.mark.parametrize("in_one_file", [True, False])
 def test_an_island_far_away_is_data(in_one_file: bool, city: Cloud, tmp_path: Path) -> None:
-    island = moved(city.take(city.xyz[:, 0] < city.xyz[:, 0].min() + 60), 12_000.0, 9_000.0, 0.0)
+    island = moved(
+        city.take(city.xyz[:, 0] < city.xyz[:, 0].min() + 60), 12_000.0, 9_000.0, 0.0
+    )
     if in_one_file:
         paths = [clouds.write(tmp_path / "in.laz", together(city, island))]
     else:
-        paths = [clouds.write(tmp_path / "a.laz", city), clouds.write(tmp_path / "b.laz", island)]
+        paths = [
+            clouds.write(tmp_path / "a.laz", city),
+            clouds.write(tmp_path / "b.laz", island),
+        ]
     result = do(paths, tmp_path / "out", until="filter")
     assert result.summary["strays"] == []
     assert result.summary["counts"]["participating"] > 0.99 * (len(city.xyz) + len(island.xyz))
-    bounds = [b for _, r in the_store(tmp_path / "out").committed("assemble").values() for b in r["buckets"]]
-    assert max(b["bounds"][2] for b in bounds) - min(b["bounds"][0] for b in bounds) > 12_000_000
+    bounds = [
+        b
+        for _, r in the_store(tmp_path / "out").committed("assemble").values()
+        for b in r["buckets"]
+    ]
+    assert (
+        max(b["bounds"][2] for b in bounds) - min(b["bounds"][0] for b in bounds) > 12_000_000
+    )
 
 
 SHAPES = {
@@ -93,15 +113,22 @@ SHAPES = {
     "one spot": lambda n: np.zeros((n, 3)),
     "a pile": lambda n: np.stack([np.zeros(n), np.zeros(n), np.arange(n) / 100], axis=1),
     "a line east": lambda n: np.stack([np.arange(n) / 10, np.zeros(n), np.zeros(n)], axis=1),
-    "a slanted line": lambda n: np.stack([np.arange(n) / 10, np.arange(n) / 10, np.arange(n) / 50], axis=1),
-    "each twice": lambda n: np.tile(np.random.default_rng(1).uniform(0, 30, (n // 2, 3)).round(2), (2, 1)),
+    "a slanted line": lambda n: np.stack(
+        [np.arange(n) / 10, np.arange(n) / 10, np.arange(n) / 50], axis=1
+    ),
+    "each twice": lambda n: np.tile(
+        np.random.default_rng(1).uniform(0, 30, (n // 2, 3)).round(2), (2, 1)
+    ),
 }
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_degenerate_clouds_end_well(shape: str, tmp_path: Path) -> None:
     xyz = SHAPES[shape](2000) + (0.0, 0.0, 100.0)
-    result = do(clouds.write(tmp_path / "in.laz", Cloud(xyz, np.ones(len(xyz), np.uint8))), tmp_path / "out")
+    result = do(
+        clouds.write(tmp_path / "in.laz", Cloud(xyz, np.ones(len(xyz), np.uint8))),
+        tmp_path / "out",
+    )
     assert result.exit_code == 0
     assert len(classes_by_point(tmp_path / "out")) == len(xyz)
     assert json.loads((tmp_path / "out" / "run.json").read_text())["state"] == "done"

@@ -19,13 +19,16 @@ from cli.main import main
 from tests.invariants import clouds
 
 EVIL = "\x1b]0;gotcha\x07\x1b[31mred\x9b2J\u202egnp"
-"""Sets a title, colours, clears the screen (in one byte of Latin-1 as well), and turns a name around."""
+"""Sets a title, colours, clears the screen (in one byte of Latin-1 as well), and turns a name
+around."""
 NAME = f"town{EVIL}.laz".replace("/", "")
 OPTIONS = ("--method", "classic", "--in-process", "--resolution", "1")
 
 
 def assert_harmless(text: str) -> None:
-    bad = {c for c in text if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\r\t"}
+    bad = {
+        c for c in text if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\r\t"
+    }
     assert not bad, bad
 
 
@@ -34,7 +37,11 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cloud with such a name, and a CRS that is called so too."""
     folder = tmp_path_factory.mktemp("evil")
     las = laspy.read(clouds.write(folder / "plain.laz", clouds.city(60.0)))
-    wkt = CRS.from_epsg(32632).to_wkt("WKT1_GDAL").replace("WGS 84 / UTM zone 32N", f"zone {EVIL}")
+    wkt = (
+        CRS.from_epsg(32632)
+        .to_wkt("WKT1_GDAL")
+        .replace("WGS 84 / UTM zone 32N", f"zone {EVIL}")
+    )
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = las.header.scales, las.header.offsets
     header.vlrs.append(WktCoordinateSystemVlr(wkt))
@@ -90,7 +97,12 @@ def test_no_command_gives_control_characters_on(
             assert_harmless(told.out + told.err)
             if told.out:
                 json.loads(told.out)
-    for path in (*figures.iterdir(), out / "report.html", out / "run.json", out / "events.jsonl"):
+    for path in (
+        *figures.iterdir(),
+        out / "report.html",
+        out / "run.json",
+        out / "events.jsonl",
+    ):
         assert_harmless(path.read_text("utf-8"))
     shutil.rmtree(out)
 
@@ -102,13 +114,18 @@ def test_tables_of_a_terminal_as_well(
 
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     print_table(EVIL, ("a", "b"), [(EVIL, f"{EVIL}[bold]")])
-    assert_harmless(re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out))  # rich's own colours
+    # rich's own colours
+    assert_harmless(re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out))
 
 
 def test_there_is_one_way_out_for_text() -> None:
     """What a command says goes through `cli.output`; click's own functions print what they are given."""
     folder = Path(str(commands.__file__)).parents[1]
-    found = {p.name for p in folder.rglob("*.py") if re.search(r"\b(click\.s?echo|print)\(", p.read_text())}
+    found = {
+        p.name
+        for p in folder.rglob("*.py")
+        if re.search(r"\b(click\.s?echo|print)\(", p.read_text())
+    }
     assert found <= {"output.py", "main.py"}
     calls = re.findall(r"click\.echo\(.*", (folder / "main.py").read_text())
     assert calls == ["click.echo(context.get_help(), err=True)"]

@@ -67,7 +67,10 @@ def test_what_is_found_is_named_by_its_whole_url(
     assert names(f"{server}/a/*.laz") == both[:1]
     for url in both:
         assert names(url) == [url]
-        assert state_of(as_path(url)).size == (folder / "a" / url.rpartition("/")[2]).stat().st_size
+        assert (
+            state_of(as_path(url)).size
+            == (folder / "a" / url.rpartition("/")[2]).stat().st_size
+        )
         assert inspect(as_path(url)).points > 1000
     with pytest.raises(ConfigError, match=r"no\.laz: nothing there"):
         names(f"{server}/a/no.laz")
@@ -93,20 +96,26 @@ def test_an_ftp_connection_that_is_replaced_is_closed(servers: dict[str, str]) -
     assert system.ftp.sock is not None
 
 
-def test_an_ftp_connection_is_closed_before_its_socket_is_collected(servers: dict[str, str]) -> None:
+def test_an_ftp_connection_is_closed_before_its_socket_is_collected(
+    servers: dict[str, str],
+) -> None:
     circle: list[Any] = [as_path(f"{servers['ftp']}/a/east.laz")]
     circle.append(circle)
     socket = circle[0].fs.ftp.sock
-    gc.collect()  # what only the circle holds now comes after the socket in the collector's list
+    # what only the circle holds now comes after the socket in the collector's list
+    gc.collect()
     del circle, socket
-    gc.collect()  # it ends the objects of a circle in the order of its list; an open socket would warn
+    # it ends the objects of a circle in the order of its list; an open socket would warn
+    gc.collect()
 
 
 def do(inputs: list[str], out: Path) -> RunResult:
     return run(inputs, out, settings())
 
 
-def test_a_run_on_urls_is_a_run_on_files(servers: dict[str, str], folder: Path, tmp_path: Path) -> None:
+def test_a_run_on_urls_is_a_run_on_files(
+    servers: dict[str, str], folder: Path, tmp_path: Path
+) -> None:
     do([str(folder / "a")], tmp_path / "files")
     urls = [f"{servers['http']}/a/west.las", f"{servers['ftp']}/a/east.laz"]
     assert do(urls, tmp_path / "urls").exit_code == 0
@@ -130,7 +139,9 @@ def test_an_object_that_is_replaced_is_left_out(
         return spool_piece(store_url, work)
 
     monkeypatch.setattr(ingest_tasks, "spool_piece", changed)
-    with pytest.raises(InputError, match="c.las: left out: was replaced or changed during the run"):
+    with pytest.raises(
+        InputError, match="c.las: left out: was replaced or changed during the run"
+    ):
         do([f"{servers['http']}/b/c.las"], tmp_path / "out")
 
 

@@ -21,7 +21,13 @@ from tiler.simulate import DemoScene
 
 PASSES = sum(not isinstance(step, MatchedPass) for step in Auto().passes)  # a laser scan
 SURVEY = ("grid-occupancy", "grid-survey-open", "grid-survey")
-WATER = ("grid-water-ground", "grid-domain-open", "grid-domain", "grid-water-planes", "grid-water-areas")
+WATER = (
+    "grid-water-ground",
+    "grid-domain-open",
+    "grid-domain",
+    "grid-water-planes",
+    "grid-water-areas",
+)
 GRID = ("grid-dtm", *SURVEY, *WATER, "grid-dtm-outlined")
 
 
@@ -74,10 +80,16 @@ def test_run_json_tells_what_was_done(default_run: Finished, demo: DemoScene) ->
     assert content["plan"]["parameters"]["rounds"] == 4
     assert {"numpy", "numba", "zarr", "laspy"} <= content["libraries"].keys()
     assert [i["path"] for i in content["inputs"]] == [str(p) for p in sorted(demo.paths)]
-    assert sum(i["points"] for i in content["inputs"]) == demo.points == content["counts"]["stored"]
+    assert (
+        sum(i["points"] for i in content["inputs"])
+        == demo.points
+        == content["counts"]["stored"]
+    )
     assert all(len(i["content"]) == 32 for i in content["inputs"])
     passes = [f"filter{i}" for i in range(PASSES)]
-    assert sorted(content["stages"]) == sorted(["assemble", "catalogue", "export", *passes, *GRID, "spool"])
+    assert sorted(content["stages"]) == sorted(
+        ["assemble", "catalogue", "export", *passes, *GRID, "spool"]
+    )
     for stage in content["stages"].values():
         assert stage["computed"] == stage["tasks"] > 0
         assert stage["done"] == 0
@@ -132,7 +144,12 @@ def test_the_stages_one_by_one_are_the_whole_job(
         ("export", {"export", "catalogue"}),
     ):
         result = do(
-            list(demo.paths), tmp_path / "out", until=until, tile_size="128", method="auto", water="auto"
+            list(demo.paths),
+            tmp_path / "out",
+            until=until,
+            tile_size="128",
+            method="auto",
+            water="auto",
         )
         assert {stage for stage, n in computed(result).items() if n} == stages
     assert output_digests(tmp_path / "out") == output_digests(default_run[0])

@@ -48,21 +48,26 @@ class Tree:
         """Path -> digest of each file, target of each link; links are not followed."""
         found = {}
         for folder, folders, files in os.walk(self.root):
-            for name in [*files, *(f for f in folders if os.path.islink(os.path.join(folder, f)))]:
+            for name in [
+                *files,
+                *(f for f in folders if os.path.islink(os.path.join(folder, f))),
+            ]:
                 path = os.path.join(folder, name)
                 place = os.path.relpath(path, self.root)
                 if os.path.islink(path):
                     found[place] = f"-> {os.readlink(path)}"
                 else:
                     with open(path, "rb") as stream:
-                        found[place] = hashlib.blake2b(stream.read(), digest_size=16).hexdigest()
+                        found[place] = hashlib.blake2b(
+                            stream.read(), digest_size=16
+                        ).hexdigest()
         return found
 
     def harmed(self, before: dict[str, str], named: set[str]) -> list[str]:
         """Files of the user that are not what they were; what commands made is known from now on.
 
-        A file that the user put in the place of a result may have been moved aside, whole. The files that each run
-        writes anew stay the run's.
+        A file that the user put in the place of a result may have been moved aside, whole. The
+        files that each run writes anew stay the run's.
         """
         after = self.state()
         aside = {digest for place, digest in after.items() if "outdated" in place.split(os.sep)}
@@ -72,7 +77,9 @@ class Tree:
         for place, digest in before.items():
             if place in own or place in named or after.get(place) == digest:
                 continue
-            if place in results and (digest in aside or os.path.basename(place) in WRITTEN_ANEW):
+            if place in results and (
+                digest in aside or os.path.basename(place) in WRITTEN_ANEW
+            ):
                 continue
             found.append(place)
         for place, digest in after.items():
@@ -140,7 +147,19 @@ PLACES = st.one_of(ANYWHERE, ANYWHERE, within(("out",), RESULTS))
 
 THINGS = st.tuples(
     PLACES,
-    one(("file", "file", "file", "file", "file", "link", "hard link", "folder", "link to folder")),
+    one(
+        (
+            "file",
+            "file",
+            "file",
+            "file",
+            "file",
+            "link",
+            "hard link",
+            "folder",
+            "link to folder",
+        )
+    ),
     one(("text", "raster", "empty", "json", ".las", ".laz")),
     st.integers(0, 3),
     st.one_of(PLACES, one(FOLDERS)),
@@ -177,18 +196,31 @@ def put(tree: Tree, thing: tuple[str, str, str, int, str]) -> None:
 SOME = ("in", ".", "in/sub", "IN", "a.las", "in/a.las", "in/*.la?", "out", "in-link")
 INPUTS = st.one_of(st.just(["in"]), st.lists(one(SOME), min_size=1, max_size=2))
 OUTS = st.one_of(
-    st.just("out"), one(("in", ".", "out/classified", "in/sub", "new", "out-link", "pictures", "a.las"))
+    st.just("out"),
+    one(("in", ".", "out/classified", "in/sub", "new", "out-link", "pictures", "a.las")),
 )
-STORES = st.one_of(st.none(), one((None, "store", "out", "in", "out/classified", "out-link", ".")))
-MORE_OPTIONS = ("--overwrite", "--clean-store", "--verify", "--sheets=6", "--products=dtm,hillshade")
+STORES = st.one_of(
+    st.none(), one((None, "store", "out", "in", "out/classified", "out-link", "."))
+)
+MORE_OPTIONS = (
+    "--overwrite",
+    "--clean-store",
+    "--verify",
+    "--sheets=6",
+    "--products=dtm,hillshade",
+)
 FLAGS = st.lists(one(MORE_OPTIONS), max_size=2, unique=True)
 ANY = ("in/a.las", "out/run.json", "notes.txt", "d.tif", "in-link/a.las", "in/A.LAS", "out")
 CLOUD_FILES = ("in/a.las", "a.las", "in/b.laz", "in-link/b.laz", "out/classified/a.laz")
 SOURCES = st.one_of(one(CLOUD_FILES), one(CLOUD_FILES), one(ANY))
 NEW_CLOUDS = ("new/x.laz", "out/classified/a.laz", "in/b.laz", "a.laz", "IN/a.laz", "out/a.laz")
 TARGETS = st.one_of(one(NEW_CLOUDS), one(NEW_CLOUDS), one(ANY))
-PICTURES = one(("preview.png", "pictures/p.png", "in/p.png", "out/p.png", "out-link/p.png", *ANY))
-RASTERS = one(("out/dtm.tif", "d.tif", "d.tif", "in/d.tif", "out/dtm.vrt", "out-link/dtm.tif", *ANY))
+PICTURES = one(
+    ("preview.png", "pictures/p.png", "in/p.png", "out/p.png", "out-link/p.png", *ANY)
+)
+RASTERS = one(
+    ("out/dtm.tif", "d.tif", "d.tif", "in/d.tif", "out/dtm.vrt", "out-link/dtm.tif", *ANY)
+)
 
 
 def run_line(
@@ -202,8 +234,18 @@ def run_line(
 
 METHODS = one(("keep", "keep", "classic"))
 COMMANDS = st.one_of(
-    st.builds(run_line, INPUTS, OUTS, STORES, FLAGS, one(("run", "run", "run", "ingest", "grid")), METHODS),
-    st.builds(lambda out, store: ["clean", out, *(["--store", store] if store else [])], OUTS, STORES),
+    st.builds(
+        run_line,
+        INPUTS,
+        OUTS,
+        STORES,
+        FLAGS,
+        one(("run", "run", "run", "ingest", "grid")),
+        METHODS,
+    ),
+    st.builds(
+        lambda out, store: ["clean", out, *(["--store", store] if store else [])], OUTS, STORES
+    ),
     st.builds(lambda out: ["report", out, "-q"], OUTS),
     st.builds(
         lambda i, o: ["preview", *i, "-o", o, "--method", "keep", "--crs", "EPSG:25832", "-q"],
@@ -215,8 +257,12 @@ COMMANDS = st.one_of(
         lambda d, t, o: ["evaluate", "--dtm", d, "--true-dtm", t, "--difference", o, "-q"],
         *(RASTERS, RASTERS, RASTERS),
     ),
-    st.builds(lambda c, m: ["evaluate", c, "--reference", "in", "--maps", m, "-q"], SOURCES, OUTS),
-    st.builds(lambda d, f: ["check", d, "--points", "points.csv", "--figures", f, "-q"], RASTERS, OUTS),
+    st.builds(
+        lambda c, m: ["evaluate", c, "--reference", "in", "--maps", m, "-q"], SOURCES, OUTS
+    ),
+    st.builds(
+        lambda d, f: ["check", d, "--points", "points.csv", "--figures", f, "-q"], RASTERS, OUTS
+    ),
 )
 
 
@@ -233,10 +279,18 @@ def named_by(arguments: list[str]) -> set[str]:
 
 RUNS = st.builds(run_line, INPUTS, st.just("out"), STORES, FLAGS, st.just("run"), METHODS)
 COMMAND = st.tuples(st.just("command"), COMMANDS)
-MORE = st.lists(st.one_of(st.tuples(st.just("put"), THINGS), COMMAND, COMMAND), min_size=1, max_size=3)
+MORE = st.lists(
+    st.one_of(st.tuples(st.just("put"), THINGS), COMMAND, COMMAND), min_size=1, max_size=3
+)
 STEPS = st.one_of(MORE, st.builds(lambda first, rest: [("command", first), *rest], RUNS, MORE))
 TREES = st.lists(THINGS, min_size=2, max_size=9)
-BEGINNING = {"in/a.las": "", "in/b.laz": "", "a.las": "", "d.tif": "raster", "points.csv": "points"}
+BEGINNING = {
+    "in/a.las": "",
+    "in/b.laz": "",
+    "a.las": "",
+    "d.tif": "raster",
+    "points.csv": "points",
+}
 """Files of every tree, and their kinds."""
 
 
@@ -269,7 +323,9 @@ def tried(tree: Tree, arguments: list[str]) -> None:
     harmed = tree.harmed(before, named)
     assert not harmed, f"{arguments} harmed {harmed} (code {code})"
     after = tree.state()
-    assert all(after.get(path) == before[path] for path in inputs), f"{arguments} wrote over its input"
+    assert all(after.get(path) == before[path] for path in inputs), (
+        f"{arguments} wrote over its input"
+    )
     assert code in (0, 2, 3, 4, 5, 6), (arguments, code)
 
 

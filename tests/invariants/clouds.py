@@ -30,7 +30,9 @@ class Cloud:
         return len(self.truth)
 
 
-def city(side_m: float = SIDE_M, density: float = 1.0, seed: int = 1, kind: str = "city") -> Cloud:
+def city(
+    side_m: float = SIDE_M, density: float = 1.0, seed: int = 1, kind: str = "city"
+) -> Cloud:
     xyz, truth = scene_points(kind, seed, side_m, AlsSensor(density=density))
     return Cloud(np.round(xyz, 3), truth)
 
@@ -83,7 +85,9 @@ SHAPES: dict[str, Callable[[Cloud], Cloud]] = {
 def quarters(cloud: Cloud, side_m: float = SIDE_M) -> list[Cloud]:
     """The four quarters, unequal ones; each point in one of them."""
     east, north = cloud.xyz[:, 0] > 0.4 * side_m, cloud.xyz[:, 1] > 0.55 * side_m
-    return [cloud.take((east == e) & (north == n)) for n in (False, True) for e in (False, True)]
+    return [
+        cloud.take((east == e) & (north == n)) for n in (False, True) for e in (False, True)
+    ]
 
 
 def write(

@@ -32,7 +32,10 @@ def city_file(city: Cloud, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quarter_files(city: Cloud, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("quarters")
     names = ("sw", "se", "nw", "ne")
-    return [clouds.write(folder / f"{n}.laz", q) for n, q in zip(names, clouds.quarters(city), strict=True)]
+    return [
+        clouds.write(folder / f"{n}.laz", q)
+        for n, q in zip(names, clouds.quarters(city), strict=True)
+    ]
 
 
 @pytest.fixture(scope="session")

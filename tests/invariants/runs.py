@@ -17,7 +17,12 @@ from tiler.pipeline import RunResult, run
 from tiler.store import TileStore, open_store
 
 MARK = 0x80
-WITH_EVERY_STAGE = {"products": "dtm,slope,mask", "voids": "fill", "sheets": "64", "water": "auto"}
+WITH_EVERY_STAGE = {
+    "products": "dtm,slope,mask",
+    "voids": "fill",
+    "sheets": "64",
+    "water": "auto",
+}
 """Settings with which a run has stages of every kind."""
 EVERY_STAGE = """identify spool assemble filter0 grid-dtm grid-slope grid-survey grid-domain grid-water-ground
 grid-water-areas grid-dtm-outlined grid-mask sheets export mosaic""".split()  # noqa: SIM905
@@ -85,7 +90,11 @@ def classes_by_point(out: Path) -> np.ndarray:
     rows = []
     for path in sorted((out / "classified").rglob("*.laz")):
         las = laspy.read(path)
-        rows.append(np.stack([las.X, las.Y, las.Z, np.asarray(las.classification)], axis=1).astype(np.int64))
+        rows.append(
+            np.stack([las.X, las.Y, las.Z, np.asarray(las.classification)], axis=1).astype(
+                np.int64
+            )
+        )
     found = np.concatenate(rows)
     return found[np.lexsort(found.T[::-1])]
 

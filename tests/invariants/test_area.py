@@ -18,12 +18,19 @@ from tests.tiler.io.vector.files import collection
 from tiler.core.area import Area
 from tiler.core.products import PRODUCTS
 
-NARROW = {"halo": "15", "max_edge": "15", "tile_size": "32", "parameters": {"max_building_size": "20"}}
+NARROW = {
+    "halo": "15",
+    "max_edge": "15",
+    "tile_size": "32",
+    "parameters": {"max_building_size": "20"},
+}
 SETTINGS = {**NARROW, "products": list(PRODUCTS)}
-"""A margin that is narrow against the 192 m of the scene: the outermost buckets are left out."""
+"""A margin that is narrow against the 192 m of the scene: the outermost buckets are left
+out."""
 
 SIGMA_SEES = 12
-"""Pixels within which the terrain has a part in a standard error; points around the part are read, its terrain ends."""
+"""Pixels within which the terrain has a part in a standard error; points around the part are
+read, its terrain ends."""
 
 WEST, SOUTH = CORNER
 OUTER = [(52.25, 50.0), (140.5, 65.0), (130.0, 140.0), (90.0, 115.5), (55.0, 138.0)]
@@ -62,7 +69,9 @@ def in_area(raster: rasterio.DatasetReader) -> np.ndarray:
     return AREA.inside(*places).reshape(raster.shape)
 
 
-def test_a_part_is_that_part_of_the_whole(quarter_files: list[Path], whole: Path, tmp_path: Path) -> None:
+def test_a_part_is_that_part_of_the_whole(
+    quarter_files: list[Path], whole: Path, tmp_path: Path
+) -> None:
     polygon = written(tmp_path / "area.geojson", [ring(OUTER), ring(HOLE)])
     result = do(quarter_files, tmp_path / "out", **SETTINGS, aoi=str(polygon))
     assert result.exit_code == 0
@@ -76,7 +85,9 @@ def test_a_part_is_that_part_of_the_whole(quarter_files: list[Path], whole: Path
         ):
             inside = in_area(part)
             window = (
-                rasterio.windows.from_bounds(*part.bounds, all_of.transform).round_offsets().round_lengths()
+                rasterio.windows.from_bounds(*part.bounds, all_of.transform)
+                .round_offsets()
+                .round_lengths()
             )
             expected, found = all_of.read(1, window=window), part.read(1)
             fill = {"density": 0.0, "distance": 15.0}.get(name, product.nodata)
@@ -86,11 +97,16 @@ def test_a_part_is_that_part_of_the_whole(quarter_files: list[Path], whole: Path
                 "slope",
             ):  # of the outermost pixels of the raster no neighbours are known
                 inside[[0, -1]] = inside[:, [0, -1]] = False
-            if name == "sigma":  # it sees the terrain around, which ends at the border of the part
-                inside = scipy.ndimage.binary_erosion(inside, np.ones((3, 3), np.bool_), SIGMA_SEES)
+            # it sees the terrain around, which ends at the border of the part
+            if name == "sigma":
+                inside = scipy.ndimage.binary_erosion(
+                    inside, np.ones((3, 3), np.bool_), SIGMA_SEES
+                )
             np.testing.assert_array_equal(found[inside], expected[inside], name)
             assert inside.sum() > (100 if name == "sigma" else 4000)
-    assert result.summary["dtm"]["filled"] == int(np.count_nonzero(dtm(tmp_path / "out")[0] != -9999))
+    assert result.summary["dtm"]["filled"] == int(
+        np.count_nonzero(dtm(tmp_path / "out")[0] != -9999)
+    )
     assert sum(result.summary["mask"].values()) == inside.size
     changed = 0
     for path in quarter_files:
@@ -107,11 +123,18 @@ def test_a_part_is_that_part_of_the_whole(quarter_files: list[Path], whole: Path
 def test_bounds_are_the_rectangle_of_a_file_and_another_area_redoes_what_it_must(
     quarter_files: list[Path], tmp_path: Path
 ) -> None:
-    settings = {"halo": "8", "max_edge": "8", "tile_size": "32", "parameters": {"max_building_size": "10"}}
+    settings = {
+        "halo": "8",
+        "max_edge": "8",
+        "tile_size": "32",
+        "parameters": {"max_building_size": "10"},
+    }
     out = tmp_path / "out"
     corner = ring([(0.0, 0.0), (40.5, 0.0), (40.5, 40.25), (0.0, 40.25)])
     first = do(quarter_files, out, **settings, bounds=[*corner[0], *corner[2]])
-    assert [Path(i["path"]).name for i in first.summary["inputs"]] == ["sw.laz"], "others are not read"
+    assert [Path(i["path"]).name for i in first.summary["inputs"]] == ["sw.laz"], (
+        "others are not read"
+    )
     alone = written(tmp_path / "corner.json", [corner])
     same = do(quarter_files, out, **settings, aoi=str(alone))
     assert same.did_nothing

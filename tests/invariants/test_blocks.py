@@ -41,10 +41,14 @@ def test_blocks_cover_each_pixel_once(
     whole = spec.block_bounds(Block(0, 0, spec.height, spec.width))
     assert whole.union(extent) == whole
     inner = spec.block_bounds(Block(1, 1, max(spec.height - 2, 0), max(spec.width - 2, 0)))
-    assert inner.empty or (inner.x0 > x and inner.y0 > y and inner.x1 < x + wide and inner.y1 < y + high)
+    assert inner.empty or (
+        inner.x0 > x and inner.y0 > y and inner.x1 < x + wide and inner.y1 < y + high
+    )
 
 
-def test_each_block_is_one_task_and_none_shows(quarter_files: list[Path], tmp_path: Path) -> None:
+def test_each_block_is_one_task_and_none_shows(
+    quarter_files: list[Path], tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     result = do(quarter_files, out, resolution="0.3")
     assert result.summary["stages"]["grid-dtm"]["tasks"] == 4
@@ -58,7 +62,9 @@ def test_each_block_is_one_task_and_none_shows(quarter_files: list[Path], tmp_pa
     blocks = [task.arguments.block for task in tasks]
     assert blocks == list(spec.blocks(512))
     assert len({task.key for task in tasks}) == 4
-    whole = replace(tasks[0].arguments, block=Block(0, 0, spec.height, spec.width), max_points=10**9)
+    whole = replace(
+        tasks[0].arguments, block=Block(0, 0, spec.height, spec.width), max_points=10**9
+    )
     heights, _ = block_heights(store, whole)
     pixels, transform = dtm(out)
     assert pixels.tobytes() == heights.tobytes()

@@ -31,7 +31,9 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     deck = (np.abs(xy[:, 1] - MIDDLE) < HALF) & (valley(xy[:, 0]) > 0)
     z = np.round(50 - np.where(deck, 0, valley(xy[:, 0])) + rng.normal(0, 0.02, len(xy)), 3)
     cloud = Cloud(np.column_stack((xy, z)), np.full(len(xy), 2, np.uint8))
-    return clouds.write(tmp_path_factory.mktemp("cloud") / "road.laz", cloud, classes=cloud.truth)
+    return clouds.write(
+        tmp_path_factory.mktemp("cloud") / "road.laz", cloud, classes=cloud.truth
+    )
 
 
 def test_a_deck_is_left_out_drawn_and_brought_back(cloud: Path, tmp_path: Path) -> None:
@@ -67,7 +69,9 @@ def test_a_deck_is_left_out_drawn_and_brought_back(cloud: Path, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_tiles_do_not_show_and_points_of_the_deck_are_of_class_17(cloud: Path, tmp_path: Path) -> None:
+def test_tiles_do_not_show_and_points_of_the_deck_are_of_class_17(
+    cloud: Path, tmp_path: Path
+) -> None:
     """Whatever class they had; what is no part of it keeps its class."""
     las = laspy.read(cloud)
     before = np.random.default_rng(6).choice([1, 2, 5, 6], len(las)).astype(np.uint8)

@@ -53,12 +53,16 @@ def expected(before: np.ndarray, labels: np.ndarray, wet: np.ndarray) -> list[in
             return 9 if wet else 1
         return before
 
-    return [of(*point) for point in zip(before.tolist(), labels.tolist(), wet.tolist(), strict=True)]
+    return [
+        of(*point) for point in zip(before.tolist(), labels.tolist(), wet.tolist(), strict=True)
+    ]
 
 
 @pytest.mark.parametrize("point_format", [1, 6])
 @pytest.mark.parametrize("form", ["laz", "copc"])
-def test_a_run_keeps_the_classes_of_objects(tmp_path: Path, point_format: int, form: str) -> None:
+def test_a_run_keeps_the_classes_of_objects(
+    tmp_path: Path, point_format: int, form: str
+) -> None:
     cloud, out = written(tmp_path / "a.laz", point_format), tmp_path / "out"
     drawn, low = (
         draw(tmp_path / "pond.json", [(POND, {"kind": "lake"})]),
@@ -86,10 +90,14 @@ def test_a_run_keeps_the_classes_of_objects(tmp_path: Path, point_format: int, f
     stays = (labels == 1) & (before > 2)
     facts = result.summary["classes"]
     assert facts["reclass"] == "ground"
-    assert facts["kept"] == {str(c): int(n) for c, n in enumerate(np.bincount(before[stays])) if n}
+    assert facts["kept"] == {
+        str(c): int(n) for c, n in enumerate(np.bincount(before[stays])) if n
+    }
     assert facts["written"] == {str(c): int(n) for c, n in enumerate(np.bincount(after)) if n}
     assert facts["input"] == {str(c): int(n) for c, n in enumerate(np.bincount(before)) if n}
-    (line,) = [note for note in result.notes if note.startswith("classes of the input are kept")]
+    (line,) = [
+        note for note in result.notes if note.startswith("classes of the input are kept")
+    ]
     assert f"{facts['kept']['5']:,} of class 5" in line
     assert "(--reclass all gives them class 1)" in line
     assert f"{facts['no_part']['9']} of class 9" in line
@@ -102,9 +110,15 @@ def test_all_gives_each_point_the_class_that_was_found(tmp_path: Path) -> None:
     do(cloud, out, water=water)
     first = (out / "classified" / "a.laz").read_bytes()
     result = do(cloud, out, water=water, reclass="all")
-    assert {name: n for name, n in computed(result).items() if n} == {"export": 1, "catalogue": 1}
+    assert {name: n for name, n in computed(result).items() if n} == {
+        "export": 1,
+        "catalogue": 1,
+    }
     before, labels = classes_of(cloud), stored_labels(out)[0]
-    assert classes_of(out / "classified" / "a.laz").tolist() == np.where(labels, labels, before).tolist()
+    assert (
+        classes_of(out / "classified" / "a.laz").tolist()
+        == np.where(labels, labels, before).tolist()
+    )
     assert result.summary["classes"]["kept"] == {}
     do(cloud, out, water=water)
     assert (out / "classified" / "a.laz").read_bytes() == first
@@ -122,7 +136,9 @@ def test_a_class_that_keeps_many_points_out_is_told(tmp_path: Path) -> None:
     assert line.startswith(f"{n / len(many):.1%} of the points ({n:,}) are of class 17")
     assert "use --keep-classes 7,9,18 to filter them" in line
     taken = do(cloud, tmp_path / "out", keep_classes="7,9,18")
-    assert taken.summary["filter"]["points"] - taken.summary["filter"]["kept"] == np.count_nonzero(many != 9)
+    assert taken.summary["filter"]["points"] - taken.summary["filter"][
+        "kept"
+    ] == np.count_nonzero(many != 9)
     assert not any("are not filtered, so they keep it" in note for note in taken.notes)
     only = do(cloud, tmp_path / "only", keep_classes="17")
     assert any("--keep-classes none to filter" in note for note in only.notes)
@@ -131,7 +147,9 @@ def test_a_class_that_keeps_many_points_out_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("left", ["store", "run.json"])
-def test_clouds_of_an_earlier_version_are_told_of_and_written_anew(tmp_path: Path, left: str) -> None:
+def test_clouds_of_an_earlier_version_are_told_of_and_written_anew(
+    tmp_path: Path, left: str
+) -> None:
     cloud, out = written(tmp_path / "a.laz", 6), tmp_path / "out"
     first = do(cloud, out)
     assert not any(WRITTEN_AGAIN in note for note in first.notes)
@@ -139,7 +157,9 @@ def test_clouds_of_an_earlier_version_are_told_of_and_written_anew(tmp_path: Pat
     if left == "store":
         store = the_store(out)
         (_, record) = store.committed("export")["c000000"]
-        store.commit("export", "c000000", "another", {k: v for k, v in record.items() if k != "kept"})
+        store.commit(
+            "export", "c000000", "another", {k: v for k, v in record.items() if k != "kept"}
+        )
     else:
         shutil.rmtree(out / "store.zarr")
         run = json.loads((out / RUN).read_text())
@@ -166,7 +186,9 @@ def test_classify_keeps_them_too(tmp_path: Path) -> None:
     before, after = classes_of(cloud), classes_of(tmp_path / "b.laz")
     assert (after[before == 31] == 31).all()
     stays = (after == before) & ~np.isin(before, (0, 1, 2, *NO_PART, 31))
-    assert facts["kept"] == {str(c): int(n) for c, n in enumerate(np.bincount(before[stays])) if n}
+    assert facts["kept"] == {
+        str(c): int(n) for c, n in enumerate(np.bincount(before[stays])) if n
+    }
     assert set(after[~stays & (before > 2)].tolist()) <= {2, *NO_PART, 31}
     assert any(text.startswith("classes of the input are kept") for text in told)
     classify_file(cloud, tmp_path / "c.laz", config.updated(reclass="all"))

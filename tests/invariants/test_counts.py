@@ -33,10 +33,19 @@ def test_every_point_is_stored_or_dropped_for_a_reason(
     bounds = [x + 90.5, y + 20.25, x + 170.0, y + 300.0]
     settings = {"bounds": bounds, "halo": "5", "max_edge": "10"}
     result = do(mixed, tmp_path / "out", until="ingest", **settings)
-    counts, bucket, margin = result.summary["counts"], the_store(tmp_path / "out").meta.bucket, 10_100
+    counts, bucket, margin = (
+        result.summary["counts"],
+        the_store(tmp_path / "out").meta.bucket,
+        10_100,
+    )
     # A point is read if its bucket comes within the margin of the bounds.
-    box = [round(v * 1000) + side * margin for v, side in zip(bounds, (-1, -1, 1, 1), strict=True)]
-    ix, iy = (bucket.index(np.rint((city.xyz[:, k] + CORNER[k]) * 1000).astype(np.int64)) for k in (0, 1))
+    box = [
+        round(v * 1000) + side * margin for v, side in zip(bounds, (-1, -1, 1, 1), strict=True)
+    ]
+    ix, iy = (
+        bucket.index(np.rint((city.xyz[:, k] + CORNER[k]) * 1000).astype(np.int64))
+        for k in (0, 1)
+    )
     inside = (ix >= bucket.index_of(box[0])) & (ix <= bucket.index_of(box[2]))
     inside &= (iy >= bucket.index_of(box[1])) & (iy <= bucket.index_of(box[3]))
     expected = int(inside.sum()) + int(inside[::3].sum())
@@ -48,7 +57,9 @@ def test_every_point_is_stored_or_dropped_for_a_reason(
     assert sum(i["stored"] for i in result.summary["inputs"]) == expected
 
 
-def test_kept_out_and_participating_make_all_stored(mixed: list[Path], city: Cloud, tmp_path: Path) -> None:
+def test_kept_out_and_participating_make_all_stored(
+    mixed: list[Path], city: Cloud, tmp_path: Path
+) -> None:
     result = do(mixed, tmp_path / "out", until="filter")
     counts, n = result.summary["counts"], np.arange(len(city))
     out = (n % 7 == 0) | (n % 11 == 1) | (n % 13 == 2)
@@ -66,6 +77,8 @@ def test_kept_out_and_participating_make_all_stored(mixed: list[Path], city: Clo
 def test_a_run_that_drops_everything_says_so(
     city_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.ingest.spool.fits_int32", lambda local: np.zeros(local.shape, np.bool_))
+    monkeypatch.setattr(
+        "tiler.ingest.spool.fits_int32", lambda local: np.zeros(local.shape, np.bool_)
+    )
     with pytest.raises(InputError, match="points were dropped"):
         do(city_file, tmp_path / "out")

@@ -24,7 +24,8 @@ def crowded(tmp_path: Path) -> list[Path]:
     paths = [clouds.write(tmp_path / "whole.laz", whole)]
     for number in range(6):
         strip = clouds.Cloud(
-            np.round(whole.xyz[corner] + np.array([0.37, 0.23, 0.0]) * (number + 1), 3), whole.truth[corner]
+            np.round(whole.xyz[corner] + np.array([0.37, 0.23, 0.0]) * (number + 1), 3),
+            whole.truth[corner],
         )
         paths.append(clouds.write(tmp_path / f"again{number}.laz", strip))
     return paths
@@ -35,9 +36,17 @@ def test_a_tile_that_is_too_full_is_divided(
 ) -> None:
     out = tmp_path / "out"
     monkeypatch.setattr("tiler.plan.sizes.BUCKETS_M", (32,))
-    do(crowded, tmp_path / "whole", until="filter", tile_size="256", halo=HALO_M, parameters=FINE)
+    do(
+        crowded,
+        tmp_path / "whole",
+        until="filter",
+        tile_size="256",
+        halo=HALO_M,
+        parameters=FINE,
+    )
     expected, doubtful = stored_labels(tmp_path / "whole")
-    # So dear that the fullest windows of 64 m do not fit, those of a bucket of 32 m and its halo do.
+    # So dear that the fullest windows of 64 m do not fit, those of a bucket of 32 m and its
+    # halo do.
     monkeypatch.setattr("tiler.plan.memory.READ_BYTES", 40_000)
     settings = {"tile_size": "64", "halo": HALO_M, "memory": "1GiB", "parameters": FINE}
     done = computed(do(crowded, out, until="filter", **settings))
@@ -51,7 +60,9 @@ def test_a_tile_that_is_too_full_is_divided(
     assert sure.mean() > 0.4
     assert np.array_equal(found[sure], expected[sure])
 
-    again = computed(do(crowded, out, until="filter", **{**settings, "memory": "3GiB", "tile_size": None}))
+    again = computed(
+        do(crowded, out, until="filter", **{**settings, "memory": "3GiB", "tile_size": None})
+    )
     assert not any(again.values()), "more memory, the same tiles"
     with pytest.raises(ConfigError, match=r"filter needs .* use --memory \d+MiB or --"):
         do(crowded, out, until="filter", **{**settings, "memory": "800MiB"})

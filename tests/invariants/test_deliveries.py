@@ -38,14 +38,18 @@ def in_parts(folder: Path, scene: Cloud, owner: np.ndarray) -> Path:
 
 def at_random(number: int) -> Callable[[Path, Cloud], Path]:
     def write(folder: Path, scene: Cloud) -> Path:
-        return in_parts(folder, scene, np.random.default_rng(number).integers(0, number, len(scene)))
+        return in_parts(
+            folder, scene, np.random.default_rng(number).integers(0, number, len(scene))
+        )
 
     return write
 
 
 def shuffled(folder: Path, scene: Cloud) -> Path:
     return in_parts(
-        folder, scene.take(np.random.default_rng(0).permutation(len(scene))), np.zeros(len(scene))
+        folder,
+        scene.take(np.random.default_rng(0).permutation(len(scene))),
+        np.zeros(len(scene)),
     )
 
 
@@ -57,7 +61,9 @@ def strips(folder: Path, scene: Cloud) -> Path:
 
 
 def copc(folder: Path, scene: Cloud) -> Path:
-    path = write_copc(folder / "a.copc.laz", laspy.read(clouds.write(folder / "a.laz", scene)), 1500)
+    path = write_copc(
+        folder / "a.copc.laz", laspy.read(clouds.write(folder / "a.laz", scene)), 1500
+    )
     (folder / "a.laz").unlink()
     return path
 
@@ -68,7 +74,9 @@ def ept(folder: Path, scene: Cloud) -> Path:
 
 def vpc(folder: Path, scene: Cloud) -> Path:
     names = sorted(path.name for path in at_random(3)(folder, scene).iterdir())
-    features = [{"type": "Feature", "assets": {"data": {"href": f"./{name}"}}} for name in names]
+    features = [
+        {"type": "Feature", "assets": {"data": {"href": f"./{name}"}}} for name in names
+    ]
     content = {"type": "FeatureCollection", "features": features}
     (folder / "all.vpc").write_text(json.dumps(content))
     return folder / "all.vpc"
@@ -92,7 +100,10 @@ def delivered(scene: Cloud, tmp_path_factory: pytest.TempPathFactory) -> dict[st
 
 def plan_of(path: Path, **settings: object) -> Plan:
     return make_plan(
-        [str(path)], RunConfig.from_mapping({"in_process": True, "workers": 1, "memory": "1GiB", **settings})
+        [str(path)],
+        RunConfig.from_mapping(
+            {"in_process": True, "workers": 1, "memory": "1GiB", **settings}
+        ),
     )
 
 
@@ -103,7 +114,9 @@ def without_counts(texts: tuple[str, ...]) -> set[str]:
 def test_the_plan_is_the_same(delivered: dict[str, Path]) -> None:
     plans = {way: plan_of(path) for way, path in delivered.items()}
     whole = plans["1"]
-    assert {way: float(plan.grid.resolution) for way, plan in plans.items()} == dict.fromkeys(plans, 1.5)
+    assert {way: float(plan.grid.resolution) for way, plan in plans.items()} == dict.fromkeys(
+        plans, 1.5
+    )
     for way, plan in plans.items():
         assert plan.inputs.density == pytest.approx(whole.inputs.density, rel=0.01), way
         assert plan.method.tile == whole.method.tile, way
@@ -138,7 +151,11 @@ def test_a_part_has_the_density_of_the_whole(delivered: dict[str, Path]) -> None
 
 @pytest.mark.parametrize(
     "way",
-    ["40", "ept", *(pytest.param(way, marks=pytest.mark.slow) for way in ("6", "strips", "copc", "vpc"))],
+    [
+        "40",
+        "ept",
+        *(pytest.param(way, marks=pytest.mark.slow) for way in ("6", "strips", "copc", "vpc")),
+    ],
 )
 def test_results_are_the_same(way: str, delivered: dict[str, Path], tmp_path: Path) -> None:
     found, how = {}, {"resolution": None, "tile_size": None, "halo": None, "water": "auto"}

@@ -42,7 +42,9 @@ def test_a_wall_is_sharp_within_a_pixel(tmp_path: Path) -> None:
     lines = draw(tmp_path / "l.json", lines_of_wall())
     do(cloud, tmp_path / "drawn", method="keep", resolution="0.5", breaklines=lines)
     y, x = (np.mgrid[4:116, 56:65] + 0.5) / 2
-    plain, drawn = (pixels(tmp_path / out)[4:116, 56:65] - wall(x, y) for out in ("plain", "drawn"))
+    plain, drawn = (
+        pixels(tmp_path / out)[4:116, 56:65] - wall(x, y) for out in ("plain", "drawn")
+    )
     assert np.sqrt((plain**2).mean()) > 0.25
     assert np.sqrt((drawn**2).mean()) < 0.002
 
@@ -52,22 +54,37 @@ def test_a_plane_stays_one(tmp_path: Path) -> None:
         return 50 + x / 4 - y / 8
 
     def line(*places: tuple[float, float]) -> shapely.LineString:
-        return shapely.LineString([(x, y, plane(np.float64(x), np.float64(y))) for x, y in places])
+        return shapely.LineString(
+            [(x, y, plane(np.float64(x), np.float64(y))) for x, y in places]
+        )
 
     cloud = ground(plane)
     cloud.xyz[:] = np.round(cloud.xyz / 0.008) * 0.008  # heights are whole millimetres
     cloud.xyz[:, 2] = plane(cloud.xyz[:, 0], cloud.xyz[:, 1])
-    ring = shapely.Polygon([(*p, plane(*np.array(p))) for p in ((8, 8), (24, 8), (24, 40), (8, 40))])
-    drawn = [(line((0, 4), (56, 4), (56, 52)), {}), (line((4, 56), (20, 40), (52, 8)), {}), (ring, {})]
+    ring = shapely.Polygon(
+        [(*p, plane(*np.array(p))) for p in ((8, 8), (24, 8), (24, 40), (8, 40))]
+    )
+    drawn = [
+        (line((0, 4), (56, 4), (56, 52)), {}),
+        (line((4, 56), (20, 40), (52, 8)), {}),
+        (ring, {}),
+    ]
     lines = draw(tmp_path / "l.json", drawn)
-    do(written(tmp_path / "plane.laz", cloud), tmp_path / "out", method="keep", breaklines=lines)
+    do(
+        written(tmp_path / "plane.laz", cloud),
+        tmp_path / "out",
+        method="keep",
+        breaklines=lines,
+    )
     y, x = np.mgrid[1:58, 1:58] + 0.5
     assert np.abs(pixels(tmp_path / "out")[1:58, 1:58] - plane(x, y)).max() < 1.1e-3
 
 
 def test_a_2d_line_takes_the_height_of_its_column(tmp_path: Path) -> None:
     cloud = written(tmp_path / "flat.laz", ground(lambda x, y: 0 * x + 20))
-    crest = draw(tmp_path / "l.json", [(shapely.LineString([(10.5, 20.5), (40.5, 20.5)]), {"z": 22.5})])
+    crest = draw(
+        tmp_path / "l.json", [(shapely.LineString([(10.5, 20.5), (40.5, 20.5)]), {"z": 22.5})]
+    )
     do(cloud, tmp_path / "out", method="keep", breaklines=crest)
     assert pixels(tmp_path / "out")[20, 11:40] == pytest.approx(22.5, abs=0.001)
     assert pixels(tmp_path / "out")[17, 11:40] == pytest.approx(20, abs=0.001)
@@ -108,18 +125,26 @@ def made(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
 
 @pytest.mark.parametrize("tile", ["96", pytest.param("32", marks=pytest.mark.slow)])
 def test_neither_tiles_nor_buckets_nor_order_show(
-    tile: str, made: Path, quarter_files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tile: str,
+    made: Path,
+    quarter_files: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     small_stores(monkeypatch, 4000)
     do(quarter_files[::-1], tmp_path / "out", tile_size=tile, **drawings(tmp_path / "in"))
     assert digests(tmp_path / "out") == digests(made)
 
 
-def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_path: Path) -> None:
+def test_only_what_an_edit_reaches_is_done_again(
+    quarter_files: list[Path], tmp_path: Path
+) -> None:
     fine = {"resolution": "0.25", "max_edge": "2", "water": "auto"}
     plain = do(quarter_files, tmp_path / "out", **fine)
     before = digests(tmp_path / "out")
-    edits = draw(tmp_path / "e.json", [(shapely.box(165, 150, 185, 170), {"action": "not_ground"})])
+    edits = draw(
+        tmp_path / "e.json", [(shapely.box(165, 150, 185, 170), {"action": "not_ground"})]
+    )
     again = do(quarter_files, tmp_path / "out", **fine, edits=edits)
     assert plain.exit_code == again.exit_code == 0
     done = {stage: n for stage, n in computed(again).items() if n}
@@ -133,7 +158,9 @@ def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_
         "export": 3,
         "catalogue": 2,
     }  # files: the raster, the outline that follows its pixels, and one of four clouds
-    changed = {name for name, digest in digests(tmp_path / "out").items() if digest != before[name]}
+    changed = {
+        name for name, digest in digests(tmp_path / "out").items() if digest != before[name]
+    }
     assert changed == {"dtm.tif", "ne.laz"}
     (fact,) = again.summary["edits"]
     assert fact["ground_before"] > 0 == fact["ground_after"]
@@ -142,7 +169,10 @@ def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_
 
 def test_classes_and_heights_follow_edits(made: Path) -> None:
     las = [laspy.read(path) for path in sorted(made.glob("classified/*.laz"))]
-    x, y, c = (np.concatenate([np.asarray(getattr(f, n)) for f in las]) for n in ("x", "y", "classification"))
+    x, y, c = (
+        np.concatenate([np.asarray(getattr(f, n)) for f in las])
+        for n in ("x", "y", "classification")
+    )
     x, y = x - EAST, y - NORTH
     out = (x >= 60) & (x < 100) & (y >= 60) & (y < 90)
     back = (x >= 70) & (x < 80) & (y >= 70) & (y < 75)
@@ -156,7 +186,11 @@ def test_classes_and_heights_follow_edits(made: Path) -> None:
     void = np.ix_((rows > 20) & (rows < 50), (cols > 120) & (cols < 140))
     assert (heights[void] == NODATA).all()
     assert summary["edits"][2]["pixels"] == heights[void].size
-    flat = (rows[:, None] > 150) & (cols > 20) & (rows[:, None] - 150 < 30 * (1 - (cols - 20) / 40) - 0.01)
+    flat = (
+        (rows[:, None] > 150)
+        & (cols > 20)
+        & (rows[:, None] - 150 < 30 * (1 - (cols - 20) / 40) - 0.01)
+    )
     assert (heights[flat] == 104.25).all()
     page = (made / "report.html").read_text()
     assert "4 edits" in page
@@ -188,7 +222,10 @@ def test_a_correction_that_leaves_a_hole_is_a_problem(tmp_path: Path) -> None:
     assert kinds["void inside the survey"] == tuple(void["bounds"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "100.0 %" not in page
-    assert f"edit 1 (not_ground) leaves {summary['edits'][0]['holes']:,} pixels without a height" in page
+    assert (
+        f"edit 1 (not_ground) leaves {summary['edits'][0]['holes']:,} pixels without a height"
+        in page
+    )
 
 
 def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path) -> None:
@@ -223,7 +260,13 @@ def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path)
 @pytest.mark.parametrize("classes", ["2", "8"])
 def test_level_ground_and_none_at_all_have_no_contours(classes: str, tmp_path: Path) -> None:
     cloud = written(tmp_path / "level.laz", ground(lambda x, y: 0 * x + 20.3, number=500))
-    do(cloud, tmp_path / "out", method="keep", ground_classes=classes, products="contours,spots")
+    do(
+        cloud,
+        tmp_path / "out",
+        method="keep",
+        ground_classes=classes,
+        products="contours,spots",
+    )
     for name in ("contours", "spots"):
         assert pyogrio.read_info(tmp_path / "out" / f"{name}.gpkg")["features"] == 0
 

@@ -62,7 +62,9 @@ def scene() -> tuple[Cloud, np.ndarray, np.ndarray]:
     expected = np.zeros(len(xyz), np.uint8)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(METHODS, "medians", METHOD)
-        expected[part] = ptd.classify(xyz[part] + [*CORNER, 0], "medians", kind="dim").classification
+        expected[part] = ptd.classify(
+            xyz[part] + [*CORNER, 0], "medians", kind="dim"
+        ).classification
     return Cloud(xyz, classes), classes, expected
 
 
@@ -73,7 +75,13 @@ def file(scene: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def filtered(path: Path, out: Path, **changes: Any) -> Any:
-    values: dict[str, Any] = {"method": "medians", "kind": "dim", "tile_size": "32", "halo": None, **changes}
+    values: dict[str, Any] = {
+        "method": "medians",
+        "kind": "dim",
+        "tile_size": "32",
+        "halo": None,
+        **changes,
+    }
     return do(path, out, "filter", **values)
 
 
@@ -89,7 +97,13 @@ def test_tiles_do_not_show(tile: str, scene: Any, file: Path, tmp_path: Path) ->
     result = filtered(file, tmp_path / "out", tile_size=tile)
     check(tmp_path / "out", scene)
     assert [s for s in result.summary["stages"] if s.startswith("filter")] == STAGES
-    assert list(result.summary["statistics"]) == ["census", "medians", "rising", "spread", "mean"]
+    assert list(result.summary["statistics"]) == [
+        "census",
+        "medians",
+        "rising",
+        "spread",
+        "mean",
+    ]
     assert result.summary["filter"]["kept"] == np.count_nonzero(scene[1] == NOISE)
 
 
@@ -100,7 +114,9 @@ def test_order_frame_and_rows_do_not_show(
     cloud, classes, expected = scene
     small_stores(monkeypatch, 500, row_points=64)
     monkeypatch.setattr("tiler.filter.tasks.passes.held_bytes", lambda memory: 20_000)
-    monkeypatch.setattr("tiler.plan.sizes.origin_of", lambda extent: (499_876_543, 5_400_000_077))
+    monkeypatch.setattr(
+        "tiler.plan.sizes.origin_of", lambda extent: (499_876_543, 5_400_000_077)
+    )
     order = np.random.default_rng(0).permutation(len(cloud))
     path = clouds.write(tmp_path / "shuffled.laz", cloud.take(order), classes=classes[order])
     filtered(path, tmp_path / "out")
@@ -117,7 +133,11 @@ class Wary(RisingPass):
 
     def fit(self, points: Any, window: Any, core: Any, scale: Any, state: Any) -> Any:
         model = super().fit(points, window, core, scale, state)
-        near = core.west - window.west < 20_000 and core.south - window.south < 20_000 and window.closed
+        near = (
+            core.west - window.west < 20_000
+            and core.south - window.south < 20_000
+            and window.closed
+        )
         model.uncertain = lambda: int(near)  # type: ignore[method-assign]
         return model
 
@@ -133,7 +153,9 @@ def test_tiles_that_are_done_twice(
     assert max(tries) > 1
 
 
-def test_each_bucket_is_read_about_once(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_bucket_is_read_about_once(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     read: list[Any] = []
     before = TileReader._read
 
@@ -173,7 +195,13 @@ class Killed(Exception):
 
 @pytest.mark.parametrize(
     "at",
-    [MedianPass, *(pytest.param(at, marks=pytest.mark.slow) for at in (RisingPass, SpreadPass, MeanPass))],
+    [
+        MedianPass,
+        *(
+            pytest.param(at, marks=pytest.mark.slow)
+            for at in (RisingPass, SpreadPass, MeanPass)
+        ),
+    ],
 )
 def test_a_run_that_ended_on_the_way_goes_on(
     at: type[Pass], scene: Any, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -236,7 +264,9 @@ def test_a_tile_that_fails_elects_nothing(
         for step in (MedianPass, RisingPass):
             fit = step.fit
 
-            def failing(self: Any, points: Any, window: Any, core: Any, *more: Any, fit: Any = fit) -> Any:
+            def failing(
+                self: Any, points: Any, window: Any, core: Any, *more: Any, fit: Any = fit
+            ) -> Any:
                 cores.append(core)
                 if core == cores[0]:
                     raise RuntimeError("no")
@@ -244,7 +274,10 @@ def test_a_tile_that_fails_elects_nothing(
 
             patch.setattr(step, "fit", failing)
         result = filtered(file, out)
-        assert [f["stage"] for f in result.summary["failed_tasks"]][:2] == ["filter3", "filter4"]
+        assert [f["stage"] for f in result.summary["failed_tasks"]][:2] == [
+            "filter3",
+            "filter4",
+        ]
         assert result.exit_code == 5
     filtered(file, out)
     check(out, scene)
@@ -254,7 +287,10 @@ def test_a_tile_that_fails_elects_nothing(
     ("what", "damage"),
     [
         ("elected/elected-3/c.*.0.0", "bomb"),
-        *(pytest.param("elected/elected-3/c.*.0.0", d, marks=pytest.mark.slow) for d in ("gone", "flipped")),
+        *(
+            pytest.param("elected/elected-3/c.*.0.0", d, marks=pytest.mark.slow)
+            for d in ("gone", "flipped")
+        ),
         ("elected/elected-3/zarr.json", "flipped"),
         ("labels/labels-4/c.*.0.0", "gone"),
         ("labels/labels-5/c.*.0.0", "flipped"),
@@ -288,7 +324,9 @@ def whole(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_part_with_the_statistics_of_the_whole(scene: Any, file: Path, whole: Path, tmp_path: Path) -> None:
+def test_a_part_with_the_statistics_of_the_whole(
+    scene: Any, file: Path, whole: Path, tmp_path: Path
+) -> None:
     x, y = CORNER
     bounds = (x + 10, y + 12, x + 37, y + 30)
     result = filtered(file, tmp_path / "out", statistics=str(whole), bounds=bounds)
@@ -321,7 +359,9 @@ def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     assert filter_peak(plan, step["spread"], 64, 8) > filter_peak(plan, step["rising"], 64, 8)
 
 
-def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_passes_of_another_branch_make_no_tile_smaller(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where memory cuts them, too."""
 
     def plans() -> list[Any]:
@@ -350,5 +390,7 @@ def test_statistics_of_a_run_that_did_other_passes(
     file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(MedianPass, "name", "other")
-    with pytest.raises(ConfigError, match="has no results of the pass other; use the --kind of the run"):
+    with pytest.raises(
+        ConfigError, match="has no results of the pass other; use the --kind of the run"
+    ):
         filtered(file, tmp_path / "out", statistics=str(whole))

@@ -67,7 +67,8 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     "places",
     [
         [(2600.0, 2600.0)],  # far away: all else on a larger raster
-        # Other blocks, neighbours farther than the longest edge and the widest gap, and 9 km away.
+        # Other blocks, neighbours farther than the longest edge and the widest gap, and 9 km
+        # away.
         [(-1040.0, -30.0), (0.0, 110.0), (115.0, 90.0), (9000.0, -20.0)],
     ],
 )

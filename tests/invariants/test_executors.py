@@ -22,7 +22,9 @@ class Shuffled(SerialExecutor):
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
 
-    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(
+        self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]
+    ) -> Iterator[Outcome]:
         shuffled = list(tasks)
         self.random.shuffle(shuffled)
         return super().run(run_task, store_url, shuffled)
@@ -31,7 +33,9 @@ class Shuffled(SerialExecutor):
 class Twice(SerialExecutor):
     """Each task is done twice, as when a worker is lost after its commit."""
 
-    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(
+        self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]
+    ) -> Iterator[Outcome]:
         for task in tasks:
             run_task(store_url, task)
             yield run_task(store_url, task)
@@ -63,12 +67,20 @@ SLOW: dict[str, Callable[[], Executor]] = {
 }
 
 
-@pytest.mark.parametrize("name", [*EXECUTORS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
+@pytest.mark.parametrize(
+    "name", [*EXECUTORS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+)
 def test_every_executor_gives_the_same_bytes(
-    name: str, quarter_files: list[Path], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    quarter_files: list[Path],
+    finished: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)  # what workers know
-    monkeypatch.setattr("tiler.runs.executors.make_executor", lambda *_: (EXECUTORS | SLOW)[name]())
+    monkeypatch.setattr(
+        "tiler.runs.executors.make_executor", lambda *_: (EXECUTORS | SLOW)[name]()
+    )
     result = do(quarter_files, tmp_path / "out", water="auto")
     assert result.exit_code == 0
     assert output_digests(tmp_path / "out") == output_digests(finished)

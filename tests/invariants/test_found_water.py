@@ -51,8 +51,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
 SHORE_M = {"als_weir": 1.5, "als_meander": 1.5, "als_lakes": 1.5, "als_canal": 1.5}
 """Distance of the found shore from the true one, RMS."""
 MAX_DUG = {"als_weir": 0.03, "als_meander": 0.005, "als_lakes": 0.015, "als_canal": 0.005}
-"""Share of the outermost pixels of water on land above it. Those of the weir are faces of masonry."""
-MAX_DUG_WHOLE = {"als_weir": 0.012, "als_meander": 0.005, "als_lakes": 0.008, "als_canal": 0.005}
+"""Share of the outermost pixels of water on land above it. Those of the weir are faces of
+masonry."""
+MAX_DUG_WHOLE = {
+    "als_weir": 0.012,
+    "als_meander": 0.005,
+    "als_lakes": 0.008,
+    "als_canal": 0.005,
+}
 """The same share, without pixels that have the true shore in them."""
 MAX_VOID = 0.005
 """Share of the water without a height, where a river leaves the survey."""
@@ -89,10 +95,18 @@ def test_a_flat_meadow_that_returns_little_is_no_water(finished: Run) -> None:
 
 
 @pytest.mark.slow
-def test_the_levels_of_reaches_win_when_the_file_is_given_back(finished: Run, tmp_path: Path) -> None:
+def test_the_levels_of_reaches_win_when_the_file_is_given_back(
+    finished: Run, tmp_path: Path
+) -> None:
     folder = finished("als_meander", False).folder
     cloud, out, given = folder / "cloud.laz", folder / "out", tmp_path / "given.gpkg"
-    settings = {"method": "auto", "products": "dtm", "tile_size": None, "halo": None, "memory": "2GiB"}
+    settings = {
+        "method": "auto",
+        "products": "dtm",
+        "tile_size": None,
+        "halo": None,
+        "memory": "2GiB",
+    }
     do(cloud, tmp_path / "same", water=str(out / "water.gpkg"), **settings)
     assert digests(tmp_path / "same")["dtm.tif"] == digests(out)["dtm.tif"]
     given.write_bytes((out / "water.gpkg").read_bytes())
@@ -103,7 +117,9 @@ def test_the_levels_of_reaches_win_when_the_file_is_given_back(finished: Run, tm
         crs=meta["crs"], append=False,
     )  # fmt: skip
     do(cloud, tmp_path / "lower", water=str(given), **settings)
-    levels = [json.loads((o / "run.json").read_text())["water"][0] for o in (out, tmp_path / "lower")]
+    levels = [
+        json.loads((o / "run.json").read_text())["water"][0] for o in (out, tmp_path / "lower")
+    ]
     assert abs(levels[0]["level"] - levels[1]["level"] - 0.3) < 0.002
     assert abs(levels[0]["level_end"] - levels[1]["level_end"] - 0.3) < 0.002
 
@@ -162,12 +178,17 @@ def test_tiles_and_workers_do_not_show_in_the_water(
     small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)  # what workers know
     spec = SMALL.get(name) or describe_scene("als_canal", seed=HIDDEN_SEED)
     cloud = write_cloud(tmp_path / "cloud.laz", spec, BARE)
-    runs: list[dict[str, Any]] = [{"tile_size": "60", "workers": 1}, {"tile_size": "170", "workers": 1}]
+    runs: list[dict[str, Any]] = [
+        {"tile_size": "60", "workers": 1},
+        {"tile_size": "170", "workers": 1},
+    ]
     if name == "canal":  # its shores depend on most
         runs.append({"tile_size": "170", "workers": 2, "in_process": False})
     made = []
     for number, settings in enumerate(runs):
         out = tmp_path / str(number)
         do(cloud, out, method="keep", water="auto", products="dtm,mask", **settings)
-        made.append({name: digests(out)[name] for name in ("dtm.tif", "mask.tif", "water.gpkg")})
+        made.append(
+            {name: digests(out)[name] for name in ("dtm.tif", "mask.tif", "water.gpkg")}
+        )
     assert made == made[:1] * len(made)

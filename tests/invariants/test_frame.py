@@ -12,7 +12,8 @@ from tests.invariants.clouds import CORNER, Cloud
 from tests.invariants.runs import do, dtm, output_digests, stored_labels, the_store
 
 ALL_CELLS_M = 640
-"""A multiple of pixels, fine cells, thinning cells (1), seed cells (20), buckets (32), tiles (64)."""
+"""A multiple of pixels, fine cells, thinning cells (1), seed cells (20), buckets (32), tiles
+(64)."""
 
 
 @pytest.mark.parametrize(
@@ -38,17 +39,25 @@ def test_the_frame_offset_is_in_no_result(
 
 
 @pytest.mark.parametrize(
-    "cells", [(-1562, -16875), *(pytest.param(cells, marks=pytest.mark.slow) for cells in ((1, 0), (-3, 7)))]
+    "cells",
+    [
+        (-1562, -16875),
+        *(pytest.param(cells, marks=pytest.mark.slow) for cells in ((1, 0), (-3, 7))),
+    ],
 )
 def test_a_shift_by_whole_cells_only_moves_the_result(
     cells: tuple[int, int], city: Cloud, city_file: Path, tmp_path: Path
 ) -> None:
     east, north = (ALL_CELLS_M * i for i in cells)
-    moved = clouds.write(tmp_path / "moved.laz", city, corner=(CORNER[0] + east, CORNER[1] + north))
+    moved = clouds.write(
+        tmp_path / "moved.laz", city, corner=(CORNER[0] + east, CORNER[1] + north)
+    )
     do(city_file, tmp_path / "here")
     do(moved, tmp_path / "there")
     (here, from_here), (there, from_there) = dtm(tmp_path / "here"), dtm(tmp_path / "there")
     assert here.tobytes() == there.tobytes()
     assert (from_there.c - from_here.c, from_there.f - from_here.f) == (east, north)
-    for mine, theirs in zip(stored_labels(tmp_path / "here"), stored_labels(tmp_path / "there"), strict=True):
+    for mine, theirs in zip(
+        stored_labels(tmp_path / "here"), stored_labels(tmp_path / "there"), strict=True
+    ):
         assert np.array_equal(mine, theirs)

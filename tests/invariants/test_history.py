@@ -71,7 +71,8 @@ def cut_off(writes: int, out: Path) -> Iterator[list[int]]:
     def counted(write: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **settings: Any) -> Any:
             if threading.current_thread() is not threading.main_thread():
-                return write(*arguments, **settings)  # a lease renewed meanwhile, as on a slow machine
+                # a lease renewed meanwhile, as on a slow machine
+                return write(*arguments, **settings)
             left[0] -= 1
             if left[0] < 0:
                 raise CutOffError
@@ -133,7 +134,9 @@ def assert_no_trace(
     """Run the variants but the last up to some write each; the last must give what it gives alone."""
     for number, name in enumerate(names[:-1]):
         paths, settings = changes(name, files)
-        with cut_off(ENDLESS if number == 0 and rng.random() < 0.6 else rng.randrange(5, WRITES), out):
+        with cut_off(
+            ENDLESS if number == 0 and rng.random() < 0.6 else rng.randrange(5, WRITES), out
+        ):
             do(paths, out, **settings)
     shutil.rmtree(out / "classified", ignore_errors=True)
     paths, settings = changes(names[-1], files)
@@ -147,7 +150,9 @@ def history(rng: random.Random) -> list[str]:
     return [names[-1], *names]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_an_eventful_history(
     seed: int, small_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
 ) -> None:

@@ -37,7 +37,9 @@ def test_shuffled_points_in_files_without_sense(
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(city))
     parts = np.array_split(order, 3)
-    paths = [clouds.write(tmp_path / f"{i}.laz", city.take(part)) for i, part in enumerate(parts)]
+    paths = [
+        clouds.write(tmp_path / f"{i}.laz", city.take(part)) for i, part in enumerate(parts)
+    ]
     do(paths, tmp_path / "out")
     assert_same(tmp_path / "out", finished)
 

@@ -25,11 +25,13 @@ from tiler.errors import StoreError
 pytestmark = pytest.mark.processes
 
 METHOD = "auto"
-PASSES = sum(not isinstance(step, MatchedPass) for step in METHODS[METHOD].params().passes)  # a laser scan's
+# a laser scan's
+PASSES = sum(not isinstance(step, MatchedPass) for step in METHODS[METHOD].params().passes)
 STAGES = ("spool", "assemble", *(f"filter{n}" for n in range(PASSES)), "grid-dtm", "export")
 SIDE_M = 96.0
 RASTERS_LIKE_ANOTHER = {"grid-slope", "grid-domain", "grid-mask"}
-"""Stages whose tasks write and commit as those of `grid-dtm`; a full disk ends each of them in test_full_disk.py."""
+"""Stages whose tasks write and commit as those of `grid-dtm`; a full disk ends each of them in
+test_full_disk.py."""
 DIFFERENT_STAGES = [stage for stage in EVERY_STAGE if stage not in RASTERS_LIKE_ANOTHER]
 
 
@@ -98,10 +100,14 @@ def kill_at(event: Callable[[], bool], process: BaseProcess, rng: random.Random)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", DIFFERENT_STAGES)
-def test_killed_in_every_stage(stage: str, peace: Peace, more: dict[str, str], tmp_path: Path) -> None:
+def test_killed_in_every_stage(
+    stage: str, peace: Peace, more: dict[str, str], tmp_path: Path
+) -> None:
     out, wanted = tmp_path / "out", f'"event": "stage_started", "stage": "{stage}"'
     process = forked(do, peace.paths, out, **WITH_EVERY_STAGE)
-    kill_at(lambda: any(wanted in line for line in lines_of(out)), process, random.Random(stage))
+    kill_at(
+        lambda: any(wanted in line for line in lines_of(out)), process, random.Random(stage)
+    )
     assert_files_are_whole(out, more)
     assert do(peace.paths, out, **WITH_EVERY_STAGE).exit_code == 0
     assert all_digests(out) == more
@@ -113,13 +119,17 @@ def events_done(out: Path) -> set[tuple[str, str]]:
     events = [json.loads(line) for line in lines_of(out) if line.endswith("}")]
     # Digests of inputs are kept with the sources, not as a stage: they may be taken again.
     done = Counter(
-        (e["stage"], e["key"]) for e in events if e["event"] == "task_done" and e["stage"] in STAGES
+        (e["stage"], e["key"])
+        for e in events
+        if e["event"] == "task_done" and e["stage"] in STAGES
     )
     assert max(done.values()) == 1, "a finished task was computed twice"
     return set(done)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4))]
+)
 def test_killed_once_or_more(seed: int, peace: Peace, tmp_path: Path) -> None:
     """Kill the run after each of some events, then let it end."""
     rng, out = random.Random(seed), tmp_path / "out"
@@ -130,7 +140,9 @@ def test_killed_once_or_more(seed: int, peace: Peace, tmp_path: Path) -> None:
         kill_at(lambda known=known: len(lines_of(out)) > known, process, rng)
         after = finished_tasks(out)
         for stage in STAGES:
-            assert before[stage].items() <= after[stage].items(), "what was finished stays finished"
+            assert before[stage].items() <= after[stage].items(), (
+                "what was finished stays finished"
+            )
         assert_files_are_whole(out, peace.expected)
         before = after
     result = do(peace.paths, out, method=METHOD)
@@ -144,5 +156,7 @@ def test_killed_once_or_more(seed: int, peace: Peace, tmp_path: Path) -> None:
     assert not [path for path in out.rglob("*.partial*") if "store.zarr" not in path.parts]
     assert not (out / "store.zarr" / "lock.json").exists()
     assert not (out / ".tiler-lock.json").exists()
-    assert events_done(out) <= {(stage, key) for stage, tasks in finished_tasks(out).items() for key in tasks}
+    assert events_done(out) <= {
+        (stage, key) for stage, tasks in finished_tasks(out).items() for key in tasks
+    }
     assert do(peace.paths, out, method=METHOD).did_nothing

@@ -41,7 +41,9 @@ def test_what_a_correction_does_is_that_of_it_alone_whatever_the_buckets(
     edits = draw(tmp_path / "e.json", drawn)
     small = do(half_classified, tmp_path / "small", edits=edits, water="none").summary
     small_stores(monkeypatch, 100_000)
-    large = do(half_classified, tmp_path / "large", edits=edits, tile_size="200", water="none").summary
+    large = do(
+        half_classified, tmp_path / "large", edits=edits, tile_size="200", water="none"
+    ).summary
     assert small["stages"]["edits"]["tasks"] > 20 > large["stages"]["edits"]["tasks"]
     same = ("number", "action", "points", "ground_before", "by", "bounds")
     for one, other in zip(small["edits"], large["edits"], strict=True):
@@ -51,9 +53,9 @@ def test_what_a_correction_does_is_that_of_it_alone_whatever_the_buckets(
     chosen = (1, 21, 29)
     for i in chosen:
         alone = draw(tmp_path / f"{i}.json", [drawn[i]])
-        (fact,) = do(half_classified, tmp_path / "large", edits=alone, tile_size="200", water="none").summary[
-            "edits"
-        ]
+        (fact,) = do(
+            half_classified, tmp_path / "large", edits=alone, tile_size="200", water="none"
+        ).summary["edits"]
         assert {**fact, "number": i + 1} == large["edits"][i]
 
 
@@ -86,6 +88,8 @@ def test_a_polygon_of_spikes_is_refused_with_the_remedy(
     ring = np.stack((95 + radius * np.cos(angles), 95 + radius * np.sin(angles)), axis=1)
     edits = draw(tmp_path / "star.json", [(shapely.Polygon(ring), {"action": "void"})])
     start = time.process_time()
-    with pytest.raises(InputError, match=r"feature 1: its outline of 100,001 vertices runs .* simplify it"):
+    with pytest.raises(
+        InputError, match=r"feature 1: its outline of 100,001 vertices runs .* simplify it"
+    ):
         do(city_file, tmp_path / "out", edits=edits)
     assert time.process_time() - start < 10

@@ -32,7 +32,13 @@ print(json.dumps({"command": peak_rss_bytes(), "points": summary["counts"]["stor
 
 def peaks(folder: Path) -> dict:
     """What a run on the clouds of a folder took, in a process of its own."""
-    command = [sys.executable, "-c", RUN, str(folder), str(folder.parent / f"out_{folder.name}")]
+    command = [
+        sys.executable,
+        "-c",
+        RUN,
+        str(folder),
+        str(folder.parent / f"out_{folder.name}"),
+    ]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     found: dict = json.loads(done.stdout)
     return found
@@ -52,7 +58,16 @@ def shifted(las: bytes, east: float, north: float) -> bytes:
 def test_four_times_the_points_take_no_more_memory(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "cli.main", "warm", "classic"], check=True)
     one, many = tmp_path / "one", tmp_path / "many"
-    make = [sys.executable, "-m", "cli.main", "simulate", str(one / "city.las"), "--size", str(SIDE_M), "-q"]
+    make = [
+        sys.executable,
+        "-m",
+        "cli.main",
+        "simulate",
+        str(one / "city.las"),
+        "--size",
+        str(SIDE_M),
+        "-q",
+    ]
     subprocess.run(make, check=True)
     (one / "city_dtm.tif").unlink()
     many.mkdir()
@@ -62,9 +77,10 @@ def test_four_times_the_points_take_no_more_memory(tmp_path: Path) -> None:
         (many / f"{number}.las").write_bytes(shifted(cloud, east, north))
     small, large = peaks(one), peaks(many)
     assert large["points"] > 3.9 * small["points"] > 4_000_000
-    # One city hardly fills a window of the grid, nor a picture of the report; and no tile of the filter, as these are
-    # as large as the memory allows: of them what was projected is held against it, below. What a worker keeps
-    # of such a tile, for its next task, comes on top. All bounds are below 16 bytes for each point more.
+    # One city hardly fills a window of the grid, nor a picture of the report; and no tile of
+    # the filter, as these are as large as the memory allows: of them what was projected is held
+    # against it, below. What a worker keeps of such a tile, for its next task, comes on top.
+    # All bounds are below 16 bytes for each point more.
     projected, allowed = large["plan"]["projected_memory_bytes"], large["plan"]["memory_bytes"]
     for what in ("spool", "assemble", "grid-dtm", "export"):
         assert large[what] <= 1.1 * small[what] + allowed / KEPT_SHARE, what

@@ -43,13 +43,18 @@ class MeanHeight(Census):
         if state["run"]["sigma_m"] == 9:
             raise MethodRefusal("nine is too much")
         found = list(partials)
-        return {**super().reduce(found, state), "notes": [f"{sum(p['n'] for p in found)} points were seen"]}
+        return {
+            **super().reduce(found, state),
+            "notes": [f"{sum(p['n'] for p in found)} points were seen"],
+        }
 
 
 class SplitByMean(Pass):
     name = "split"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         return Split(state["mean"], (HIGH, LOW))
 
 
@@ -68,7 +73,9 @@ class Lonely(Model):
     def label(self, points: Points) -> Any:
         assert points.labels is not None
         alone = np.array([place not in self.taken for place in self.places(points.xyz)])
-        return np.where(alone & (points.labels == LOW), 2, 1).astype(np.uint8), np.zeros(len(points), bool)
+        return np.where(alone & (points.labels == LOW), 2, 1).astype(np.uint8), np.zeros(
+            len(points), bool
+        )
 
 
 class LonelyLow(Pass):
@@ -76,7 +83,9 @@ class LonelyLow(Pass):
 
     name, columns, every_point, influence_radius_m = "lonely", ("labels",), True, 8.0
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         return Lonely(points, scale)
 
 
@@ -110,7 +119,9 @@ def test_tiles_do_not_show(tmp_path: Path) -> None:
         assert np.array_equal(labels, expected(cloud))
         assert not marks.any()
         if tile == "32":
-            assert result.summary["filter"]["overlap_work"] == pytest.approx(48**2 / 32**2, rel=0.1)
+            assert result.summary["filter"]["overlap_work"] == pytest.approx(
+                48**2 / 32**2, rel=0.1
+            )
     assert result.summary["statistics"]["mean"]["notes"] == [f"{len(cloud)} points were seen"]
 
 
@@ -145,7 +156,9 @@ class Wary(StatisticsModel):
 class HowFar(Pass):
     name, gives_labels = "far", False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         return Wary({"beyond": min(core.west - window.west, core.south - window.south)})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -169,17 +182,26 @@ def test_a_pass_that_only_measures_is_done_again_until_it_is_certain(
     assert result.summary["statistics"]["far"]["beyond"] == 32_000
 
 
-def test_a_new_file_with_the_statistics_of_before_changes_only_its_surroundings(tmp_path: Path) -> None:
+def test_a_new_file_with_the_statistics_of_before_changes_only_its_surroundings(
+    tmp_path: Path,
+) -> None:
     west, east = clouds.city(96.0), clouds.city(32.0, seed=2)
     clouds.write(tmp_path / "in" / "west.laz", west)
     how: dict[str, Any] = {"method": "lonely", "tile_size": "32", "halo": "8"}
     first = do(tmp_path / "in", tmp_path / "out", "filter", **how)
-    clouds.write(tmp_path / "in" / "east.laz", clouds.Cloud(east.xyz + [320.0, 0, 500.0], east.truth))
-    again = do(tmp_path / "in", tmp_path / "out", "filter", statistics=str(tmp_path / "out"), **how)
+    clouds.write(
+        tmp_path / "in" / "east.laz", clouds.Cloud(east.xyz + [320.0, 0, 500.0], east.truth)
+    )
+    again = do(
+        tmp_path / "in", tmp_path / "out", "filter", statistics=str(tmp_path / "out"), **how
+    )
     assert again.summary["statistics"] == first.summary["statistics"]
     assert computed(again)["filter1"] < computed(first)["filter1"] / 2
     whole = do(tmp_path / "in", tmp_path / "out", "filter", **how)
-    assert whole.summary["statistics"]["mean"]["mean"] > first.summary["statistics"]["mean"]["mean"]
+    assert (
+        whole.summary["statistics"]["mean"]["mean"]
+        > first.summary["statistics"]["mean"]["mean"]
+    )
     assert computed(whole)["filter1"] > computed(first)["filter1"]
 
 
@@ -191,7 +213,9 @@ def test_statistics_of_another_run_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no run\.json"):
         do(path, tmp_path / "other", method="lonely", statistics=str(tmp_path))
     text = (tmp_path / "out" / "run.json").read_text()
-    (tmp_path / "out" / "run.json").write_text(json.dumps({**json.loads(text), "state": "running"}))
+    (tmp_path / "out" / "run.json").write_text(
+        json.dumps({**json.loads(text), "state": "running"})
+    )
     with pytest.raises(ConfigError, match="not finished"):
         do(path, tmp_path / "other", method="lonely", statistics=str(tmp_path / "out"))
 
@@ -204,7 +228,8 @@ def test_a_refusal_is_one_line(tmp_path: Path) -> None:
 
 def test_what_the_user_says_of_the_cloud_reaches_the_passes(tmp_path: Path) -> None:
     path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
-    for kind, known in (("als", "lidar"), ("dim", "dim"), (None, "lidar")):  # its returns say it
+    # its returns say it
+    for kind, known in (("als", "lidar"), ("dim", "dim"), (None, "lidar")):
         result = do(path, tmp_path / "out", "filter", method="lonely", kind=kind, sigma="0.1")
         run = result.summary["statistics"]["mean"]["run"]
         assert (run["sigma_m"], run["kind"]) == (0.1, known)
@@ -216,7 +241,9 @@ def test_what_the_user_says_of_the_cloud_reaches_the_passes(tmp_path: Path) -> N
 def test_colours_that_a_method_needs_are_asked_for_in_the_plan(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters, needs=("rgb",)))
+    monkeypatch.setitem(
+        METHODS, "lonely", Method("lonely", "three passes", Parameters, needs=("rgb",))
+    )
     path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
     with pytest.raises(ConfigError, match="needs colours"):
         do(path, tmp_path / "out", method="lonely")
@@ -230,9 +257,12 @@ def test_a_store_keeps_colours_for_a_method_that_needs_them(
     path, out = tmp_path / "coloured.laz", tmp_path / "out"
     do(path, out, "filter", method="lonely")
     assert open_store(str(out / "store.zarr")).meta.has_rgb is False
-    monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters, needs=("rgb",)))
+    monkeypatch.setitem(
+        METHODS, "lonely", Method("lonely", "three passes", Parameters, needs=("rgb",))
+    )
     with pytest.raises(
-        ConfigError, match=r"store.zarr: contains no colours, which --method lonely needs; use --ov"
+        ConfigError,
+        match=r"store.zarr: contains no colours, which --method lonely needs; use --ov",
     ):
         do(path, out, "filter", method="lonely")
     do(path, out, "filter", method="lonely", overwrite=True)

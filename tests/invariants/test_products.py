@@ -47,7 +47,11 @@ def test_each_is_a_cog_on_the_grid_of_the_dtm(name: str, made: Path) -> None:
     product = PRODUCTS[name]
     assert cog_validate(made / f"{name}.tif", strict=True) == (True, [], [])
     with rasterio.open(made / "dtm.tif") as dtm, rasterio.open(made / f"{name}.tif") as raster:
-        assert (raster.shape, raster.transform, raster.crs) == (dtm.shape, dtm.transform, dtm.crs)
+        assert (raster.shape, raster.transform, raster.crs) == (
+            dtm.shape,
+            dtm.transform,
+            dtm.crs,
+        )
         assert raster.dtypes == (product.dtype,)
         assert raster.nodata == product.nodata
         assert raster.descriptions == (product.description,)
@@ -57,7 +61,11 @@ def test_each_is_a_cog_on_the_grid_of_the_dtm(name: str, made: Path) -> None:
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_other_tiles_and_workers_give_the_same_bytes(
-    workers: int, made: Path, quarter_files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    workers: int,
+    made: Path,
+    quarter_files: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     if workers > 1:
         small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)
@@ -71,7 +79,11 @@ def test_what_is_done_is_not_done_again(quarter_files: list[Path], tmp_path: Pat
     out = tmp_path / "out"
     do(quarter_files, out, resolution=RESOLUTION)
     more = do(quarter_files, out, products="dtm,slope", resolution=RESOLUTION)
-    assert {k: n for k, n in computed(more).items() if n} == {"grid-slope": 4, "export": 1, "catalogue": 1}
+    assert {k: n for k, n in computed(more).items() if n} == {
+        "grid-slope": 4,
+        "export": 1,
+        "catalogue": 1,
+    }
     again = do(quarter_files, out, products="slope,dtm", resolution=RESOLUTION)
     assert again.did_nothing
     other = do(quarter_files, out, products="dtm,slope", resolution=RESOLUTION, max_edge="3")
@@ -116,17 +128,29 @@ def test_holes_are_left_filled_or_marked(tmp_path: Path, city: Cloud) -> None:
     assert not np.isnan(values(tmp_path / "fill", "slope")[lake]).any()
 
 
-def test_sheets_are_the_raster_cut(made: Path, quarter_files: list[Path], tmp_path: Path) -> None:
+def test_sheets_are_the_raster_cut(
+    made: Path, quarter_files: list[Path], tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     names = ("dtm", "distance", "mask")
     options = {"products": ",".join(names), "resolution": RESOLUTION, "sheets": "90"}
     do(quarter_files, out, **options)
     assert not list(out.glob("*.tif"))
     for name in names:
-        with rasterio.open(out / f"{name}.vrt") as mosaic, rasterio.open(made / f"{name}.tif") as whole:
-            assert (mosaic.crs, mosaic.nodata, mosaic.dtypes) == (whole.crs, whole.nodata, whole.dtypes)
+        with (
+            rasterio.open(out / f"{name}.vrt") as mosaic,
+            rasterio.open(made / f"{name}.tif") as whole,
+        ):
+            assert (mosaic.crs, mosaic.nodata, mosaic.dtypes) == (
+                whole.crs,
+                whole.nodata,
+                whole.dtypes,
+            )
             assert (mosaic.descriptions, mosaic.units) == (whole.descriptions, whole.units)
-            left, top = whole.transform.c - mosaic.transform.c, mosaic.transform.f - whole.transform.f
+            left, top = (
+                whole.transform.c - mosaic.transform.c,
+                mosaic.transform.f - whole.transform.f,
+            )
             col, row = round(left / 0.3), round(top / 0.3)
             part = mosaic.read(1)[row : row + whole.height, col : col + whole.width]
             assert np.array_equal(part, whole.read(1))
@@ -146,13 +170,17 @@ def test_sheets_are_the_raster_cut(made: Path, quarter_files: list[Path], tmp_pa
     assert computed(do(quarter_files, out, **options))["export"] == 1
 
 
-def test_sheets_of_parts_of_pixels_are_refused(quarter_files: list[Path], tmp_path: Path) -> None:
+def test_sheets_of_parts_of_pixels_are_refused(
+    quarter_files: list[Path], tmp_path: Path
+) -> None:
     line = r"--sheets 10 m: is not a whole number of pixels of 3 m; use --sheets 9 or"
     with pytest.raises(ConfigError, match=line):
         do(quarter_files, tmp_path, resolution="3", sheets="10")
 
 
-def test_the_nodata_value_is_that_of_files_and_sheets(quarter_files: list[Path], tmp_path: Path) -> None:
+def test_the_nodata_value_is_that_of_files_and_sheets(
+    quarter_files: list[Path], tmp_path: Path
+) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     options = {"resolution": "1", "products": "dtm,hillshade", "max_edge": "3"}
     do(quarter_files, whole, **options)

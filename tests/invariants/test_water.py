@@ -49,7 +49,11 @@ def mask(out: Path) -> np.ndarray:
 
 
 def test_a_lake_is_level_and_a_river_falls_and_the_land_stays(folder: Path) -> None:
-    before, after, wet = pixels(folder / "plain"), pixels(folder / "wet"), mask(folder / "wet") == WATER
+    before, after, wet = (
+        pixels(folder / "plain"),
+        pixels(folder / "wet"),
+        mask(folder / "wet") == WATER,
+    )
     assert (before == after)[~wet].all()
     y, x = (np.mgrid[0:120, 0:120] + 0.5) / 2
     lake = shapely.contains_xy(LAKE, x, y)
@@ -62,7 +66,9 @@ def test_a_lake_is_level_and_a_river_falls_and_the_land_stays(folder: Path) -> N
     assert np.abs(river[:, 12] - 28 - 0.02 * y[:, 0]).max() < 0.15
 
 
-def test_the_file_that_a_run_writes_gives_the_same_terrain(folder: Path, tmp_path: Path) -> None:
+def test_the_file_that_a_run_writes_gives_the_same_terrain(
+    folder: Path, tmp_path: Path
+) -> None:
     given = folder / "wet" / "water.gpkg"
     do(folder / "valley.laz", tmp_path, method="keep", resolution="0.5", water=str(given))
     assert (pixels(tmp_path) == pixels(folder / "wet")).all()
@@ -70,19 +76,30 @@ def test_the_file_that_a_run_writes_gives_the_same_terrain(folder: Path, tmp_pat
     assert kind.tolist() == ["lake", "river"]
 
 
-def test_another_level_changes_the_water_alone_and_no_other_stage(folder: Path, tmp_path: Path) -> None:
+def test_another_level_changes_the_water_alone_and_no_other_stage(
+    folder: Path, tmp_path: Path
+) -> None:
     cloud, out = folder / "valley.laz", tmp_path / "out"
     do(cloud, out, method="keep", resolution="0.5")
     to_degrees = Transformer.from_crs(32632, 4326, always_xy=True)
     moved = shapely.transform(
         LAKE, lambda xy: np.stack(to_degrees.transform(*(xy + [EAST, NORTH]).T), axis=1)
     )
-    feature = {"type": "Feature", "properties": {"level": 29.25}, "geometry": shapely.geometry.mapping(moved)}
+    feature = {
+        "type": "Feature",
+        "properties": {"level": 29.25},
+        "geometry": shapely.geometry.mapping(moved),
+    }
     path = tmp_path / "l.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
     again = do(cloud, out, method="keep", resolution="0.5", water=str(path))
     done = computed(again)
-    assert (done["spool"], done["assemble"], done["grid-dtm"], done["grid-dtm-outlined"]) == (0, 0, 0, 1)
+    assert (done["spool"], done["assemble"], done["grid-dtm"], done["grid-dtm-outlined"]) == (
+        0,
+        0,
+        0,
+        1,
+    )
     y, x = (np.mgrid[0:120, 0:120] + 0.5) / 2
     wet = shapely.contains_xy(LAKE, x, y)
     assert (pixels(out)[wet] == 29.25).mean() > 0.99
@@ -118,7 +135,10 @@ def test_a_lake_without_returns_is_found_and_contours_go_around_it(tmp_path: Pat
     ("features", "message"),
     [
         ([(LAKE, {"kind": "swamp"})], "feature 1: its kind is 'swamp'; give lake or river"),
-        ([(LAKE, {"level": "high"})], "feature 1: its level 'high' is not a height; give a number"),
+        (
+            [(LAKE, {"level": "high"})],
+            "feature 1: its level 'high' is not a height; give a number",
+        ),
         (
             [(shapely.LineString([(0, 0), (9, 9)]), {})],
             "has lines but no polygons; add polygons of the water",
@@ -129,8 +149,12 @@ def test_a_lake_without_returns_is_found_and_contours_go_around_it(tmp_path: Pat
         ),
     ],
 )
-def test_what_is_no_water_is_refused(folder: Path, tmp_path: Path, features: list, message: str) -> None:
+def test_what_is_no_water_is_refused(
+    folder: Path, tmp_path: Path, features: list, message: str
+) -> None:
     with pytest.raises(InputError) as error:
-        make_plan([str(folder / "valley.laz")], settings(water=draw(tmp_path / "w.json", features)))
+        make_plan(
+            [str(folder / "valley.laz")], settings(water=draw(tmp_path / "w.json", features))
+        )
     assert message in str(error.value)
     assert str(error.value).startswith(str(tmp_path / "w.json"))

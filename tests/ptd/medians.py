@@ -1,7 +1,7 @@
 """A method with two branches: heights in laser clouds, one elected point per cell in others.
 
-It has nothing to do with terrain. It uses every feature of `ptd.passes.Pass`, in integers, so results are equal to the
-bit for any order of points and tiles.
+It has nothing to do with terrain. It uses every feature of `ptd.passes.Pass`, in integers, so
+results are equal to the bit for any order of points and tiles.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ def around(of: np.ndarray, among: np.ndarray, reach: float) -> list[list[int]]:
     """Indices of the points at most a distance away in x and in y, for each point (rows x, y of counts)."""
     if among.shape[1] == 0 or of.shape[1] == 0:
         return [[] for _ in range(of.shape[1])]
-    found: list[list[int]] = cKDTree(among[:2].T).query_ball_point(of[:2].T, reach, p=np.inf).tolist()
+    found: list[list[int]] = (
+        cKDTree(among[:2].T).query_ball_point(of[:2].T, reach, p=np.inf).tolist()
+    )
     return found
 
 
@@ -69,7 +71,9 @@ class Split(Model):
 class SplitPass(OnLidar):
     name, influence_radius_m, every_point = "split", 0.0, True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Split:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Split:
         return Split(state["mean"], (HIGH, LOW))
 
 
@@ -78,7 +82,9 @@ class LidarPass(SplitPass):
 
     name, columns = "laser", ("labels",)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Split:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Split:
         return Split(state["mean"], (1, 2))
 
 
@@ -89,7 +95,9 @@ class Medians(Model):
         columns, rows = cells.cell_indices(xyz[0], xyz[1])
         order = np.lexsort((xyz[2], columns, rows))
         columns, rows, z = columns[order], rows[order], xyz[2, order]
-        first = np.flatnonzero(np.r_[True, (np.diff(columns) != 0) | (np.diff(rows) != 0)][: len(z)])
+        first = np.flatnonzero(
+            np.r_[True, (np.diff(columns) != 0) | (np.diff(rows) != 0)][: len(z)]
+        )
         n = np.diff(np.r_[first, len(z)])
         x = [(cells.west(int(c)) + cells.west(int(c) + 1)) // 2 for c in columns[first]]
         y = [(cells.south(int(r)) + cells.south(int(r) + 1)) // 2 for r in rows[first]]
@@ -106,7 +114,9 @@ class Medians(Model):
 class MedianPass(OfImages):
     name, elects, every_point, influence_radius_m = "medians", True, True, CELL_M
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Medians:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Medians:
         return Medians(points.xyz, CellLattice.of(CELL_M, scale))
 
 
@@ -118,8 +128,15 @@ class Rising(Model):
     """Points more than a metre above the lowest point around them are high."""
 
     def __init__(self, points: Points, reach: float, metre: float) -> None:
-        assert np.array_equal(points.known_labels(), parity(points)), "labels of the elected points"
-        self.xyz, self.reach, self.metre, self.stats = points.xyz, reach, metre, {"elected": len(points)}
+        assert np.array_equal(points.known_labels(), parity(points)), (
+            "labels of the elected points"
+        )
+        self.xyz, self.reach, self.metre, self.stats = (
+            points.xyz,
+            reach,
+            metre,
+            {"elected": len(points)},
+        )
 
     def label(self, points: Points) -> Any:
         near = around(points.xyz, self.xyz, self.reach)
@@ -131,7 +148,9 @@ class Rising(Model):
 class RisingPass(OfImages):
     name, elected, columns, influence_radius_m = "rising", True, ("labels",), SEEN_M
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Rising:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Rising:
         return Rising(points, scale.counts(SEEN_M), scale.counts_z(1.0))
 
 
@@ -149,9 +168,17 @@ class Spread(Model):
 
 
 class SpreadPass(OfImages):
-    name, elected, columns, influence_radius_m, label_margin_m = "spread", True, ("labels",), 0.0, SPREAD_M
+    name, elected, columns, influence_radius_m, label_margin_m = (
+        "spread",
+        True,
+        ("labels",),
+        0.0,
+        SPREAD_M,
+    )
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Spread:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Spread:
         assert set(np.unique(points.known_labels())) <= {HIGH, LOW}
         return Spread(scale.counts(SPREAD_M))
 
@@ -160,7 +187,10 @@ class Mean(Model):
     """Points whose neighbours have, on average, the height of the low points around are ground."""
 
     def __init__(self, points: Points, scale: Scale) -> None:
-        self.low, self.scale = points.take(points.known_labels() == LOW).xyz.astype(np.int64), scale
+        self.low, self.scale = (
+            points.take(points.known_labels() == LOW).xyz.astype(np.int64),
+            scale,
+        )
         self.stats = {"low": int(self.low.shape[1])}
 
     def label(self, points: Points) -> Any:
@@ -178,9 +208,17 @@ class Mean(Model):
 
 
 class MeanPass(OfImages):
-    name, elected, columns, influence_radius_m, label_margin_m = "mean", True, ("labels",), TERRAIN_M, MEAN_M
+    name, elected, columns, influence_radius_m, label_margin_m = (
+        "mean",
+        True,
+        ("labels",),
+        TERRAIN_M,
+        MEAN_M,
+    )
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Mean:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Mean:
         return Mean(points, scale)
 
 

@@ -93,5 +93,15 @@ def blunders(rng: np.random.Generator) -> Cloud:
 
 SCENES: dict[str, Callable[[np.random.Generator], Cloud]] = {
     made.__name__: made
-    for made in (plane, lattice, hills_with_houses, voids, river, l_shape, islands, flight_line, blunders)
+    for made in (
+        plane,
+        lattice,
+        hills_with_houses,
+        voids,
+        river,
+        l_shape,
+        islands,
+        flight_line,
+        blunders,
+    )
 }

@@ -42,7 +42,9 @@ class Echo(Model):
 class First(Pass):
     name, columns = "first", ("rgb",)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         return Echo(points, self.name)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -66,7 +68,9 @@ class Derived(Parameters):
 
 @pytest.fixture(autouse=True)
 def echo(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(METHODS, "echo", Method("echo", "two passes", Parameters, needs=("rgb",)))
+    monkeypatch.setitem(
+        METHODS, "echo", Method("echo", "two passes", Parameters, needs=("rgb",))
+    )
 
 
 def test_columns_and_labels_go_from_pass_to_pass() -> None:
@@ -80,14 +84,23 @@ def test_columns_and_labels_go_from_pass_to_pass() -> None:
     ("arguments", "message"),
     [
         ({}, "^method echo needs rgb$"),
-        ({"rgb": RGB[1:]}, r"^rgb has shape \(49, 3\), must be \(50, 3\), a row for each point$"),
+        (
+            {"rgb": RGB[1:]},
+            r"^rgb has shape \(49, 3\), must be \(50, 3\), a row for each point$",
+        ),
         ({"rgb": RGB, "returns": RGB}, r"^returns has shape \(50, 3\), must be \(50, 2\)"),
         ({"rgb": RGB, "params": 3}, "^params is int, method echo takes Parameters$"),
-        ({"rgb": RGB, "params": Derived()}, "^params is Derived, method echo takes Parameters$"),
+        (
+            {"rgb": RGB, "params": Derived()},
+            "^params is Derived, method echo takes Parameters$",
+        ),
         ({"rgb": RGB / 2.5}, "^rgb must be whole numbers from 0 to 65535$"),
         ({"rgb": RGB.astype(int) - 65_536}, "^rgb must be whole numbers from 0 to 65535$"),
         ({"rgb": np.full(RGB.shape, np.nan)}, "^rgb must be whole numbers from 0 to 65535$"),
-        ({"rgb": RGB, "returns": RETURNS.astype(int) + 255}, "^returns must be whole numbers from 0 to 255$"),
+        (
+            {"rgb": RGB, "returns": RETURNS.astype(int) + 255},
+            "^returns must be whole numbers from 0 to 255$",
+        ),
         (
             {"rgb": RGB, "returns": np.full(RETURNS.shape, None)},
             "^returns must be whole numbers from 0 to 255$",
@@ -108,7 +121,10 @@ def test_unfit_arguments_are_refused(arguments: dict[str, Any], message: str) ->
 @pytest.mark.parametrize(
     ("place", "message"),
     [
-        ([0.0, 0.0, 2.5e6], r"^xyz has heights of 2.5e\+06 m above or below 0; up to 2000 km are allowed$"),
+        (
+            [0.0, 0.0, 2.5e6],
+            r"^xyz has heights of 2.5e\+06 m above or below 0; up to 2000 km are allowed$",
+        ),
         ([0.0, 0.0, -2.5e6], "^xyz has heights of 2.5e"),
         ([0.0, 70_000.0, 0.0], "^xyz extends over 70 km; above 60 km use tiles$"),
         ([0.0, np.nan, 0.0], "^xyz has values that are not finite; leave those points out$"),
@@ -143,7 +159,9 @@ def test_a_matched_cloud_whose_points_lie_far_apart_is_refused() -> None:
 def test_coordinates_that_are_not_exact_are_refused() -> None:
     near = np.random.default_rng(1).uniform(0, 20, (50, 3))
     ptd.classify(near + [8e12, 0, 0], "classic")
-    with pytest.raises(ValueError, match=r"^xyz has x or y of 1e\+16 m; up to 9e\+12 m from 0 are exact"):
+    with pytest.raises(
+        ValueError, match=r"^xyz has x or y of 1e\+16 m; up to 9e\+12 m from 0 are exact"
+    ):
         ptd.classify(near + [0, -1e16, 0], "classic")
 
 
@@ -158,6 +176,8 @@ def test_objects_of_laspy_are_refused_with_the_remedy() -> None:
     cloud = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
     cloud.x = cloud.y = cloud.z = np.arange(4.0)
     for given in (cloud, cloud.points):
-        with pytest.raises(TypeError, match=r"must be an array \(n, 3\) in metres: pass las\.xyz$"):
+        with pytest.raises(
+            TypeError, match=r"must be an array \(n, 3\) in metres: pass las\.xyz$"
+        ):
             ptd.classify(given)
     assert ptd.classify(cloud.xyz, "classic").classification.shape == (4,)

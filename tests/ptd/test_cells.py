@@ -91,7 +91,9 @@ def test_the_frame_has_no_effect() -> None:
     unit=st.sampled_from([Fraction(1, 1000), FEET, Fraction(1, 7)]),
     origin=st.integers(-(10**9), 10**9),
 )
-def test_west_is_the_first_count_of_a_column(column: int, size: float, unit: Fraction, origin: int) -> None:
+def test_west_is_the_first_count_of_a_column(
+    column: int, size: float, unit: Fraction, origin: int
+) -> None:
     cells = CellLattice.of(size, Scale(unit, unit, (origin, -origin)))
     if Fraction(repr(size)) / unit < 1:
         return
@@ -146,7 +148,11 @@ def test_occupied_cells_in_a_raster_or_sorted(n_cells: int) -> None:
 
 
 @settings(max_examples=300, deadline=None)
-@given(found=st.integers(-(2**40), 2**40), rest=st.integers(0, 2**22), divisor=st.integers(1, 2**22))
+@given(
+    found=st.integers(-(2**40), 2**40),
+    rest=st.integers(0, 2**22),
+    divisor=st.integers(1, 2**22),
+)
 def test_quotients_are_those_of_integers(found: int, rest: int, divisor: int) -> None:
     for value in (found * divisor + rest % divisor, found * divisor - 1):
         assert quotient(value, divisor, 1.0 / divisor) == value // divisor

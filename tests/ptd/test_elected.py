@@ -27,7 +27,12 @@ def xyz() -> np.ndarray:
     """A slope of 24 m with a flat roof, and noise."""
     rng = np.random.default_rng(5)
     x, y = 24 * rng.random((2, 3000))
-    z = 100 + 0.05 * x + rng.normal(0, 0.2, x.size) + 5.0 * ((abs(x - 12) < 4) & (abs(y - 9) < 3))
+    z = (
+        100
+        + 0.05 * x
+        + rng.normal(0, 0.2, x.size)
+        + 5.0 * ((abs(x - 12) < 4) & (abs(y - 9) < 3))
+    )
     return np.stack([500_000 + x, 5_400_000 + y, z], axis=1)
 
 
@@ -49,7 +54,11 @@ def expected(xyz: np.ndarray) -> np.ndarray:
     for px, py in zip(x, y, strict=True):
         terrain = low & (np.maximum(abs(ex - px), abs(ey - py)) <= 1000 * medians.TERRAIN_M)
         own = np.maximum(abs(x - px), abs(y - py)) <= 1000 * medians.MEAN_M
-        rise = z[own].sum() // own.sum() - ez[terrain].sum() // terrain.sum() if terrain.any() else 1000
+        rise = (
+            z[own].sum() // own.sum() - ez[terrain].sum() // terrain.sum()
+            if terrain.any()
+            else 1000
+        )
         labels.append(2 if abs(rise) < 400 else 1)
     return np.array(labels)
 
@@ -66,7 +75,9 @@ def test_later_passes_see_and_label_elected_points(xyz: np.ndarray) -> None:
 @pytest.mark.parametrize("tile_m", [None, 3.0, 8.0, 11.0])
 def test_tiles_in_memory_do_not_show(tile_m: float | None, xyz: np.ndarray) -> None:
     scale = Scale(origin=(500_000_000, 5_400_000_000))
-    counts = (np.rint(1000 * xyz).astype(np.int64) - [500_000_000, 5_400_000_000, 0]).astype(np.int32)
+    counts = (np.rint(1000 * xyz).astype(np.int64) - [500_000_000, 5_400_000_000, 0]).astype(
+        np.int32
+    )
     points = Points(np.ascontiguousarray(counts.T))
     labels, marks, _ = classify_tiled(points, scale, Parameters(), tile_m, kind="dim")
     assert np.array_equal(labels, expected(xyz))
@@ -88,7 +99,9 @@ def test_an_unknown_kind_is_refused(xyz: np.ndarray) -> None:
         ptd.classify(xyz, "medians", kind="sonar")
 
 
-def test_elected_points_need_a_pass_that_elects(xyz: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_elected_points_need_a_pass_that_elects(
+    xyz: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     @dataclass(frozen=True)
     class Without(Parameters):
         @property
@@ -96,5 +109,7 @@ def test_elected_points_need_a_pass_that_elects(xyz: np.ndarray, monkeypatch: py
             return [step for step in Parameters().passes if not step.elects]
 
     monkeypatch.setitem(METHODS, "medians", Method("medians", "", Without))
-    with pytest.raises(ValueError, match="rising works on elected points, but no earlier pass elected any"):
+    with pytest.raises(
+        ValueError, match="rising works on elected points, but no earlier pass elected any"
+    ):
         ptd.classify(xyz, "medians", kind="dim")

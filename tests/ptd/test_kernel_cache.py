@@ -19,7 +19,8 @@ from ptd import kernel
 def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The cache of an image, owned by a user in place of root, and another user with a home.
 
-    It lies in a place of its own, because all folders above it must belong to that user, unlike the system's scratch.
+    It lies in a place of its own, because all folders above it must belong to that user, unlike
+    the system's scratch.
     """
     me = os.getuid()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
@@ -49,7 +50,9 @@ def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     kernel.cache_folder.cache_clear()
 
 
-def own_of_a_stranger(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path | None:
+def own_of_a_stranger(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path | None:
     """The folder of another user. The test cannot make files of another user, so these count as theirs."""
     monkeypatch.setattr(
         kernel, "_usable", lambda path: path.is_relative_to(tmp_path / "home") and path.exists()
@@ -93,7 +96,11 @@ def test_a_link_to_another_place_is_not_copied(
 def reaches_python(user: int) -> bool:
     try:
         subprocess.run(
-            [sys.executable, "-c", "import numba"], user=user, group=user, extra_groups=[], check=True
+            [sys.executable, "-c", "import numba"],
+            user=user,
+            group=user,
+            extra_groups=[],
+            check=True,
         )
     except (OSError, subprocess.SubprocessError):
         return False
@@ -107,11 +114,19 @@ def reaches_python(user: int) -> bool:
 )
 def test_another_user_has_the_kernels_of_root() -> None:
     """Both run in processes of their own; the second compiles nothing."""
-    with tempfile.TemporaryDirectory(dir="/var/cache") as image, tempfile.TemporaryDirectory() as home:
+    with (
+        tempfile.TemporaryDirectory(dir="/var/cache") as image,
+        tempfile.TemporaryDirectory() as home,
+    ):
         os.chmod(image, 0o755)
         os.chmod(home, 0o777)
         script = "import ptd.kernel as k; k.wide(1); print(k.cache_folder(), sum(k.wide.stats.cache_misses.values()))"
-        variables = {**os.environ, "NUMBA_CACHE_DIR": image, "XDG_CACHE_HOME": f"{home}/user", "HOME": home}
+        variables = {
+            **os.environ,
+            "NUMBA_CACHE_DIR": image,
+            "XDG_CACHE_HOME": f"{home}/user",
+            "HOME": home,
+        }
 
         def told(user: int) -> list[str]:
             who: dict[str, Any] = {"user": user, "group": user, "extra_groups": []}
@@ -119,7 +134,8 @@ def test_another_user_has_the_kernels_of_root() -> None:
             return subprocess.check_output(call, env=variables, text=True, **who).split()
 
         assert told(0)[1] == "1"
-        subprocess.run(["chmod", "-R", "a+rX,go-w", image], check=True)  # as the Dockerfile does
+        # as the Dockerfile does
+        subprocess.run(["chmod", "-R", "a+rX,go-w", image], check=True)
         folder, misses = told(65534)
         assert folder.startswith(f"{home}/user/")
         assert misses == "0"

@@ -39,14 +39,19 @@ def test_a_name_may_omit_its_unit(alias: str, full: str) -> None:
 
 
 def test_words_that_are_true_or_false() -> None:
-    assert all(parse(Sample, {"switch": text}).switch is True for text in ("true", "YES", "1", "True"))
+    assert all(
+        parse(Sample, {"switch": text}).switch is True for text in ("true", "YES", "1", "True")
+    )
     assert all(parse(Sample, {"switch": text}).switch is False for text in ("false", "No", "0"))
 
 
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
-        ({"width": "1"}, "no parameter 'width'; there are length_m, angle_deg, times, free, switch"),
+        (
+            {"width": "1"},
+            "no parameter 'width'; there are length_m, angle_deg, times, free, switch",
+        ),
         ({"switch_m": "1"}, "no parameter 'switch_m'"),
         ({"length": "1", "length_m": "2"}, "length_m: given twice"),
         ({"length": "long"}, "length_m 'long': must be a number"),
@@ -76,7 +81,10 @@ def test_texts_that_are_refused(texts: dict[str, str], message: str) -> None:
         ({"switch": 1}, "switch 1: must be true or false"),
         ({"length_m": "3"}, "length_m '3': must be a number"),
         ({"length_m": None}, "length_m None: must be a number"),
-        ({"length_m": 1.0936132983377}, "length_m 1.0936132983377: write at most 6 decimals, as 1.093613"),
+        (
+            {"length_m": 1.0936132983377},
+            "length_m 1.0936132983377: write at most 6 decimals, as 1.093613",
+        ),
     ],
 )
 def test_values_of_another_type_are_refused(values: dict[str, object], message: str) -> None:
@@ -85,17 +93,26 @@ def test_values_of_another_type_are_refused(values: dict[str, object], message: 
     assert str(error.value) == message
 
 
-BESIDE = {"first_spacing_m": {"last_spacing_m": 0.25}, "last_spacing_m": {"first_spacing_m": 50.0}}
+BESIDE = {
+    "first_spacing_m": {"last_spacing_m": 0.25},
+    "last_spacing_m": {"first_spacing_m": 50.0},
+}
 """Values with which the limits of another parameter can be reached."""
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_each_limit_of_each_parameter_holds(method: str) -> None:
     params = METHODS[method].params
-    for spec, (end, beyond) in itertools.product(fields(params), (("minimum", -1), ("maximum", 1))):
+    for spec, (end, beyond) in itertools.product(
+        fields(params), (("minimum", -1), ("maximum", 1))
+    ):
         limit, kind = spec.metadata[end], type(spec.default)
         if limit is not None:
-            other = {name: v for name, v in BESIDE.get(spec.name, {}).items() if hasattr(params, name)}
+            other = {
+                name: v
+                for name, v in BESIDE.get(spec.name, {}).items()
+                if hasattr(params, name)
+            }
             assert getattr(params(**{spec.name: kind(limit)}, **other), spec.name) == limit
             with pytest.raises(ValueError, match=rf"^{spec.name} .*: must be between "):
                 params(**{spec.name: kind(limit + beyond)})
@@ -112,7 +129,9 @@ def test_each_parameter_has_help_and_a_source_that_people_can_find(method: str) 
 
 
 def test_spacings_that_grow_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"^last_spacing_m 8: use at most first_spacing_m, 4 m$"):
+    with pytest.raises(
+        ValueError, match=r"^last_spacing_m 8: use at most first_spacing_m, 4 m$"
+    ):
         METHODS["dong2017"].params(last_spacing_m=8.0)
 
 
@@ -146,10 +165,16 @@ def test_the_table_of_a_method_names_its_parameters_and_their_defaults(name: str
     params = METHODS[name].params
     table = str(sys.modules[params.__module__].__doc__)
     bases = [base for base in params.__mro__[1:] if base in (Progressive, Classic)]
-    inherited = {field.name for base in bases for field in fields(base)} - set(params.__annotations__)
+    inherited = {field.name for base in bases for field in fields(base)} - set(
+        params.__annotations__
+    )
     for field in fields(params):
         short = re.sub("_(m|deg)$", "", field.name)
-        assert field.name in inherited or short in table or short.rsplit("_", 1)[-1] in table, field.name
+        assert field.name in inherited or short in table or short.rsplit("_", 1)[-1] in table, (
+            field.name
+        )
         if field.name not in inherited:
             default = {True: "on", False: "off"}.get(field.default, field.default)
-            assert (default if isinstance(default, str) else f"{default:g}") in table, field.name
+            assert (default if isinstance(default, str) else f"{default:g}") in table, (
+                field.name
+            )

@@ -73,10 +73,20 @@ def test_another_installation_has_a_folder_of_its_own(tmp_path: Path) -> None:
     folders = set()
     for place in (tmp_path / "one", tmp_path / "twin"):
         shutil.copytree(
-            Path(ptd.__file__).parent, place / "ptd", ignore=shutil.ignore_patterns("__pycache__")
+            Path(ptd.__file__).parent,
+            place / "ptd",
+            ignore=shutil.ignore_patterns("__pycache__"),
         )
-        told = [sys.executable, "-c", "from ptd.kernel import cache_folder; print(cache_folder())"]
-        folders.add(subprocess.run(told, cwd=place, env=environment, check=True, capture_output=True).stdout)
+        told = [
+            sys.executable,
+            "-c",
+            "from ptd.kernel import cache_folder; print(cache_folder())",
+        ]
+        folders.add(
+            subprocess.run(
+                told, cwd=place, env=environment, check=True, capture_output=True
+            ).stdout
+        )
     assert len(folders) == 2
 
 
@@ -84,7 +94,9 @@ def test_a_run_that_compiles_says_why(tmp_path: Path, monkeypatch: pytest.Monkey
     folder = tmp_path / "tiler-kernels" / "mine"
     folder.mkdir(parents=True)
     monkeypatch.setattr(precompile, "cache_folder", lambda: folder)
-    assert "the first run that keeps its machine code" in precompile.why_not_compiled("auto-dim")
+    assert "the first run that keeps its machine code" in precompile.why_not_compiled(
+        "auto-dim"
+    )
     (folder.parent / "other").mkdir()
     assert "another version or installation" in precompile.why_not_compiled("auto-dim")
     (folder / "auto-lidar.compiled").touch()

@@ -35,11 +35,12 @@ def classify_tiled(
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Labels, marks and the last state. With ``tile_m`` None the cloud is one window with nothing beyond it.
 
-    Windows are core and halo, widened to whole cells of `align_m`, and by `margin_m`; their sides are open at the end
-    of the cloud. A pass with a fixed reach sees exactly that reach around a core. As in `tiler.filter`, a pass sees one
-    candidate per `candidate_cell_m` unless it needs every point. A marked label in the window of a pass that reads
-    labels marks the whole core. Elected points of a core are those within its bounds; a pass on such points labels
-    them, unless it is the last.
+    Windows are core and halo, widened to whole cells of `align_m`, and by `margin_m`; their
+    sides are open at the end of the cloud. A pass with a fixed reach sees exactly that reach
+    around a core. As in `tiler.filter`, a pass sees one candidate per `candidate_cell_m` unless
+    it needs every point. A marked label in the window of a pass that reads labels marks the
+    whole core. Elected points of a core are those within its bounds; a pass on such points
+    labels them, unless it is the last.
     """
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
@@ -65,19 +66,27 @@ def classify_tiled(
             seen = np.flatnonzero(inside(sees if step.elected else points, window))
             if params.candidate_cell_m and not step.every_point and not step.elected:
                 x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, seen])
-                seen = seen[lowest_per_cell(x, y, z, CellLattice.of(params.candidate_cell_m, scale))]
+                seen = seen[
+                    lowest_per_cell(x, y, z, CellLattice.of(params.candidate_cell_m, scale))
+                ]
             local = step.local(state, window, scale)
-            model = step.fit((sees if step.elected else given).take(seen), window, core, scale, local)
+            model = step.fit(
+                (sees if step.elected else given).take(seen), window, core, scale, local
+            )
             partials.append(model.partial())
             if step.elects:
                 made.append(Points(model.elect(core)))
                 if step.gives_labels:
                     got, uncertified = model.label(made[-1])
                     near = "labels" in step.columns and bool(marks[seen].any())
-                    made[-1] = Points(made[-1].xyz, got | (uncertified | near).astype(np.uint8) * MARK)
+                    made[-1] = Points(
+                        made[-1].xyz, got | (uncertified | near).astype(np.uint8) * MARK
+                    )
             elif step.gives_labels:
                 reach = math.ceil(scale.counts(step.label_margin_m))
-                wide = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
+                wide = Window(
+                    core.west - reach, core.south - reach, core.east + reach, core.north + reach
+                )
                 around = np.flatnonzero(inside(given, wide) & ~inside(given, core))
                 got, uncertified = model.label(given.take(np.concatenate([own, around])))
                 found[own], is_uncertified[own] = got[: own.size], uncertified[: own.size]
@@ -85,7 +94,10 @@ def classify_tiled(
                 is_uncertified[own] |= "labels" in step.columns and bool(before[seen].any())
         if step.elects:
             elected = Points(np.concatenate([part.xyz for part in made], axis=1))
-            codes, uncertified_codes = np.zeros(len(elected), np.uint8), np.zeros(len(elected), bool)
+            codes, uncertified_codes = (
+                np.zeros(len(elected), np.uint8),
+                np.zeros(len(elected), bool),
+            )
             if step.gives_labels:
                 both = np.concatenate([part.known_labels() for part in made])
                 codes, uncertified_codes = both & ~MARK, both >= MARK
@@ -110,10 +122,20 @@ def _windows(
     found = []
     for row in range(tiles.row(int(y0)), tiles.row(int(y1)) + 1):
         for column in range(tiles.column(int(x0)), tiles.column(int(x1)) + 1):
-            core = Window(tiles.west(column), tiles.south(row), tiles.west(column + 1), tiles.south(row + 1))
+            core = Window(
+                tiles.west(column),
+                tiles.south(row),
+                tiles.west(column + 1),
+                tiles.south(row + 1),
+            )
             if step.influence_radius_m is not None:
                 reach = math.ceil(scale.counts(step.influence_radius_m))
-                sides = core.west - reach, core.south - reach, core.east + reach, core.north + reach
+                sides = (
+                    core.west - reach,
+                    core.south - reach,
+                    core.east + reach,
+                    core.north + reach,
+                )
                 found.append((core, Window(*sides)))
                 continue
             window = Window(

@@ -29,7 +29,9 @@ def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 0.04 * x + 0.8 * np.sin(x / 35) + 0.6 * np.cos(y / 28)
 
 
-def town(seed: int = 1, side: float = 120.0, density: float = 12.0, podium: bool = False) -> Town:
+def town(
+    seed: int = 1, side: float = 120.0, density: float = 12.0, podium: bool = False
+) -> Town:
     """Blocks of 30 m, each with a house of 8 m, a tree, a lawn and a car; one house stands on a podium of 3 m."""
     rng = np.random.default_rng(seed)
     n = int(density * side**2)
@@ -40,7 +42,10 @@ def town(seed: int = 1, side: float = 120.0, density: float = 12.0, podium: bool
         for column in range(int(side // 30)):
             cx, cy = 30 * column + 15 + rng.uniform(-1, 1), 30 * row + 15 + rng.uniform(-1, 1)
             base = float(ground(np.array(cx), np.array(cy)))
-            boxes = [(cx, cy, 7.0, 5.0, base + 8, HOUSE), (cx - 11, cy, 2.2, 0.9, base + 1.5, CAR)]
+            boxes = [
+                (cx, cy, 7.0, 5.0, base + 8, HOUSE),
+                (cx - 11, cy, 2.2, 0.9, base + 1.5, CAR),
+            ]
             if podium and row == column == 1:
                 boxes.insert(0, (cx, cy, 11.5, 9.5, base + 3, HOUSE))
             lawn = (abs(x - cx) < 6) & (abs(y - cy - 9) < 3)
@@ -58,14 +63,22 @@ def town(seed: int = 1, side: float = 120.0, density: float = 12.0, podium: bool
     xyz[2] += rng.normal(0, SIGMA_M, truth.size)
     colours = np.array([GREY] * 7)
     colours[[HOUSE, TREE, 3]] = RED, GREEN, GREEN
-    rgb = np.clip(colours[truth] + rng.normal(0, 6, (truth.size, 3)), 0, 255).astype(np.uint16).T
+    rgb = (
+        np.clip(colours[truth] + rng.normal(0, 6, (truth.size, 3)), 0, 255).astype(np.uint16).T
+    )
     order = rng.permutation(truth.size)
     counts = np.rint(xyz[:, order] * CM).astype(np.int32)
     return Town(Points(counts, rgb=np.ascontiguousarray(rgb[:, order])), truth[order])
 
 
 def _walls(
-    rng: np.random.Generator, x: float, y: float, half_x: float, half_y: float, top: float, density: float
+    rng: np.random.Generator,
+    x: float,
+    y: float,
+    half_x: float,
+    half_y: float,
+    top: float,
+    density: float,
 ) -> np.ndarray:
     """Points on the four walls of a box, from the ground to its top: [3, n]."""
     parts = []

@@ -13,7 +13,19 @@ import types
 from typing import Any
 
 MISSING_MODULES = frozenset(
-    ("curses", "fcntl", "grp", "posix", "pty", "pwd", "readline", "resource", "syslog", "termios", "tty")
+    (
+        "curses",
+        "fcntl",
+        "grp",
+        "posix",
+        "pty",
+        "pwd",
+        "readline",
+        "resource",
+        "syslog",
+        "termios",
+        "tty",
+    )
 )
 MISSING = {
     "os": """chown confstr ctermid fchmod fchown fdatasync fork forkpty getegid geteuid getgid getgroups getloadavg
@@ -32,7 +44,9 @@ OWN = ("tiler", "ptd", "cli")
 def without(module: types.ModuleType, names: str) -> types.ModuleType:
     """A module that has all of another one but some names."""
     bare = types.ModuleType(module.__name__)
-    vars(bare).update({name: value for name, value in vars(module).items() if name not in names.split()})
+    vars(bare).update(
+        {name: value for name, value in vars(module).items() if name not in names.split()}
+    )
     return bare
 
 
@@ -53,5 +67,6 @@ def bare_import(
     return BARE.get(name) or found(name, globals, locals, fromlist, level)
 
 
-if __name__ in ("sitecustomize", "bare_system"):  # and not where a test imports this module to find its file
+# and not where a test imports this module to find its file
+if __name__ in ("sitecustomize", "bare_system"):
     builtins.__import__ = bare_import

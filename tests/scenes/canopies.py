@@ -11,9 +11,11 @@ from tiler.simulate.plot import Plot
 from tiler.simulate.terrain import Waves
 
 STEP_M = 5.0
-"""Trees stand in squares of this side, one in each, with crowns that reach as far: no ground is seen between them."""
+"""Trees stand in squares of this side, one in each, with crowns that reach as far: no ground is
+seen between them."""
 BLOCK_M = 40.0
-"""Side of the blocks of wood, of clearings, and of the lawns around a wood without clearings."""
+"""Side of the blocks of wood, of clearings, and of the lawns around a wood without
+clearings."""
 SENSOR = {
     "density": 2.4,
     "sigma_m": 0.1,
@@ -23,7 +25,8 @@ SENSOR = {
     "edge_m": 1.2,
     "correlated": 0.5,
 }
-"""As sparse and as smooth as clouds of drones over forest are: crowns are hills of one surface in them."""
+"""As sparse and as smooth as clouds of drones over forest are: crowns are hills of one surface
+in them."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,9 @@ class Canopy:
     def site(self) -> Site:
         """Terrain and trees."""
         rng = np.random.default_rng(self.seed)
-        shapes = (Waves.random(rng, 12.0, 180.0), Waves.random(rng, 1.5, 40.0)) if self.hilly else ()
+        shapes = (
+            (Waves.random(rng, 12.0, 180.0), Waves.random(rng, 1.5, 40.0)) if self.hilly else ()
+        )
         terrain = Terrain(300.0, (0.1, 0.15) if self.hilly else (0.02, 0.01), shapes)
         return Site(terrain, self.side_m, self.seed, self._plant, BLOCK_M, green=0.9)
 

@@ -8,7 +8,11 @@ from tiler.apps.check import Checkpoints
 
 
 def checkpoints(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, kinds: list[str] | None = None, crs: str | None = None
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    kinds: list[str] | None = None,
+    crs: str | None = None,
 ) -> Checkpoints:
     n = len(z)
     return Checkpoints(

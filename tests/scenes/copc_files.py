@@ -39,7 +39,9 @@ def write_copc(path: Path, las: laspy.LasData, most: int = MOST) -> Path:
         for entry in entries:
             file.write(struct.pack("<iiiiQii", *entry))
         centre = low + side / 2
-        raw = struct.pack("<5dQQdd88x", *centre, side / 2, side / 100, page, len(entries) * 32, 0.0, 0.0)
+        raw = struct.pack(
+            "<5dQQdd88x", *centre, side / 2, side / 100, page, len(entries) * 32, 0.0, 0.0
+        )
         _patch(file, 375 + 54, raw)
         _patch(file, 96, struct.pack("<I", begin))
         _patch(file, 104, struct.pack("<B", las.header.point_format.id | 0x80))

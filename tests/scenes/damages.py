@@ -24,4 +24,8 @@ def bomb(path: Path) -> None:
     path.write_bytes(bytes(data) + struct.pack("<I", google_crc32c.value(bytes(data))))
 
 
-DAMAGES: dict[str, Callable[[Path], None]] = {"gone": Path.unlink, "flipped": flip, "bomb": bomb}
+DAMAGES: dict[str, Callable[[Path], None]] = {
+    "gone": Path.unlink,
+    "flipped": flip,
+    "bomb": bomb,
+}

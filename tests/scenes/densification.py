@@ -43,7 +43,9 @@ def passes(points: np.ndarray, mesh: Delaunay, p: np.ndarray, limits: FacetLimit
     return bool(distance <= limits.distance and distance <= nearest * math.sin(angle))
 
 
-def naive(seeds: np.ndarray, candidates: np.ndarray, limits: FacetLimits, rounds: int) -> np.ndarray:
+def naive(
+    seeds: np.ndarray, candidates: np.ndarray, limits: FacetLimits, rounds: int
+) -> np.ndarray:
     """Which candidates become vertices."""
     chosen = np.zeros(len(candidates), bool)
     done = 0
@@ -52,7 +54,9 @@ def naive(seeds: np.ndarray, candidates: np.ndarray, limits: FacetLimits, rounds
         points = np.vstack([seeds, candidates[chosen]]).astype(float)
         mesh = Delaunay(points[:, :2])
         new = [
-            k for k in np.flatnonzero(~chosen) if passes(points, mesh, candidates[k].astype(float), limits)
+            k
+            for k in np.flatnonzero(~chosen)
+            if passes(points, mesh, candidates[k].astype(float), limits)
         ]
         if not new:
             break
@@ -64,6 +68,10 @@ def scene(seed: int, n: int, rough: int) -> tuple[np.ndarray, np.ndarray]:
     """Four corners, then candidates on rough hills."""
     rng = np.random.default_rng(seed)
     xy = rng.integers(0, 100_000, (n, 2))
-    z = 6000 * np.sin(xy[:, 0] / 17_000) + 3000 * (xy[:, 1] > 40_000) + rng.integers(0, rough, n)
+    z = (
+        6000 * np.sin(xy[:, 0] / 17_000)
+        + 3000 * (xy[:, 1] > 40_000)
+        + rng.integers(0, rough, n)
+    )
     points = np.column_stack([xy, z.astype(np.int64)])
     return np.vstack([CORNERS, points[:5]]), points[5:]

@@ -25,7 +25,9 @@ def draw(path: Path, features: Features) -> str:
     found = []
     for shape, columns in features:
         corner = np.array([EAST, NORTH, 0])[: 3 if shape.has_z else 2]
-        moved = shapely.transform(shape, functools.partial(np.add, corner), include_z=shape.has_z)
+        moved = shapely.transform(
+            shape, functools.partial(np.add, corner), include_z=shape.has_z
+        )
         geometry = shapely.geometry.mapping(moved)
         found.append({"type": "Feature", "properties": columns, "geometry": geometry})
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}

@@ -28,7 +28,9 @@ def write_ept(folder: Path, las: laspy.LasData, most: int, **changes: Any) -> Pa
         )
         header.scales, header.offsets = place = las.header.scales, las.header.offsets
         node = laspy.LasData(header)
-        node.points = laspy.ScaleAwarePointRecord(las.points.array[rows], las.point_format, *place)
+        node.points = laspy.ScaleAwarePointRecord(
+            las.points.array[rows], las.point_format, *place
+        )
         node.write(folder / "ept-data" / f"{name}.laz")
         own = key[0] % LEVELS_OF_PAGE == 0
         page = key if own else (key[0] - 1, *(v // 2 for v in key[1:]))
@@ -40,7 +42,13 @@ def write_ept(folder: Path, las: laspy.LasData, most: int, **changes: Any) -> Pa
         (folder / "ept-hierarchy" / f"{name}.json").write_text(json.dumps(entries))
     crs = las.header.parse_crs()
     srs = {"authority": "EPSG", "horizontal": str(crs.to_epsg()), "wkt": crs.to_wkt()}
-    content = {"version": "1.0.0", "dataType": "laszip", "hierarchyType": "json", "span": 128, "srs": srs}
+    content = {
+        "version": "1.0.0",
+        "dataType": "laszip",
+        "hierarchyType": "json",
+        "span": 128,
+        "srs": srs,
+    }
     content |= {"points": len(xyz), "bounds": [*low, *(low + side)]}
     (folder / "ept.json").write_text(json.dumps({**content, **changes}))
     return folder / "ept.json"

@@ -24,7 +24,10 @@ def plane_points(n: int, side: int, shift: tuple[int, int] = (0, 0)) -> np.ndarr
 def void(xyz: np.ndarray) -> np.ndarray:
     """A river of 45 m and a round hole."""
     x, y = xyz[:, 0], xyz[:, 1]
-    return xyz[(np.abs(x - 70_000 - y // 5) > 22_000) & ((x - 25_000) ** 2 + (y - 95_000) ** 2 > 18_000**2)]
+    return xyz[
+        (np.abs(x - 70_000 - y // 5) > 22_000)
+        & ((x - 25_000) ** 2 + (y - 95_000) ** 2 > 18_000**2)
+    ]
 
 
 def l_shape(xyz: np.ndarray) -> np.ndarray:

@@ -11,7 +11,10 @@ PLAIN = 0.02 * COLUMNS + 0.1 * np.sin(ROWS / 5)
 
 
 def with_hall(
-    high: float = 8.0, rows: slice = slice(40, 70), columns: slice = slice(50, 80), pitch: float = 0.0
+    high: float = 8.0,
+    rows: slice = slice(40, 70),
+    columns: slice = slice(50, 80),
+    pitch: float = 0.0,
 ) -> np.ndarray:
     """A hall on a plain; its ridge along the rows' middle, `pitch` metres a cell above the eaves."""
     heights = PLAIN.copy()

@@ -10,7 +10,9 @@ MORE_BYTES = 18
 """Last and first GPS time (8 bytes each), and the time offset (2)."""
 
 
-def as_las15(path: Path, first: float = 0.0, last: float = 0.0, offset: int | None = None) -> None:
+def as_las15(
+    path: Path, first: float = 0.0, last: float = 0.0, offset: int | None = None
+) -> None:
     """Turn a LAS 1.4 file without compression into one of LAS 1.5, in place.
 
     Parameters

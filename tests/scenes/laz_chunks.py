@@ -10,7 +10,9 @@ import numpy as np
 from tiler.io.las.headers import read_header
 
 
-def variable_chunks(path: Path, sizes: list[int], records: np.ndarray, point_format: int) -> None:
+def variable_chunks(
+    path: Path, sizes: list[int], records: np.ndarray, point_format: int
+) -> None:
     """Write the points of a LAZ file again in chunks of their own sizes, as COPC has them."""
     header = read_header(path)
     vlr = lazrs.LazVlr.new_for_compression(point_format, 0, True)
@@ -24,6 +26,9 @@ def variable_chunks(path: Path, sizes: list[int], records: np.ndarray, point_for
         compressor = lazrs.LasZipCompressor(stream, vlr)
         ends = np.cumsum(sizes)
         compressor.compress_chunks(
-            [np.frombuffer(records[e - s : e].tobytes(), np.uint8) for s, e in zip(sizes, ends, strict=True)]
+            [
+                np.frombuffer(records[e - s : e].tobytes(), np.uint8)
+                for s, e in zip(sizes, ends, strict=True)
+            ]
         )
         compressor.done()

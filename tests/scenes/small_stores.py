@@ -9,7 +9,9 @@ from tiler.store import layout
 USUAL_ROW_POINTS = layout.ROW_POINTS
 
 
-def small_stores(patch: pytest.MonkeyPatch, bucket_points: int = 1000, row_points: int = 1024) -> None:
+def small_stores(
+    patch: pytest.MonkeyPatch, bucket_points: int = 1000, row_points: int = 1024
+) -> None:
     """Let new stores have buckets (32 m for 1000 points at one a square metre) and rows of about so many points.
 
     Neither changes a result. Rows are known to this process alone: workers need the usual.
@@ -23,5 +25,7 @@ def small_stores(patch: pytest.MonkeyPatch, bucket_points: int = 1000, row_point
 
     for name in ("LABELS", "ELECTED"):
         patch.setattr(layout, name, short(getattr(layout, name)))
-    columns = tuple(layout.Column(c.name, c.fields, c.width, short(c.kind)) for c in layout.COLUMNS)
+    columns = tuple(
+        layout.Column(c.name, c.fields, c.width, short(c.kind)) for c in layout.COLUMNS
+    )
     patch.setattr(layout, "COLUMNS", columns)

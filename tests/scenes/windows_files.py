@@ -1,12 +1,15 @@
 """A Python in which files behave as on Windows, and tiler's modules find nothing that POSIX alone has.
 
-Put the text of this file into a folder of ``PYTHONPATH`` as ``sitecustomize.py``, and that of `bare_system` beside it
-under its own name. It holds for Python's functions for files, not for libraries in C, and sees the processes of its own
-session (`setsid`):
+Put the text of this file into a folder of ``PYTHONPATH`` as ``sitecustomize.py``, and that of
+`bare_system` beside it under its own name. It holds for Python's functions for files, not for
+libraries in C, and sees the processes of its own session (`setsid`):
 
-- A file that a process has open, or mapped, can be neither replaced, renamed nor removed; nor can a folder above it.
-- Names are found whatever their case. Names that Windows refuses, and paths of more than 259 characters, are refused.
-- `os.rename` replaces nothing; `os.fsync` wants a file that is open for writing; folders cannot be opened.
+- A file that a process has open, or mapped, can be neither replaced, renamed nor removed; nor
+  can a folder above it.
+- Names are found whatever their case. Names that Windows refuses, and paths of more than 259
+  characters, are refused.
+- `os.rename` replaces nothing; `os.fsync` wants a file that is open for writing; folders cannot
+  be opened.
 - A text file that tiler opens has to name its encoding, as the default is a code page.
 """
 
@@ -129,7 +132,11 @@ def refuse_in_use(path: str) -> None:
 def caller() -> str:
     """The module that called, without those of the standard library that only pass on a call."""
     frame: Any = sys._getframe(2)
-    while frame is not None and frame.f_globals.get("__name__") in (__name__, "pathlib", "tempfile"):
+    while frame is not None and frame.f_globals.get("__name__") in (
+        __name__,
+        "pathlib",
+        "tempfile",
+    ):
         frame = frame.f_back
     name = "" if frame is None else frame.f_globals.get("__name__", "")
     if name == "__main__":

@@ -81,7 +81,8 @@ def _fill(cloud: laspy.LasData, n: int, rng: np.random.Generator) -> None:
     for axis, reach in (("X", 200_000), ("Y", 150_000), ("Z", 5_000)):
         cloud.points.array[axis] = rng.integers(-reach, reach, n)
     if cloud.point_format.id in (9, 10):
-        cloud.points.array["classification_flags"] &= 0xCF  # one scanner channel: see the exporter
+        # one scanner channel: see the exporter
+        cloud.points.array["classification_flags"] &= 0xCF
     if "gps_time" in cloud.points.array.dtype.names:
         cloud.points.array["gps_time"] = np.sort(rng.uniform(0, 1e6, n))
         cloud.points.array["gps_time"][:1] = np.nan
@@ -124,7 +125,9 @@ def make_cloud(tmp_path: Path) -> MakeCloud:
         header.system_identifier, header.generating_software = "a scanner", "a test"
         if extra:
             header.add_extra_dim(laspy.ExtraBytesParams("echo_width", np.float32))
-        header.vlrs.append(laspy.VLR("mine", 7, "a record of the user's", b"\x00\x01secret\x00"))
+        header.vlrs.append(
+            laspy.VLR("mine", 7, "a record of the user's", b"\x00\x01secret\x00")
+        )
         if crs is not None:
             wkt = CRS.from_user_input(crs).to_wkt("WKT1_GDAL", output_axis_rule=False) + "\0"
             header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "WKT", wkt.encode()))
@@ -135,7 +138,9 @@ def make_cloud(tmp_path: Path) -> MakeCloud:
         if edit is not None:
             edit(cloud)
         if evlr is not None:
-            cloud.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("mine", 9, "an extended one", evlr)])
+            cloud.evlrs = laspy.vlrs.vlrlist.VLRList(
+                [laspy.VLR("mine", 9, "an extended one", evlr)]
+            )
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".laz":

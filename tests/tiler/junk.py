@@ -16,7 +16,11 @@ def spoilt(document: Any) -> Iterator[Any]:
 
     def parts(value: Any, path: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
         items = (
-            value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+            value.items()
+            if isinstance(value, dict)
+            else enumerate(value)
+            if isinstance(value, list)
+            else ()
         )
         for name, item in items:
             yield (*path, name)

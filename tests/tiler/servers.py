@@ -106,7 +106,11 @@ class _Ftp(socketserver.StreamRequestHandler):
                 elif command == "MLSD" and (self.folder / rest.strip("/")).is_dir():
                     self._send(listening, self._listed(self.folder / rest.strip("/")))
                 else:
-                    known = {"TYPE": "200 yes", "ABOR": "226 nothing to stop", "QUIT": "221 bye"}
+                    known = {
+                        "TYPE": "200 yes",
+                        "ABOR": "226 nothing to stop",
+                        "QUIT": "221 bye",
+                    }
                     self._say(known.get(command, "550 no"))
 
     def _say(self, line: str) -> None:
@@ -116,7 +120,9 @@ class _Ftp(socketserver.StreamRequestHandler):
         lines = []
         for path in sorted(folder.iterdir()):
             kind, stat = "dir" if path.is_dir() else "file", path.stat()
-            lines.append(f"type={kind};size={stat.st_size};modify=20260101000000; {path.name}\r\n")
+            lines.append(
+                f"type={kind};size={stat.st_size};modify=20260101000000; {path.name}\r\n"
+            )
         return "".join(lines).encode()
 
     def _send(self, listening: socket.socket, data: bytes) -> None:

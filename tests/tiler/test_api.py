@@ -29,7 +29,10 @@ PLAIN = {"method": "classic", "resolution": 2, "workers": 1, "water": "none"}
 USES_OLD_AFFINE = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 """rioxarray for Python 3.11 multiplies transforms as affine 2 did."""
 EXAMPLES = [
-    test for module in (tiler.api, ptd.api) for test in doctest.DocTestFinder().find(module) if test.examples
+    test
+    for module in (tiler.api, ptd.api)
+    for test in doctest.DocTestFinder().find(module)
+    if test.examples
 ]
 
 
@@ -60,7 +63,9 @@ def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """No processes beside this one: they take seconds to start."""
     read = tiler.api._settings
-    monkeypatch.setattr("tiler.api._settings", lambda *given: read(*given).updated(in_process=True))
+    monkeypatch.setattr(
+        "tiler.api._settings", lambda *given: read(*given).updated(in_process=True)
+    )
     monkeypatch.setattr(
         "tiler.apps.check.measuring.call_isolated",
         lambda function, *arguments, **limits: function(*arguments),
@@ -74,7 +79,9 @@ def test_everything_offered_has_an_example() -> None:
     }
 
 
-@pytest.mark.parametrize("order", [["run", "check", "open_store"], ["api.classify"]], ids=",".join)
+@pytest.mark.parametrize(
+    "order", [["run", "check", "open_store"], ["api.classify"]], ids=",".join
+)
 def test_examples(order: list[str], in_process: None) -> None:
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
     for name in order:
@@ -196,14 +203,18 @@ def test_no_terrain_no_array(in_process: None) -> None:
         result.dtm()
 
 
-def test_without_rioxarray_the_remedy_is_named(in_process: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_rioxarray_the_remedy_is_named(
+    in_process: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     result = tiler.api.run("clouds", "array", PLAIN)
     monkeypatch.setitem(sys.modules, "rioxarray", None)
     with pytest.raises(tiler.api.ConfigError, match="pip install"):
         result.dtm()
 
 
-def test_true_shows_progress_on_stderr(in_process: None, capsys: pytest.CaptureFixture[str]) -> None:
+def test_true_shows_progress_on_stderr(
+    in_process: None, capsys: pytest.CaptureFixture[str]
+) -> None:
     tiler.api.run("clouds", "seen", PLAIN, progress=True)
     assert "no vertical CRS" in capsys.readouterr().err
     tiler.api.run("clouds", "unseen", PLAIN)
@@ -243,7 +254,10 @@ def test_a_filter_shows_what_it_decided() -> None:
     ("call", "line"),
     [
         (lambda: tiler.run("none.laz", "o"), "none.laz: no such file"),
-        (lambda: tiler.run("clouds", "o", {"resolution": "far"}), "resolution: 'far' is not a length"),
+        (
+            lambda: tiler.run("clouds", "o", {"resolution": "far"}),
+            "resolution: 'far' is not a length",
+        ),
         (lambda: tiler.run("clouds", "o", {"resolutoin": 1}), "unknown setting 'resolutoin'"),
         (lambda: tiler.classify("none.laz", "b.laz"), "none.laz: no such file"),
         (lambda: tiler.check("none.tif", "checkpoints.csv"), "none.tif: cannot be read"),
@@ -261,15 +275,23 @@ def test_a_filter_shows_what_it_decided() -> None:
             lambda: tiler.run("clouds", "o\0"),
             "out: 'o\\x00' contains a NUL character; give a path without it",
         ),
-        (lambda: tiler.run("clouds", "o", 5), "config: 5 is int, not a mapping; give a dict of settings"),
-        (lambda: tiler.run("clouds", "o", {"store": "a\0"}), "store 'a\\x00': holds a NUL character"),
+        (
+            lambda: tiler.run("clouds", "o", 5),
+            "config: 5 is int, not a mapping; give a dict of settings",
+        ),
+        (
+            lambda: tiler.run("clouds", "o", {"store": "a\0"}),
+            "store 'a\\x00': holds a NUL character",
+        ),
         (lambda: tiler.classify(None, "b.laz"), "source: None is NoneType"),
         (lambda: tiler.classify("none.laz", "b\0.laz"), "target: 'b\\x00.laz' contains a NUL"),
         (lambda: tiler.check("none.tif", b"points.csv"), "points: b'points.csv' is bytes"),
         (lambda: tiler.open_store(None), "path: None is NoneType"),
     ],
 )
-def test_what_is_refused_is_one_line(call: Callable[[], object], line: str, in_process: None) -> None:
+def test_what_is_refused_is_one_line(
+    call: Callable[[], object], line: str, in_process: None
+) -> None:
     with pytest.raises(tiler.TilerError) as refused:
         call()
     assert str(refused.value).startswith(line)
@@ -297,7 +319,11 @@ assert configuration() == before
 @pytest.mark.processes
 def test_a_run_leaves_the_configuration_of_libraries_as_it_was() -> None:
     made = subprocess.run(
-        [sys.executable, "-c", CONFIGURATION], capture_output=True, text=True, check=False, env=environment()
+        [sys.executable, "-c", CONFIGURATION],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment(),
     )
     assert (made.returncode, made.stderr) == (0, "")
 

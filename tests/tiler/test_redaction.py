@@ -19,7 +19,10 @@ from tiler.store.storage import Storage
             "https://host:80/town.laz: cannot be read",
         ),
         ("https://TOKEN@host/x", "https://host/x"),
-        ("two: http://a:b@c/x?y, and (ftp://d:e@f/z?w=1).", "two: http://c/x, and (ftp://f/z)."),
+        (
+            "two: http://a:b@c/x?y, and (ftp://d:e@f/z?w=1).",
+            "two: http://c/x, and (ftp://f/z).",
+        ),
         ("URL('https://host/x?sig=abc')", "URL('https://host/x')"),
         ("https://host/my town.laz?sig=abc", "https://host/my town.laz"),
         ("https:/anna:pw@host/x", "https:/host/x"),
@@ -61,7 +64,8 @@ def test_values_are_stripped_whole() -> None:
 
 def test_characters_that_are_not_printable_become_escapes() -> None:
     assert (
-        printable("a\nb \x1b[2J gr\udcfcn gr\u00fcn \u202e") == "a\\nb \\x1b[2J gr\\udcfcn gr\u00fcn \\u202e"
+        printable("a\nb \x1b[2J gr\udcfcn gr\u00fcn \u202e")
+        == "a\\nb \\x1b[2J gr\\udcfcn gr\u00fcn \\u202e"
     )
     assert shown("\x9b1m http://a:b@c") == "\\x9b1m http://c"
 

@@ -106,7 +106,9 @@ def classify_file(
     TilerError
     """
     if is_url(target):
-        raise ConfigError(f"{target}: one file is written here; give a file, `tiler run` writes to URLs")
+        raise ConfigError(
+            f"{target}: one file is written here; give a file, `tiler run` writes to URLs"
+        )
     source = as_path(source)
     target = Path(target)
     config = _checked(config)
@@ -141,10 +143,14 @@ def classify_files(
     TilerError
     """
     if is_url(folder):
-        raise ConfigError(f"{folder}: files are written here; give a folder, `tiler run` writes to URLs")
+        raise ConfigError(
+            f"{folder}: files are written here; give a folder, `tiler run` writes to URLs"
+        )
     folder = Path(folder)
     if folder.suffix.lower() in SUFFIXES:
-        raise ConfigError(f"{folder}: several clouds are classified into a folder; give a folder")
+        raise ConfigError(
+            f"{folder}: several clouds are classified into a folder; give a folder"
+        )
     _validate_not_inputs(sources, folder)
     config = _checked(config).updated(classified="laz")
     with _scratch_beside(folder / "file", config) as (scratch, settings):
@@ -156,10 +162,14 @@ def classify_files(
         for work in works:
             Path(work.out).parent.mkdir(parents=True, exist_ok=True)
         with ChildPool(result.plan.resources.workers) as guards:
-            made = guards.each(lambda guard, work: _written(guard, store.url, work, config), works)
+            made = guards.each(
+                lambda guard, work: _written(guard, store.url, work, config), works
+            )
             records, failed = _records(works, made)
     if not records:
-        raise ProcessingError(f"no file could be written; the first error: {failed[0]['error']}")
+        raise ProcessingError(
+            f"no file could be written; the first error: {failed[0]['error']}"
+        )
     kept = sum_by_class(record.kept or {} for record in records)
     if text := kept_text(kept, result.summary["classes"]["no_part"]):
         listener(Note(text))
@@ -185,7 +195,9 @@ def _validate_not_inputs(sources: Sequence[str], folder: Path) -> None:
     check_targets([Target("", folder / path.name) for path in paths if not is_url(path)], paths)
     for source in (Path(source) for source in sources if not is_url(source)):
         if source.is_dir() and folder.resolve().is_relative_to(source.resolve()):
-            raise ConfigError(f"{folder}: lies in {source}, which holds the inputs; give another folder")
+            raise ConfigError(
+                f"{folder}: lies in {source}, which holds the inputs; give another folder"
+            )
 
 
 def _records(
@@ -201,10 +213,16 @@ def _records(
     return records, failed
 
 
-def _works(store: TileStore, plan: Plan, targets: Mapping[Path, Path]) -> Iterator[WriteClassified]:
+def _works(
+    store: TileStore, plan: Plan, targets: Mapping[Path, Path]
+) -> Iterator[WriteClassified]:
     """Yield the arguments of `write_classified` for each source that was decoded."""
     spooled, buckets = store.committed("spool"), store.buckets()
-    numbers, pieces, records = store.get_state("sources") or {}, kept_pieces(spooled), by_source(spooled)
+    numbers, pieces, records = (
+        store.get_state("sources") or {},
+        kept_pieces(spooled),
+        by_source(spooled),
+    )
     for info in plan.inputs.sources:
         known = numbers.get(without_secrets(location(info.path)))
         if known is None:
@@ -262,7 +280,9 @@ def _facts(summary: Mapping[str, Any], config: RunConfig) -> FilterSummary:
     }
 
 
-def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig) -> CloudRecord:
+def _written(
+    guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig
+) -> CloudRecord:
     """Write a file, by default in a child process.
 
     Decoding may crash, because writing copies fields that the filter did not decode.
@@ -281,7 +301,11 @@ def _classify(
         else inspect_in_child(guard, source, config.salvage)
     )
     if info.georeference.kind == "missing" and config.crs is None:
-        listener(Note(f"{source}: has no CRS; metres are assumed; use --units or --crs if they are not"))
+        listener(
+            Note(
+                f"{source}: has no CRS; metres are assumed; use --units or --crs if they are not"
+            )
+        )
         config = config.updated(crs="none")
     if config.workers is None and info.points < ONE_WORKER_POINTS:
         config = config.updated(workers=1)

@@ -31,9 +31,9 @@ class CleanResult:
 def clean(out: str | Path, store_url: str | None = None) -> CleanResult:
     """Remove the temporary files and the spool of a finished or broken run.
 
-    The points, the labels of all passes, the rasters and the records of finished tasks stay, so the next run does not
-    repeat them. If a later run has to assemble buckets again, for example for a further file, it decodes only the
-    pieces that intersect them.
+    The points, the labels of all passes, the rasters and the records of finished tasks stay, so
+    the next run does not repeat them. If a later run has to assemble buckets again, for example
+    for a further file, it decodes only the pieces that intersect them.
 
     Parameters
     ----------
@@ -86,4 +86,6 @@ def _scratch(out: Path) -> Iterator[Path]:
     folders = {out, *((out / path).parent for path in earlier_outputs(out, str(out.resolve())))}
     for folder in sorted(folders):
         if folder.is_dir() and folder.resolve().is_relative_to(out.resolve()):
-            yield from sorted(path for path in folder.iterdir() if is_scratch(path.name) and path.is_file())
+            yield from sorted(
+                path for path in folder.iterdir() if is_scratch(path.name) and path.is_file()
+            )

@@ -70,7 +70,10 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
     classes, flagged = np.zeros(256, np.int64), np.zeros(256, np.int64)
     x0, y0, _, x1, y1, _ = bounds
     extent, longer = (x1 - x0) * (y1 - y0), max(x1 - x0, y1 - y0)
-    cell = max(math.sqrt(extent * _POINTS_PER_CELL / header.point_count), longer / _MAX_CELLS) or 1.0
+    cell = (
+        max(math.sqrt(extent * _POINTS_PER_CELL / header.point_count), longer / _MAX_CELLS)
+        or 1.0
+    )
     last = int(longer / cell)
     counts = np.zeros((last + 1, last + 1), np.int64)
     with PointReader(header, NEEDED) as reader:
@@ -79,10 +82,14 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
             classes += np.bincount(codes, minlength=256)
             flagged += np.bincount(flags, minlength=256)
             column, row = (
-                np.clip((coordinate(records, header, axis) - low) / cell, 0, last).astype(np.intp)
+                np.clip((coordinate(records, header, axis) - low) / cell, 0, last).astype(
+                    np.intp
+                )
                 for axis, low in enumerate((x0, y0))
             )
-            counts += np.bincount(row * (last + 1) + column, minlength=counts.size).reshape(counts.shape)
+            counts += np.bincount(row * (last + 1) + column, minlength=counts.size).reshape(
+                counts.shape
+            )
     area = min(int(np.count_nonzero(counts)) * cell**2, extent) * metres**2
     bits = np.arange(256)
     return {
@@ -140,4 +147,8 @@ def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> DensityMap:
     padded[:high, :wide] = counts[:high, :wide]
     sums = padded.reshape(rows, 2 * times, columns, times).sum(axis=(1, 3))[::-1]
     width = times * cell_m
-    return {"width_m": width, "height_m": 2 * width, "per_m2": (sums / (2 * width**2)).round(3).tolist()}
+    return {
+        "width_m": width,
+        "height_m": 2 * width,
+        "per_m2": (sums / (2 * width**2)).round(3).tolist(),
+    }

@@ -89,7 +89,9 @@ def describe(path: str) -> dict[str, Any]:
     if not name.endswith(_CLOUDS):
         from tiler.schedule import call_isolated, half_of_memory
 
-        return call_isolated(describe_raster, location, paths=(location,), memory_bytes=half_of_memory())
+        return call_isolated(
+            describe_raster, location, paths=(location,), memory_bytes=half_of_memory()
+        )
     from tiler.apps.cloud_facts import describe_cloud
     from tiler.inputs import read_in_child
     from tiler.schedule import ChildProcess
@@ -104,7 +106,9 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
     if (folder / RUN).is_file():
         return describe_result(folder)
     if any(path.suffix.lower() in _CLOUDS for path in folder.iterdir()):
-        raise InputError(f"{folder}: holds clouds; give one of them, or see `tiler plan` for all")
+        raise InputError(
+            f"{folder}: holds clouds; give one of them, or see `tiler plan` for all"
+        )
     raise InputError(
         f"{folder}: neither a tile store nor a result folder; give a cloud, a raster, or OUT of a run"
     )
@@ -136,7 +140,8 @@ def describe_store(url: str) -> dict[str, Any]:
 
 def _commits(store: TileStore) -> dict[str, Commits]:
     commits = {stage: store.committed(stage) for stage in ("spool", "assemble")}
-    for number in range(store.get_state("passes") or 0):  # Passes that do not apply have no commits.
+    # Passes that do not apply have no commits.
+    for number in range(store.get_state("passes") or 0):
         commits[f"filter{number}"] = store.committed(f"filter{number}")
     return commits | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
 
@@ -200,7 +205,10 @@ def _heights(raster: Any) -> dict[str, float]:
     from tiler.apps.evaluate.heights import blocks_with_files
     from tiler.export.cog import Statistics
 
-    windows = (((row, row + high), (col, col + wide)) for row, col, high, wide in blocks_with_files(raster))
+    windows = (
+        ((row, row + high), (col, col + wide))
+        for row, col, high, wide in blocks_with_files(raster)
+    )
     if raster.driver != "VRT":
         windows = (window for _, window in raster.block_windows(1))
     statistics = Statistics()

@@ -14,7 +14,19 @@ from tiler.io.locations import is_url
 from tiler.io.result_folder import RUN
 from tiler.schedule import ChildPool
 
-COLUMNS = ("file", "points", "per m2", "west", "south", "east", "north", "lowest", "highest", "unit", "CRS")
+COLUMNS = (
+    "file",
+    "points",
+    "per m2",
+    "west",
+    "south",
+    "east",
+    "north",
+    "lowest",
+    "highest",
+    "unit",
+    "CRS",
+)
 ZARR = "zarr.json"
 """Name of a file that identifies a folder as a tile store."""
 
@@ -79,7 +91,9 @@ def describe_many(paths: Sequence[str]) -> list[ListedCloud | UnreadableCloud]:
             try:
                 descriptions.append(_listed(look()))
             except InputError as error:
-                descriptions.append(UnreadableCloud(str(path), str(error).removeprefix(f"{path}: ")))
+                descriptions.append(
+                    UnreadableCloud(str(path), str(error).removeprefix(f"{path}: "))
+                )
     return descriptions
 
 
@@ -110,7 +124,9 @@ def _row(cloud: ListedCloud | UnreadableCloud) -> list[str]:
         return [cloud.path, cloud.error, *[""] * (len(COLUMNS) - 2)]
     density = "-" if cloud.per_m2 is None else f"{cloud.per_m2:.3g}"
     bounds = cloud.bounds
-    bounds_texts = ["-"] * 6 if bounds is None else [f"{bounds[i]:.2f}" for i in (0, 1, 3, 4, 2, 5)]
+    bounds_texts = (
+        ["-"] * 6 if bounds is None else [f"{bounds[i]:.2f}" for i in (0, 1, 3, 4, 2, 5)]
+    )
     return [
         cloud.path,
         f"{cloud.points:,}",

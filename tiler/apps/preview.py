@@ -83,8 +83,9 @@ def make_preview(
 ) -> list[PreviewWindow]:
     """Draw hillshades of surface and terrain in a few windows of the clouds, for the settings of a run.
 
-    Each window is processed separately. A run may differ at the borders of the windows, and because of its run-wide
-    statistics. After sampling, only files that windows intersect are decoded.
+    Each window is processed separately. A run may differ at the borders of the windows, and
+    because of its run-wide statistics. After sampling, only files that windows intersect are
+    decoded.
 
     Parameters
     ----------
@@ -127,7 +128,9 @@ def make_preview(
         drawn_windows: list[PreviewWindow] = []
         for bounds, paths in zip(windows, files, strict=True):
             if paths:
-                listener(Note(f"draw window {len(drawn_windows) + 1} of {len(windows)} at most"))
+                listener(
+                    Note(f"draw window {len(drawn_windows) + 1} of {len(windows)} at most")
+                )
                 column, window = _window(bounds, paths, settings, tell)
                 columns.append(column)
                 drawn_windows.append(window)
@@ -154,26 +157,35 @@ def _side(plan: Plan, side_m: float | None) -> float:
     return side_m / float(plan.frame.units.horizontal)
 
 
-def _places(guard: ChildProcess, sources: Sequence[SourceInfo], salvage: bool) -> list[tuple[float, float]]:
+def _places(
+    guard: ChildProcess, sources: Sequence[SourceInfo], salvage: bool
+) -> list[tuple[float, float]]:
     chosen = sorted({len(sources) * i // FILES for i in range(FILES)})
     each = max(PLACES // len(chosen), 1)
     positions = []
     for source in (sources[i] for i in chosen):
-        positions += read_in_child(guard, sample_places, source.path, each, salvage, source.octree)
+        positions += read_in_child(
+            guard, sample_places, source.path, each, salvage, source.octree
+        )
     return positions
 
 
 def _hull(sources: Sequence[SourceInfo]) -> Box:
     bounds = np.array([s.bounds for s in sources])
-    (x0, y0, _), (x1, y1, _) = bounds[:, :3].min(axis=0).tolist(), bounds[:, 3:].max(axis=0).tolist()
+    (x0, y0, _), (x1, y1, _) = (
+        bounds[:, :3].min(axis=0).tolist(),
+        bounds[:, 3:].max(axis=0).tolist(),
+    )
     return x0, y0, x1, y1
 
 
-def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull: Box) -> list[Box]:
+def spread(
+    places: Sequence[tuple[float, float]], number: int, side: float, hull: Box
+) -> list[Box]:
     """Return squares around some of the positions, distant from one another and without overlap.
 
-    They are inside ``hull`` if they fit. The first position is the one nearest to the median of all positions. Each
-    further position is the farthest from the chosen ones.
+    They are inside ``hull`` if they fit. The first position is the one nearest to the median of
+    all positions. Each further position is the farthest from the chosen ones.
     """
     if not places:
         return []
@@ -199,7 +211,11 @@ def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull
 
 
 def _cut(
-    guard: ChildProcess, sources: Sequence[SourceInfo], windows: Sequence[Box], scratch: Path, salvage: bool
+    guard: ChildProcess,
+    sources: Sequence[SourceInfo],
+    windows: Sequence[Box],
+    scratch: Path,
+    salvage: bool,
 ) -> list[dict[str, str]]:
     """Write files with the points of each window. Return them, with the cloud from which each was cut."""
     files: list[dict[str, str]] = [{} for _ in windows]
@@ -207,13 +223,17 @@ def _cut(
         assert source.bounds is not None  # The caller passes only sources with bounds.
         x0, y0, _, x1, y1, _ = source.bounds
         window_indices = [
-            i for i, w in enumerate(windows) if w[0] <= x1 and x0 <= w[2] and w[1] <= y1 and y0 <= w[3]
+            i
+            for i, w in enumerate(windows)
+            if w[0] <= x1 and x0 <= w[2] and w[1] <= y1 and y0 <= w[3]
         ]
         if not window_indices:
             continue
         targets = [str(scratch / f"w{i}-{number}.las") for i in window_indices]
         boxes = [windows[i] for i in window_indices]
-        counts = read_in_child(guard, cut_windows, source.path, boxes, targets, salvage, source.octree)
+        counts = read_in_child(
+            guard, cut_windows, source.path, boxes, targets, salvage, source.octree
+        )
         for i, path, count in zip(window_indices, targets, counts, strict=True):
             if count:
                 files[i][path] = str(source.path)
@@ -252,7 +272,9 @@ def _window(
         if isinstance(event, Warned):
             text = event.text
             for path, cloud in paths.items():
-                text = text.replace(path, f"window at x {bounds[0]:.0f}, y {bounds[1]:.0f} of {cloud}")
+                text = text.replace(
+                    path, f"window at x {bounds[0]:.0f}, y {bounds[1]:.0f} of {cloud}"
+                )
             event = Warned(text)
         listener(event)
 
@@ -274,7 +296,9 @@ def _shade(store: TileStore, name: str) -> Shade:
     heights[heights == NODATA] = np.nan
     frame = store.meta.frame
     step = float(spec.lattice.size * frame.metres_xy / frame.units.vertical)
-    shade = multidirectional_hillshade(*gradients(np.pad(heights, 1, constant_values=np.nan), step))
+    shade = multidirectional_hillshade(
+        *gradients(np.pad(heights, 1, constant_values=np.nan), step)
+    )
     return np.where(np.isnan(shade), EMPTY_GREY, shade).astype(np.uint8)
 
 
@@ -282,7 +306,9 @@ def _montage(columns: Sequence[Sequence[Shade]]) -> npt.NDArray[np.uint8]:
     """Return all pictures on a white background as RGBA. Small pictures are enlarged."""
     largest = max(max(picture.shape) for picture in itertools.chain(*columns))
     times = max(math.ceil(WIDE_PIXELS / largest), 1)
-    pictures = [[np.kron(p, np.ones((times, times), np.uint8)) for p in column] for column in columns]
+    pictures = [
+        [np.kron(p, np.ones((times, times), np.uint8)) for p in column] for column in columns
+    ]
     high = [max(column[row].shape[0] for column in pictures) for row in range(2)]
     wide = [max(picture.shape[1] for picture in column) for column in pictures]
     paper = np.full((sum(high) + GAP, sum(wide) + GAP * (len(wide) - 1)), PAPER, np.uint8)

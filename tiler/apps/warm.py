@@ -10,7 +10,14 @@ from ptd.methods import METHODS
 from ptd.precompile import is_compiled
 from tiler.errors import ConfigError, ProcessingError
 from tiler.plan.machine import cores
-from tiler.runs.compiling import SECONDS, Kernels, filter_kernels, grid_kernels, kinds_of, silent
+from tiler.runs.compiling import (
+    SECONDS,
+    Kernels,
+    filter_kernels,
+    grid_kernels,
+    kinds_of,
+    silent,
+)
 from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
 
 
@@ -38,7 +45,9 @@ def warm(methods: Sequence[str]) -> WarmResult:
         raise ConfigError(f"no method {unknown[0]!r}; there are {', '.join(METHODS)}")
     folder = cache_folder()
     if folder is None:
-        raise ConfigError("no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one")
+        raise ConfigError(
+            "no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one"
+        )
     n_before = compiled_count()
     needed_kernels = []
     for method in methods:

@@ -28,7 +28,9 @@ def parse_bytes(value: Any) -> int:
     try:
         size = int(float(number) * _BYTES[text[len(number) :].lower()])
     except (ValueError, KeyError, OverflowError):
-        raise ConfigError(f"{value!r} is not a memory size; give 4GB, 512MiB or a number of bytes") from None
+        raise ConfigError(
+            f"{value!r} is not a memory size; give 4GB, 512MiB or a number of bytes"
+        ) from None
     if size <= 0:
         raise ConfigError(f"{value!r} is not a memory size; give a size above 0")
     return size
@@ -67,7 +69,12 @@ def parse_surface(value: Any) -> str:
     """Return the value if it is ``all``, ``median`` or ``p0`` to ``p100``, or raise ConfigError."""
     if value in ("all", "median"):
         return str(value)
-    if isinstance(value, str) and value[:1] == "p" and value[1:].isdecimal() and int(value[1:]) <= 100:
+    if (
+        isinstance(value, str)
+        and value[:1] == "p"
+        and value[1:].isdecimal()
+        and int(value[1:]) <= 100
+    ):
         return value
     raise ConfigError(
         f"surface {value!r}: is not valid; give all, median, or a percentile of the heights like p10"
@@ -79,7 +86,9 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
     if isinstance(value, Mapping):
         return tuple((str(k), str(v)) for k, v in value.items())
     if not isinstance(value, list | tuple):
-        raise ConfigError(f"parameters {value!r}: must be a table of name = value, or a list of 'name=value'")
+        raise ConfigError(
+            f"parameters {value!r}: must be a table of name = value, or a list of 'name=value'"
+        )
     pairs = []
     for item in value:
         if isinstance(item, list | tuple) and len(item) == 2:
@@ -106,7 +115,9 @@ def _positive_length(name: str, value: Any) -> Fraction:
     length = _named(name, parse_length, value)
     may_be_zero = name in ("halo", "erode", "contour_smooth")
     if length < 0 or (length == 0 and not may_be_zero):
-        raise ConfigError(f"{name} {value}: must be {'0 or above' if may_be_zero else 'above 0'}")
+        raise ConfigError(
+            f"{name} {value}: must be {'0 or above' if may_be_zero else 'above 0'}"
+        )
     return length
 
 
@@ -120,7 +131,9 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
     if not (x0 < x1 and y0 < y1):
         raise ConfigError(f"bounds {value!r}: X0 must be below X1 and Y0 below Y1")
     if not all(abs(v) < FARTHEST for v in (x0, y0, x1, y1)):
-        raise ConfigError(f"bounds {value!r}: exceed {FARTHEST:g}; give coordinates in units of the CRS")
+        raise ConfigError(
+            f"bounds {value!r}: exceed {FARTHEST:g}; give coordinates in units of the CRS"
+        )
     return x0, y0, x1, y1
 
 
@@ -190,7 +203,9 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
     if kind == "flag" and not isinstance(value, bool):
         raise ConfigError(f"{spec.name} {value!r}: must be true or false")
     if kind == "choice" and value not in spec.metadata["choices"]:
-        raise ConfigError(f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}")
+        raise ConfigError(
+            f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}"
+        )
     if kind in ("text", "choice", "preset", "file", "template") and not isinstance(value, str):
         raise ConfigError(f"{spec.name} {value!r}: must be text")
     return value

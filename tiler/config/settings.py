@@ -1,6 +1,7 @@
 """Settings of a run: one frozen dataclass, the only definition of their defaults, help texts and units.
 
-The command line, ``tiler config --template`` and the documentation are generated from the metadata of the fields.
+The command line, ``tiler config --template`` and the documentation are generated from the
+metadata of the fields.
 """
 
 from __future__ import annotations
@@ -39,12 +40,22 @@ UNITS = {"length": "m", "area": "m2", "bytes": "bytes"}
 
 
 def setting(
-    default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()
+    default: Any,
+    help: str,
+    *,
+    unit: str = "",
+    kind: str = "text",
+    choices: tuple[str, ...] = (),
 ) -> Any:
     """Return a field of `RunConfig` with its help, unit and kind. A text with ``choices`` must be one of them."""
     if choices and kind == "text":
         kind = "choice"
-    metadata = {"help": help, "unit": unit or UNITS.get(kind, ""), "kind": kind, "choices": choices}
+    metadata = {
+        "help": help,
+        "unit": unit or UNITS.get(kind, ""),
+        "kind": kind,
+        "choices": choices,
+    }
     return field(default=default, metadata=metadata)
 
 
@@ -68,9 +79,13 @@ class RunConfig:
         "overrides both; `tiler config --preset NAME` prints them",
         kind="preset",
     )
-    method: str = setting("auto", "ground filter (see `tiler methods`); `keep` uses the classes of the input")
+    method: str = setting(
+        "auto", "ground filter (see `tiler methods`); `keep` uses the classes of the input"
+    )
     parameters: tuple[tuple[str, str], ...] = setting(
-        (), "parameters of the method, name=value (`tiler methods NAME` lists them)", kind="pairs"
+        (),
+        "parameters of the method, name=value (`tiler methods NAME` lists them)",
+        kind="pairs",
     )
     ground_classes: tuple[int, ...] = classes(
         (2,), "classes of the input that are ground for `--method keep`"
@@ -102,9 +117,12 @@ class RunConfig:
         "pixel size; default: 1 m (2 ft), or the point spacing if it is larger. Photogrammetric clouds get 0.1, "
         "0.25 or 0.5 m if such a pixel holds about ten points. In feet: 0.1, 0.2, 0.5, 1, 2, 5 or 10 ft",
     )
-    tile_size: Fraction | None = length(None, "side of a filter tile; default: from density and memory")
+    tile_size: Fraction | None = length(
+        None, "side of a filter tile; default: from density and memory"
+    )
     halo: Fraction | None = length(
-        None, "width of the margin around a tile that the filter reads; default: from the method"
+        None,
+        "width of the margin around a tile that the filter reads; default: from the method",
     )
     max_edge: Fraction = length(
         Fraction(100),
@@ -168,7 +186,8 @@ class RunConfig:
         Fraction(15), "smallest mean width of a river or canal that `--water auto` finds"
     )
     water_min_island: Fraction = area(
-        Fraction(1000), "smallest island that `--water auto` keeps; smaller islands become water"
+        Fraction(1000),
+        "smallest island that `--water auto` keeps; smaller islands become water",
     )
     bridges: str = setting(
         "keep",
@@ -215,7 +234,8 @@ class RunConfig:
         "would have less than 512 MiB",
     )
     in_process: bool = flag(
-        False, "run all work in the process of the command, for debugging; a crash then ends the run"
+        False,
+        "run all work in the process of the command, for debugging; a crash then ends the run",
     )
     task_seconds: int = whole(
         600,
@@ -224,7 +244,8 @@ class RunConfig:
         unit="s",
     )
     scheduler: str | None = setting(
-        None, "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine"
+        None,
+        "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine",
     )
     store: str | None = setting(None, "path or URL of the tile store; default: OUT/store.zarr")
     crs: str | None = setting(
@@ -276,14 +297,20 @@ class RunConfig:
         "point source ids (flight lines) that are filtered and gridded: 12,20-31; default: all",
         kind="sources",
     )
-    drop_classes: tuple[int, ...] = classes((), "classes of the input that are neither filtered nor gridded")
+    drop_classes: tuple[int, ...] = classes(
+        (), "classes of the input that are neither filtered nor gridded"
+    )
     withheld: str = setting(
         DROP_WITHHELD,
         "points flagged as withheld: drop (they are neither filtered nor gridded), or keep (as other points)",
         choices=(DROP_WITHHELD, KEEP_WITHHELD),
     )
-    skip_synthetic: bool = flag(False, "do not filter points flagged as synthetic; they keep their class")
-    skip_overlap: bool = flag(False, "do not filter points flagged as overlap; they keep their class")
+    skip_synthetic: bool = flag(
+        False, "do not filter points flagged as synthetic; they keep their class"
+    )
+    skip_overlap: bool = flag(
+        False, "do not filter points flagged as overlap; they keep their class"
+    )
     sigma: Fraction | None = length(
         None,
         "standard deviation of the height noise, for methods that need it; default: estimated from planar patches",
@@ -310,8 +337,12 @@ class RunConfig:
         "reaction to a broken file or tile: skip it (exit code 5), or stop the run",
         choices=("skip", "stop"),
     )
-    salvage: bool = flag(False, "read the intact part of a truncated file instead of leaving the file out")
-    verify: bool = flag(False, "read all inputs and outputs again to check whether they changed")
+    salvage: bool = flag(
+        False, "read the intact part of a truncated file instead of leaving the file out"
+    )
+    verify: bool = flag(
+        False, "read all inputs and outputs again to check whether they changed"
+    )
     overwrite: bool = flag(False, "start from the beginning instead of resuming the run in OUT")
     force: bool = flag(False, "replace files in OUT that no run of this OUT wrote")
     clean_store: bool = flag(False, "remove the store when the run is done")
@@ -375,7 +406,9 @@ class RunConfig:
         known = {f.name: f for f in fields(cls)}
         for name in data:
             if name not in known:
-                raise ConfigError(f"unknown setting {name!r}; use the names of `tiler config --template`")
+                raise ConfigError(
+                    f"unknown setting {name!r}; use the names of `tiler config --template`"
+                )
         given = over_preset(data)
         return cls(**{name: parse_value(known[name], value) for name, value in given.items()})
 

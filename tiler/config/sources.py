@@ -59,11 +59,17 @@ def load_config(path: Path) -> dict[str, Any]:
         with open(path, "rb") as stream:
             content = stream.read(MAX_BYTES + 1)
         if len(content) > MAX_BYTES:
-            raise ConfigError(f"{path}: has more than {MAX_BYTES >> 20} MiB; give a TOML file of settings")
-        return tomllib.loads(content.decode("utf-8-sig"))  # Windows editors write a byte order mark first
+            raise ConfigError(
+                f"{path}: has more than {MAX_BYTES >> 20} MiB; give a TOML file of settings"
+            )
+        # Windows editors write a byte order mark first
+        return tomllib.loads(content.decode("utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
-    except (ValueError, RecursionError) as error:  # Very long numbers and deep nesting raise these, too.
+        raise ConfigError(
+            f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"
+        ) from error
+    # Very long numbers and deep nesting raise these, too.
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: is not valid TOML ({error}); correct the file") from error

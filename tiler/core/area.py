@@ -17,16 +17,19 @@ from tiler.core.lattice import Bounds, Lattice
 Counts = npt.NDArray[np.int64]
 
 MAX_BOXES = 1 << 14
-"""Number of rectangles of cells after which `Area.cells` divides no more, which takes some seconds."""
+"""Number of rectangles of cells after which `Area.cells` divides no more, which takes some
+seconds."""
 
 FEW_SIDES = 1 << 14
 """Maximum number of pairs of a position and an edge that are compared in one array."""
 
 Runs = list[list[int]]
-"""Runs of neighbouring cells in rows of a lattice: [iy, first ix, end ix], row by row from the south-west."""
+"""Runs of neighbouring cells in rows of a lattice: [iy, first ix, end ix], row by row from the
+south-west."""
 
 MAX_EDGE = 1 << 30
-"""Longest edge of a polygon, in counts along each axis, for which the exact test of a point fits int64."""
+"""Longest edge of a polygon, in counts along each axis, for which the exact test of a point
+fits int64."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,12 @@ class Area:
     def touches(self, bounds: Bounds) -> bool:
         """Return whether some count of the bounds is inside, or so near to an edge that rounding could decide."""
         extent = self.bounds
-        if extent.x0 > bounds.x1 or extent.x1 < bounds.x0 or extent.y0 > bounds.y1 or extent.y1 < bounds.y0:
+        if (
+            extent.x0 > bounds.x1
+            or extent.x1 < bounds.x0
+            or extent.y0 > bounds.y1
+            or extent.y1 < bounds.y0
+        ):
             return False
         if (
             extent.x0 >= bounds.x0
@@ -119,8 +127,8 @@ class Area:
     def cells(self, lattice: Lattice, window: Bounds, margin: int) -> Runs | None:
         """Return the cells that overlap ``window`` and come within ``margin`` counts of the area.
 
-        The result is None if the area covers the window. If the outline is longer than about `MAX_BOXES` cells,
-        cells beyond the margin may be included.
+        The result is None if the area covers the window. If the outline is longer than about
+        `MAX_BOXES` cells, cells beyond the margin may be included.
         """
         if self.covers(window):
             return None
@@ -158,7 +166,9 @@ class Area:
         return max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) <= MAX_EDGE
 
     def _holds_corner(self, bounds: Bounds) -> bool:
-        return bool(self.inside(np.array([bounds.x0], np.int64), np.array([bounds.y0], np.int64))[0])
+        return bool(
+            self.inside(np.array([bounds.x0], np.int64), np.array([bounds.y0], np.int64))[0]
+        )
 
     def to_json(self) -> list[list[list[int]]]:
         """Return the rings of each polygon as x, y, x, y, ..., which `from_json` reads."""
@@ -198,7 +208,9 @@ def segmentized(ring: Counts) -> Counts:
     if np.ptp(ring, axis=0).max() < MAX_EDGE:
         return ring
     parts = []
-    for (x0, y0), (x1, y1) in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
+    for (x0, y0), (x1, y1) in zip(
+        ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True
+    ):
         number = max(abs(x1 - x0), abs(y1 - y0)) // MAX_EDGE + 1
         for i in range(number):
             parts.append([x0 + (x1 - x0) * i // number, y0 + (y1 - y0) * i // number])
@@ -226,7 +238,11 @@ def _edges(ring: Counts) -> Counts:
 
 def _rising(rings: Sequence[Counts]) -> Counts:
     """Return the edges of rings except level ones, from the lower end to the upper end."""
-    edges = _edges(rings[0]) if len(rings) == 1 else np.concatenate([_edges(ring) for ring in rings], axis=1)
+    edges = (
+        _edges(rings[0])
+        if len(rings) == 1
+        else np.concatenate([_edges(ring) for ring in rings], axis=1)
+    )
     edges = edges[:, edges[1] != edges[3]]
     return np.where(edges[1] < edges[3], edges, edges[[2, 3, 0, 1]])
 
@@ -256,7 +272,9 @@ def _odd_crossings(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]
     # Edges east of all positions are crossed by every ray in their range of y.
     lower = np.sort(y0[beyond])
     upper = np.sort(y1[beyond])
-    crossings = np.searchsorted(lower, y, side="right") - np.searchsorted(upper, y, side="right")
+    crossings = np.searchsorted(lower, y, side="right") - np.searchsorted(
+        upper, y, side="right"
+    )
     odd: npt.NDArray[np.bool_] = crossings % 2 == 1
     for ax, ay, bx, by in edges[:, facing & ~beyond].T.tolist():
         rows = slice(*np.searchsorted(y, (ay, by)).tolist())
@@ -280,7 +298,9 @@ def _quarters(box: Bounds) -> list[Bounds]:
     """Return four parts of a rectangle of cells, or fewer if it is one cell wide or high."""
     xs = (box.x0, (box.x0 + box.x1 + 1) // 2, box.x1)
     ys = (box.y0, (box.y0 + box.y1 + 1) // 2, box.y1)
-    parts = [Bounds(x0, y0, x1, y1) for (y0, y1), (x0, x1) in product(pairwise(ys), pairwise(xs))]
+    parts = [
+        Bounds(x0, y0, x1, y1) for (y0, y1), (x0, x1) in product(pairwise(ys), pairwise(xs))
+    ]
     return [part for part in parts if not part.empty]
 
 

@@ -37,7 +37,9 @@ class AreaIndex:
         import shapely
 
         cell_bounds = [(cell, lattice.bounds(cell)) for cell in cells]
-        edges = np.array([bounds.to_json() for _, bounds in cell_bounds], np.float64).reshape(-1, 4)
+        edges = np.array([bounds.to_json() for _, bounds in cell_bounds], np.float64).reshape(
+            -1, 4
+        )
         pairs = self._tree.query(shapely.box(*edges.T))
         areas_by_cell: dict[Cell, list[int]] = defaultdict(list)
         for cell_number, i in pairs[:, np.lexsort(pairs[::-1])].T.tolist():

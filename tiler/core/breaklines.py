@@ -1,11 +1,12 @@
 """Breaklines: lines of known height, divided into pieces short enough to become edges of the TIN.
 
-A piece of a line is an edge of the Delaunay triangulation if no other vertex lies in the circle that has the piece as
-its diameter. No ground point lies in this circle, since no piece is longer than a pixel and ground points within half
-a pixel of a line are left out. No other line lies in it, since pieces are shorter where lines come near each other.
-The pieces depend only on the lines and the pixel, so blocks, tiles and the order of the lines do not change the
-result. A triangulation with constrained edges would not be Delaunay: it would not be unique, and a block could not
-certify it.
+A piece of a line is an edge of the Delaunay triangulation if no other vertex lies in the circle
+that has the piece as its diameter. No ground point lies in this circle, since no piece is
+longer than a pixel and ground points within half a pixel of a line are left out. No other line
+lies in it, since pieces are shorter where lines come near each other. The pieces depend only on
+the lines and the pixel, so blocks, tiles and the order of the lines do not change the result. A
+triangulation with constrained edges would not be Delaunay: it would not be unique, and a block
+could not certify it.
 """
 
 from __future__ import annotations
@@ -27,13 +28,16 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 Counts = npt.NDArray[np.int64]
 
 MIN_LENGTH_M = Fraction(1, 50)
-"""Length in metres below which a piece is not divided, even where lines meet at sharp angles or overlap."""
+"""Length in metres below which a piece is not divided, even where lines meet at sharp angles or
+overlap."""
 
 MAX_SEGMENT = 1 << 32
-"""Longest segment between two vertices, in counts along an axis, that can be divided within int64."""
+"""Longest segment between two vertices, in counts along an axis, that can be divided within
+int64."""
 
 ALIKE = 10
-"""Largest difference of height at which two lines that meet count as equally high, in counts."""
+"""Largest difference of height at which two lines that meet count as equally high, in
+counts."""
 
 
 _NO_PIECES = np.empty((0, 6), np.int64)
@@ -55,7 +59,9 @@ class Breaklines:
     pixel: Fraction
 
     @classmethod
-    def of(cls, lines: Iterable[Counts], pixel: Fraction, shortest: Fraction, data: Bounds) -> Breaklines:
+    def of(
+        cls, lines: Iterable[Counts], pixel: Fraction, shortest: Fraction, data: Bounds
+    ) -> Breaklines:
         """Divide lines into pieces.
 
         Parameters
@@ -68,7 +74,9 @@ class Breaklines:
             Bounds of all points of the run. Pieces more than three pixels outside are left out.
         """
         segments = np.unique(np.concatenate([_NO_PIECES, *map(_segments, lines)]), axis=0)
-        return cls(_divided(segments, float(pixel), float(shortest), data.pad(int(3 * pixel))), pixel)
+        return cls(
+            _divided(segments, float(pixel), float(shortest), data.pad(int(3 * pixel))), pixel
+        )
 
     @cached_property
     def vertices(self) -> Counts:
@@ -143,9 +151,12 @@ class Breaklines:
         cells = lattice.index(xy) - (west, south)
         possible = (cells[:, 0] >= 0) & (cells[:, 0] < wide)
         rows = np.flatnonzero(possible & np.isin(cells[:, 1] * wide + cells[:, 0], around))
-        # The distance depends only on one position and one piece, and their counts are exact in float64.
+        # The distance depends only on one position and one piece, and their counts are exact in
+        # float64.
         tree = shapely.STRtree(_as_lines(pieces))
-        hits = tree.query(shapely.points(xy[rows]), predicate="dwithin", distance=float(self.pixel / 2))
+        hits = tree.query(
+            shapely.points(xy[rows]), predicate="dwithin", distance=float(self.pixel / 2)
+        )
         is_beside[rows[hits[0]]] = True
         return is_beside
 
@@ -157,7 +168,9 @@ class Breaklines:
     @classmethod
     def from_json(cls, data: dict[str, str]) -> Breaklines:
         """Return the lines that `to_json` described."""
-        steps = np.frombuffer(zlib.decompress(base64.b85decode(data["pieces"])), "<i8").reshape(-1, 6)
+        steps = np.frombuffer(zlib.decompress(base64.b85decode(data["pieces"])), "<i8").reshape(
+            -1, 6
+        )
         return cls(np.cumsum(steps, axis=0).astype(np.int64), Fraction(data["pixel"]))
 
 
@@ -186,7 +199,9 @@ def two_heights(lines: Iterable[Counts]) -> Counts:
 def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the height of each segment at a position on it."""
     way = segments[:, 3:] - segments[:, :3]
-    along = ((places - segments[:, :2]) * way[:, :2]).sum(axis=1) / (way[:, :2] ** 2).sum(axis=1)
+    along = ((places - segments[:, :2]) * way[:, :2]).sum(axis=1) / (way[:, :2] ** 2).sum(
+        axis=1
+    )
     heights: npt.NDArray[np.float64] = segments[:, 2] + along * way[:, 2]
     return heights
 
@@ -221,7 +236,9 @@ def _divided(segments: Counts, longest: float, shortest: float, wanted: Bounds) 
         long = length > longest
         rows = np.flatnonzero(~long & (length > shortest))
         middles = shapely.points((pieces[rows, 0:2] + pieces[rows, 3:5]) / 2)
-        near, other = tree.query(middles, predicate="dwithin", distance=np.maximum(length[rows] / 2 - 1, 0))
+        near, other = tree.query(
+            middles, predicate="dwithin", distance=np.maximum(length[rows] / 2 - 1, 0)
+        )
         long[rows[near[other != parents[rows[near]]]]] = True
         done.append(pieces[~long])
         parents, number = np.repeat(parents[long], 2), np.repeat(2 * number[long], 2)
@@ -236,7 +253,9 @@ def _touching(pieces: Counts, bounds: Bounds) -> npt.NDArray[np.bool_]:
     """Return the mask of the pieces whose bounds touch ``bounds``."""
     x = pieces[:, [0, 3]]
     y = pieces[:, [1, 4]]
-    is_touching: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (x.min(axis=1) < bounds.x1)
+    is_touching: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (
+        x.min(axis=1) < bounds.x1
+    )
     is_touching &= (y.max(axis=1) >= bounds.y0) & (y.min(axis=1) < bounds.y1)
     return is_touching
 
@@ -245,7 +264,9 @@ def _part(segments: Counts, number: Counts, parts: int) -> Counts:
     """Return part ``number`` of the ``parts`` equal parts of each segment, with ends rounded to counts."""
     start = segments[:, :3]
     way = segments[:, 3:] - start
-    ends = [start + (2 * way * (number + more)[:, None] + parts) // (2 * parts) for more in (0, 1)]
+    ends = [
+        start + (2 * way * (number + more)[:, None] + parts) // (2 * parts) for more in (0, 1)
+    ]
     return np.concatenate(ends, axis=1)
 
 

@@ -20,7 +20,8 @@ HIGH_NOISE = 18
 
 NOISE = (LOW_NOISE, HIGH_NOISE)
 
-# The bits of `PointBlock.flags` are the same for every point format. The first four flags come from the source.
+# The bits of `PointBlock.flags` are the same for every point format. The first four flags come
+# from the source.
 WITHHELD_FLAG = 1
 SYNTHETIC_FLAG = 2
 OVERLAP_FLAG = 4
@@ -28,7 +29,8 @@ KEY_POINT_FLAG = 8
 STRAY_FLAG = 16
 """Flag that ingest (`tiler.ingest.strays`) sets on stray points."""
 UNSELECTED_FLAG = 32
-"""Flag that ingest sets on points that the settings of the run do not select (`tiler.core.selection`)."""
+"""Flag that ingest sets on points that the settings of the run do not select
+(`tiler.core.selection`)."""
 
 UNSEEN_FLAGS = WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG
 """Flags of points that a run ignores, independent of its other settings."""
@@ -63,7 +65,9 @@ def participates(
     """
     kept = np.zeros(256, dtype=np.bool_)
     kept[list(keep_classes)] = True
-    taking: npt.NDArray[np.bool_] = ~kept[classification] & ((flags & (skip_flags | WITHHELD_FLAG)) == 0)
+    taking: npt.NDArray[np.bool_] = ~kept[classification] & (
+        (flags & (skip_flags | WITHHELD_FLAG)) == 0
+    )
     return taking
 
 

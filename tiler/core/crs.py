@@ -41,7 +41,8 @@ def vertical_name(wkt: str | None) -> str | None:
 def same_horizontal(one: CRS, other: CRS) -> bool:
     """Return whether two CRS are the same horizontally.
 
-    Either their definitions are equal except for names and the order of axes, or their EPSG codes and units are equal.
+    Either their definitions are equal except for names and the order of axes, or their EPSG
+    codes and units are equal.
     """
     if one == other or one.equals(other, ignore_axis_order=True):
         return True
@@ -62,16 +63,23 @@ def crs_name(wkt: str | None) -> str:
 def point_scale_factor(wkt: str, x: float, y: float) -> float | None:
     """Return the point scale factor of a CRS at a position, for example 1.5 in Web Mercator at 48 degrees.
 
-    The factor is the length in the plane of the CRS divided by the length on the ground, in the direction in which it
-    differs most from 1. It is None if the CRS is not projected or PROJ cannot compute it.
+    The factor is the length in the plane of the CRS divided by the length on the ground, in the
+    direction in which it differs most from 1. It is None if the CRS is not projected or PROJ
+    cannot compute it.
     """
     horizontal = split(CRS.from_wkt(wkt))[0]
     if horizontal is None or not horizontal.is_projected:
         return None
     projection = Proj(horizontal)
     try:
-        factors = projection.get_factors(*projection(x, y, inverse=True, errcheck=True), errcheck=True)
+        factors = projection.get_factors(
+            *projection(x, y, inverse=True, errcheck=True), errcheck=True
+        )
     except ProjError:
         return None
-    scales = [s for s in (factors.tissot_semimajor, factors.tissot_semiminor) if math.isfinite(s) and s > 0]
+    scales = [
+        s
+        for s in (factors.tissot_semimajor, factors.tissot_semiminor)
+        if math.isfinite(s) and s > 0
+    ]
     return max(scales, key=lambda scale: abs(math.log(scale)), default=None)

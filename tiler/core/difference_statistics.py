@@ -10,13 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 STEP = 1e-4
-"""Step to which a tally rounds differences, in units of the heights: a tenth of a millimetre in metres."""
+"""Step to which a tally rounds differences, in units of the heights: a tenth of a millimetre in
+metres."""
 
 MAX_STEPS = 2_000_000
-"""Maximum number of different values in a tally. If there are more, its step becomes ten times as large."""
+"""Maximum number of different values in a tally. If there are more, its step becomes ten times
+as large."""
 
 NMAD_FACTOR = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation of normally distributed errors."""
+"""Ratio of the standard deviation to the median absolute deviation of normally distributed
+errors."""
 
 Float64s = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
@@ -51,7 +54,8 @@ _NO_SPREAD = Spread(
 class SpreadTally:
     """Counter of differences that arrive in pieces. `MAX_STEPS` limits its memory.
 
-    Mean and root mean square use the unrounded values. Medians and percentiles use the values rounded to `step`.
+    Mean and root mean square use the unrounded values. Medians and percentiles use the values
+    rounded to `step`.
     """
 
     def __init__(self) -> None:
@@ -71,8 +75,12 @@ class SpreadTally:
         self._sum += float(differences.sum())
         self._squares += float((differences**2).sum())
         self._largest = max(self._largest, float(np.abs(differences).max()))
-        steps, counts = np.unique(np.rint(differences / self.step).astype(np.int64), return_counts=True)
-        self._merge(np.concatenate((self._values, steps)), np.concatenate((self._counts, counts)))
+        steps, counts = np.unique(
+            np.rint(differences / self.step).astype(np.int64), return_counts=True
+        )
+        self._merge(
+            np.concatenate((self._values, steps)), np.concatenate((self._counts, counts))
+        )
         while self._values.size > MAX_STEPS:
             self.step *= 10
             self._merge(np.rint(self._values / 10).astype(np.int64), self._counts)
@@ -86,7 +94,9 @@ class SpreadTally:
         if self.n == 0:
             return _NO_SPREAD.copy()
         values = self._values.astype(np.float64) * self.step
-        return _summary(values, self._counts, self._squares / self.n, self._sum / self.n, self._largest)
+        return _summary(
+            values, self._counts, self._squares / self.n, self._sum / self.n, self._largest
+        )
 
 
 def spread(differences: Float64s) -> Spread:
@@ -99,7 +109,9 @@ def spread(differences: Float64s) -> Spread:
     return _summary(values, counts, float(np.mean(values**2)), float(np.mean(values)), largest)
 
 
-def _summary(values: Float64s, counts: Int64s, square: float, mean: float, largest: float) -> Spread:
+def _summary(
+    values: Float64s, counts: Int64s, square: float, mean: float, largest: float
+) -> Spread:
     """Return the statistics of ascending values that occur ``counts`` times each. ``square`` is their mean square."""
     p5, p25, median, p75, p95 = quantiles(values, counts, (5, 25, 50, 75, 95))
     return {

@@ -33,7 +33,11 @@ def argument_to_json(value: Any) -> Any:
     if isinstance(value, Fraction):
         return str(value)
     if is_dataclass(value):
-        return {f.name: getattr(value, f.name) for f in fields(value) if f.metadata.get("digest", True)}
+        return {
+            f.name: getattr(value, f.name)
+            for f in fields(value)
+            if f.metadata.get("digest", True)
+        }
     raise TypeError(
         f"{type(value).__name__} is not allowed in the arguments of a task; use a JSON-able value"
     )

@@ -13,7 +13,15 @@ import numpy.typing as npt
 
 from tiler.core.area import Area, Places
 from tiler.core.area_index import AreaIndex
-from tiler.core.classes import BRIDGE, GROUND, NOISE, UNCERTIFIED_BIT, UNCLASSIFIED, UNSEEN_FLAGS, WATER
+from tiler.core.classes import (
+    BRIDGE,
+    GROUND,
+    NOISE,
+    UNCERTIFIED_BIT,
+    UNCLASSIFIED,
+    UNSEEN_FLAGS,
+    WATER,
+)
 from tiler.core.digests import digest_of_bytes
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
@@ -29,7 +37,8 @@ ACTIONS = (NOT_GROUND, TO_GROUND, VOID, FLAT)
 DECK = "deck"
 """Action of an edit that tiler makes itself, for the deck of a bridge that it found."""
 DrawnDeck = tuple[tuple[int, ...], float, float, float, int]
-"""Outline as x, y, x, y, ... in counts, length, width and clearance in metres, and number of points below the deck."""
+"""Outline as x, y, x, y, ... in counts, length, width and clearance in metres, and number of
+points below the deck."""
 OF_POINTS = (NOT_GROUND, TO_GROUND, DECK)
 """Actions that change the class of points."""
 OF_PIXELS = (VOID, FLAT)
@@ -50,8 +59,9 @@ Rows = npt.NDArray[np.intp]
 class DeckSurface:
     """Surface of a deck, in counts.
 
-    Its height is a + b s + c s^2 + d t at the position (x, y) + s (ux, uy) + t (-uy, ux). A point of the deck may lie
-    up to ``low`` counts below the surface and up to ``high`` counts above it.
+    Its height is a + b s + c s^2 + d t at the position (x, y) + s (ux, uy) + t (-uy, ux). A
+    point of the deck may lie up to ``low`` counts below the surface and up to ``high`` counts
+    above it.
     """
 
     x: float
@@ -154,7 +164,9 @@ class Edits:
     @cached_property
     def key(self) -> str:
         """Digest of all edits."""
-        text = json.dumps([self.cell.to_json(), *([edit.number, *edit.digest] for edit in self.edits)])
+        text = json.dumps(
+            [self.cell.to_json(), *([edit.number, *edit.digest] for edit in self.edits)]
+        )
         return digest_of_bytes(text.encode())
 
     @cached_property
@@ -203,7 +215,9 @@ class Edits:
             elif edit.deck is not None:
                 decisions[points.on_deck(rows, edit.deck)] = FORCED_BRIDGE
             elif edit.action == TO_GROUND:
-                decisions[points.to_ground(rows, self.cell if edit.lowest else None)] = FORCED_ON
+                decisions[points.to_ground(rows, self.cell if edit.lowest else None)] = (
+                    FORCED_ON
+                )
         return decisions
 
     def labels(self, block: PointBlock, labels: Classes, origin: tuple[int, int]) -> Classes:
@@ -245,7 +259,9 @@ class Edits:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Edits:
         """Return the edits that `to_json` described."""
-        return cls(tuple(Edit.from_json(e) for e in data["edits"]), Lattice.from_json(data["cell"]))
+        return cls(
+            tuple(Edit.from_json(e) for e in data["edits"]), Lattice.from_json(data["cell"])
+        )
 
 
 class EditedPoints:
@@ -298,14 +314,17 @@ class EditedPoints:
 
 def ground_with(is_ground: npt.NDArray[np.bool_], forced: Int8) -> npt.NDArray[np.bool_]:
     """Return the mask of the points that are ground after the edits."""
-    is_ground_after: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
+    is_ground_after: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (
+        forced == FORCED_ON
+    )
     return is_ground_after
 
 
 def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
     """Return the mask of the points that may become ground.
 
-    These points take part in the run, and are not noise, water or bridge in the input or in ``classes``.
+    These points take part in the run, and are not noise, water or bridge in the input or in
+    ``classes``.
     """
     excluded = (*NOISE, WATER, BRIDGE)
     if block.flags is None or block.classification is None:

@@ -24,9 +24,10 @@ INT32_LIMIT = 2**31 - 1
 class CoordFrame:
     """Frame that gives the int32 counts their meaning.
 
-    An *absolute* count is ``round(coordinate * 1000)``, an int64. The *local* count that is stored is the absolute
-    count minus ``origin``. Heights have no origin, since int32 counts are enough for heights up to 2147 km. All
-    lattices are anchored at absolute count 0, so the origin does not influence results.
+    An *absolute* count is ``round(coordinate * 1000)``, an int64. The *local* count that is
+    stored is the absolute count minus ``origin``. Heights have no origin, since int32 counts
+    are enough for heights up to 2147 km. All lattices are anchored at absolute count 0, so the
+    origin does not influence results.
     """
 
     units: Units = field(default_factory=Units)

@@ -33,18 +33,29 @@ class Bounds:
     def union(self, other: Bounds) -> Bounds:
         """Return the smallest bounds that contain both."""
         return Bounds(
-            min(self.x0, other.x0), min(self.y0, other.y0), max(self.x1, other.x1), max(self.y1, other.y1)
+            min(self.x0, other.x0),
+            min(self.y0, other.y0),
+            max(self.x1, other.x1),
+            max(self.y1, other.y1),
         )
 
     def intersection(self, other: Bounds) -> Bounds:
         """Return the counts in both bounds, which may be empty."""
         return Bounds(
-            max(self.x0, other.x0), max(self.y0, other.y0), min(self.x1, other.x1), min(self.y1, other.y1)
+            max(self.x0, other.x0),
+            max(self.y0, other.y0),
+            min(self.x1, other.x1),
+            min(self.y1, other.y1),
         )
 
     def overlaps(self, other: Bounds) -> bool:
         """Return whether some count is in both bounds."""
-        return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
+        return (
+            self.x0 < other.x1
+            and other.x0 < self.x1
+            and self.y0 < other.y1
+            and other.y0 < self.y1
+        )
 
     def area(self) -> int:
         """Return the area in square counts."""
@@ -83,7 +94,8 @@ def row_by_row(cell: Cell) -> tuple[int, int]:
 class Lattice:
     """Square cells of ``size`` counts (an exact fraction). Cell 0 starts at absolute count 0.
 
-    A count belongs to cell ``floor(count * q / p)`` with ``size = p / q``, in int64 arithmetic without a tolerance.
+    A count belongs to cell ``floor(count * q / p)`` with ``size = p / q``, in int64 arithmetic
+    without a tolerance.
     """
 
     size: Fraction
@@ -117,7 +129,10 @@ class Lattice:
     def bounds(self, cell: Cell) -> Bounds:
         """Return the bounds of the counts that belong to a cell."""
         return Bounds(
-            self.first(cell.ix), self.first(cell.iy), self.first(cell.ix + 1), self.first(cell.iy + 1)
+            self.first(cell.ix),
+            self.first(cell.iy),
+            self.first(cell.ix + 1),
+            self.first(cell.iy + 1),
         )
 
     def cells(self, bounds: Bounds) -> Iterator[Cell]:
@@ -131,8 +146,8 @@ class Lattice:
     def among(self, bounds: Bounds, occupied: Collection[Cell]) -> list[Cell]:
         """Return the occupied cells that overlap ``bounds``, row by row from the south-west.
 
-        The loop is over the cells of the bounds or over the occupied cells, if these are fewer: the bounds of a few
-        distant points can have a thousand million cells.
+        The loop is over the cells of the bounds or over the occupied cells, if these are fewer:
+        the bounds of a few distant points can have a thousand million cells.
         """
         if bounds.empty:
             return []

@@ -42,7 +42,10 @@ def rings_of(parts: npt.NDArray[Any], size: float) -> Rings:
     while True:
         simple = shapely.simplify(parts, size)
         simple = simple[~shapely.is_empty(simple)]
-        if shapely.get_num_coordinates(simple).sum() <= MAX_VERTICES or len(simple) > MAX_VERTICES / 4:
+        if (
+            shapely.get_num_coordinates(simple).sum() <= MAX_VERTICES
+            or len(simple) > MAX_VERTICES / 4
+        ):
             break
         size *= 2
     rings = shapely.get_rings(simple)[: MAX_VERTICES // 4]

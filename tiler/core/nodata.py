@@ -34,7 +34,9 @@ def parse_nodata(value: Any) -> float:
     except OverflowError:
         exact = False
     if not exact or not math.isfinite(number):
-        raise ConfigError(f"nodata {value}: a float32 raster cannot hold it exactly; use -9999 or -999999")
+        raise ConfigError(
+            f"nodata {value}: a float32 raster cannot hold it exactly; use -9999 or -999999"
+        )
     if LOWEST_HEIGHT < number < MAX_HEIGHT:
         raise ConfigError(f"nodata {value}: could be a height; use -9999 or -999999")
     return number

@@ -98,6 +98,8 @@ def pack_origin(source: int, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int6
     return (np.int64(source) << SOURCE_SHIFT) | rows
 
 
-def unpack_origin(origin: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def unpack_origin(
+    origin: npt.NDArray[np.int64],
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return source ids and rows, both int64."""
     return origin >> SOURCE_SHIFT, origin & ((1 << SOURCE_SHIFT) - 1)

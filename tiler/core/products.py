@@ -8,7 +8,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tiler.core.mask_values import CANOPY, FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, WATER
+from tiler.core.mask_values import (
+    CANOPY,
+    FILLED,
+    HOLE,
+    INTERPOLATED,
+    MASK_VALUES,
+    MEASURED,
+    OUTSIDE,
+    WATER,
+)
 from tiler.core.nodata import NODATA as NODATA
 
 CONTOURS, SPOTS = "contours", "spots"
@@ -19,10 +28,12 @@ VECTOR_PRODUCTS = (CONTOURS, SPOTS)
 BEYOND = 0
 """Cell outside the survey."""
 BORDER = 1
-"""Cell in the outermost ring of the survey. The outline cuts it, so a pixel without a height there is not a hole."""
+"""Cell in the outermost ring of the survey. The outline cuts it, so a pixel without a height
+there is not a hole."""
 SURVEYED = 2
 VOID = 3
-"""Cell inside the survey, in a gap without points that is wider than the gaps that are bridged."""
+"""Cell inside the survey, in a gap without points that is wider than the gaps that are
+bridged."""
 
 HEIGHT = "height"
 """Value of `Product.unit` for bands in the vertical unit of the CRS."""
@@ -64,7 +75,9 @@ class Product:
     @property
     def categories(self) -> tuple[str, ...]:
         """Names of the values 0, 1, 2 ..., if the values are classes."""
-        return tuple(self.values.get(value, "") for value in range(max(self.values, default=-1) + 1))
+        return tuple(
+            self.values.get(value, "") for value in range(max(self.values, default=-1) + 1)
+        )
 
 
 PRODUCTS: dict[str, Product] = {

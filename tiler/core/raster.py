@@ -12,15 +12,19 @@ import numpy.typing as npt
 
 from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
-from tiler.core.nodata import NODATA as NODATA  # Modules that work with rasters import it from here.
+
+# Modules that work with rasters import it from here.
+from tiler.core.nodata import NODATA as NODATA
 
 BLOCK_PIXELS = 512
-"""Side of a block of a raster, in pixels. One task makes a block, which is a chunk in the store and a tile in files."""
+"""Side of a block of a raster, in pixels. One task makes a block, which is a chunk in the store
+and a tile in files."""
 MIN_PART = 32
 """Side up to which a block is not divided further, in pixels."""
 
 FEW_PIXELS = 4096
-"""Maximum number of pixels that are tested one by one, since testing the outline of the area would take as long."""
+"""Maximum number of pixels that are tested one by one, since testing the outline of the area
+would take as long."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,8 @@ class RasterSpec:
     def enclosing(cls, lattice: Lattice, extent: Bounds) -> RasterSpec:
         """Return the smallest raster that has every count of ``extent`` in its pixels or on its outer edge.
 
-        Unlike `covering`, it adds no row or column that only has points on its edge and so no heights. The raster has
-        at least one row and one column.
+        Unlike `covering`, it adds no row or column that only has points on its edge and so no
+        heights. The raster has at least one row and one column.
         """
         west = lattice.index_of(extent.x0)
         south = lattice.index_of(extent.y0)
@@ -116,14 +120,16 @@ class RasterSpec:
     ) -> dict[Block, list[Cell]]:
         """Return the `blocks` within ``reach`` counts of ``cells``, each with its cells.
 
-        Blocks and cells are in order, row by row. The cost depends on the number of cells, not on the number of blocks
-        in the raster.
+        Blocks and cells are in order, row by row. The cost depends on the number of cells, not
+        on the number of blocks in the raster.
         """
         cells_by_block: dict[Block, list[Cell]] = defaultdict(list)
         for cell in sorted(cells, key=row_by_row):
             for block in self.blocks_within(lattice.bounds(cell).pad(reach), size):
                 cells_by_block[block].append(cell)
-        return {block: cells_by_block[block] for block in sorted(cells_by_block, key=north_west)}
+        return {
+            block: cells_by_block[block] for block in sorted(cells_by_block, key=north_west)
+        }
 
     def blocks_within(self, bounds: Bounds, size: int) -> Iterator[Block]:
         """Yield the `blocks` that overlap ``bounds``, in the same order."""
@@ -143,7 +149,9 @@ class RasterSpec:
         first = self.lattice.first
         west = self.west + block.col
         north = self.north - block.row
-        return Bounds(first(west), first(north - block.height), first(west + block.width), first(north))
+        return Bounds(
+            first(west), first(north - block.height), first(west + block.width), first(north)
+        )
 
     def centres(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Return x and y of the pixel centres of a block, in absolute counts rounded down, each (height, width)."""
@@ -190,10 +198,19 @@ class RasterSpec:
         bottom = min(self.north - index(bounds.y0), block.row + block.height)
         return Block(top, left, max(bottom - top, 0), max(right - left, 0))
 
-    def transform(self, counts_per_unit: int) -> tuple[float, float, float, float, float, float]:
+    def transform(
+        self, counts_per_unit: int
+    ) -> tuple[float, float, float, float, float, float]:
         """Return affine coefficients (a, b, c, d, e, f) in the order of rasterio's ``Affine``, in units of the CRS."""
         size = self.lattice.size / counts_per_unit
-        return float(size), 0.0, float(self.west * size), 0.0, -float(size), float(self.north * size)
+        return (
+            float(size),
+            0.0,
+            float(self.west * size),
+            0.0,
+            -float(size),
+            float(self.north * size),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON-able description, which `from_json` reads."""

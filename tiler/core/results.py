@@ -1,6 +1,7 @@
 """Results of a run on its inputs, points and labels, with a type for each entry of run.json.
 
-docs/run-json.md guarantees some of the names. Results on the terrain are in `tiler.core.terrain_results`.
+docs/run-json.md guarantees some of the names. Results on the terrain are in
+`tiler.core.terrain_results`.
 """
 
 from __future__ import annotations

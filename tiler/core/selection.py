@@ -14,7 +14,8 @@ DROP_WITHHELD, KEEP_WITHHELD = "drop", "keep"
 """Values of `--withheld`."""
 
 WITHHELD = "withheld"
-"""Key of the number of points excluded by the flag "withheld". The other keys are those of `Selection.options`."""
+"""Key of the number of points excluded by the flag "withheld". The other keys are those of
+`Selection.options`."""
 
 MAX_RETURNS = 15
 """Largest return number in LAS records."""
@@ -65,7 +66,9 @@ def parse_returns(value: Any) -> str:
     if text in (FIRST, LAST):
         return text
     if not parse_numbers(value, "returns", 1, MAX_RETURNS):
-        raise ConfigError(f"{value!r} are not returns; give first, last, or numbers like 1 or 2-4")
+        raise ConfigError(
+            f"{value!r} are not returns; give first, last, or numbers like 1 or 2-4"
+        )
     return text
 
 

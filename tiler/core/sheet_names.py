@@ -15,14 +15,17 @@ FIELDS = ("name", *EDGES, *(f"{edge}_km" for edge in EDGES))
 LONGEST = 200
 """Maximum length of a name without its suffix, in bytes."""
 FORBIDDEN = '/\\:*?"<>|'
-"""Characters that some system does not allow in file names, in addition to control characters."""
+"""Characters that some system does not allow in file names, in addition to control
+characters."""
 
 
 class _Place(float):
     """Coordinate that is written without superfluous zeros if the template has no format: ``2600000``, ``0.5``."""
 
     def __format__(self, spec: str) -> str:
-        return super().__format__(spec) if spec else f"{float(self):.3f}".rstrip("0").rstrip(".")
+        return (
+            super().__format__(spec) if spec else f"{float(self):.3f}".rstrip("0").rstrip(".")
+        )
 
 
 def sheet_name(template: str, product: str, x: float, y: float, side: float) -> str:
@@ -63,10 +66,17 @@ def check_template(template: str) -> str:
         unknown = [field for field in fields if field not in FIELDS]
         if unknown:
             known = ", ".join(FIELDS)
-            raise ConfigError(f"sheet_name {template!r}: no field {{{unknown[0]}}}; use {known}")
-        names = [sheet_name(template, "dtm", *corner, 1000.0) for corner in ((0, 0), (1000, 0), (0, 1000))]
+            raise ConfigError(
+                f"sheet_name {template!r}: no field {{{unknown[0]}}}; use {known}"
+            )
+        names = [
+            sheet_name(template, "dtm", *corner, 1000.0)
+            for corner in ((0, 0), (1000, 0), (0, 1000))
+        ]
     except (ValueError, KeyError, IndexError) as error:
-        raise ConfigError(f"sheet_name {template!r}: {error}; use a template like {DEFAULT}") from error
+        raise ConfigError(
+            f"sheet_name {template!r}: {error}; use a template like {DEFAULT}"
+        ) from error
     if len({name.lower() for name in names}) < len(names):
         raise ConfigError(
             f"sheet_name {template!r}: adjacent sheets would have the same name; use a template like {DEFAULT}"
@@ -74,7 +84,9 @@ def check_template(template: str) -> str:
     for name in names:
         wrong = _wrong_with(name)
         if wrong:
-            raise ConfigError(f"sheet_name {template!r}: {name!r} {wrong}; use a template like {DEFAULT}")
+            raise ConfigError(
+                f"sheet_name {template!r}: {name!r} {wrong}; use a template like {DEFAULT}"
+            )
         if len(name.encode()) > LONGEST:
             raise ConfigError(
                 f"sheet_name {template!r}: names have more than {LONGEST} bytes; use a shorter template"

@@ -1,7 +1,7 @@
 """Results of a run on its terrain, with a type for each entry of run.json.
 
-docs/run-json.md guarantees some of the names. Heights and distances in rasters are in units of the CRS, values with
-names that end in ``_m`` in metres.
+docs/run-json.md guarantees some of the names. Heights and distances in rasters are in units of
+the CRS, values with names that end in ``_m`` in metres.
 """
 
 from __future__ import annotations

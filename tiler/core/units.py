@@ -24,7 +24,9 @@ _NAMES = {
     "mm": METRE / 1000,
     "km": METRE * 1000,
     **dict.fromkeys(("ft", "foot", "feet", "ift"), FOOT),
-    **dict.fromkeys(("usft", "us-ft", "ftus", "us_survey_foot", "us survey foot"), US_SURVEY_FOOT),
+    **dict.fromkeys(
+        ("usft", "us-ft", "ftus", "us_survey_foot", "us survey foot"), US_SURVEY_FOOT
+    ),
 }
 _ACRE = 43560 * FOOT**2
 _AREAS = {

@@ -12,10 +12,12 @@ SQUARE_KM, ACRE, ACRES_PER_SQUARE_MILE = 1e6, float(43_560 * FOOT**2), 640
 ROUND = 3e-6
 """Largest relative rounding error with which a number of feet counts as round and is printed without metres.
 
-The rounded value has two decimals, or one from ten feet on. The two kinds of foot differ by 2e-6."""
+The rounded value has two decimals, or one from ten feet on. The two kinds of foot differ by
+2e-6."""
 
 _METRES = re.compile(r"(?<![\w.,(])(?:([\d.]+) to )?([\d.]+(?:e-?\d+)?) m\b(?! =|[/\\]|\.\w)")
-"""Length in metres without feet. Lengths in brackets and before ``=`` have feet already, and ``5 m.laz`` is a name."""
+"""Length in metres without feet. Lengths in brackets and before ``=`` have feet already, and
+``5 m.laz`` is a name."""
 
 
 def short_unit(metres: Fraction | float) -> str:
@@ -38,7 +40,9 @@ def length_option(metres: Fraction, unit: Fraction) -> str:
     return f"{float(metres / unit):g}{written_unit(unit)}"
 
 
-def whole_length(metres: Fraction | float, unit: Fraction, rounding: Callable[[Fraction], int]) -> Fraction:
+def whole_length(
+    metres: Fraction | float, unit: Fraction, rounding: Callable[[Fraction], int]
+) -> Fraction:
     """Return a length in metres that is a whole number of metres, or of feet if the unit of the CRS is the foot."""
     step = unit if short_unit(unit) == "ft" else METRE
     return rounding(Fraction(metres) / step) * step
@@ -59,7 +63,11 @@ def area_text(square_metres: float, unit: float | Fraction) -> str:
 def small_area_text(square_metres: float, unit: float | Fraction) -> str:
     """Return a small area as text: ``9,200 m2``, or for a CRS in feet ``99,000 ft2``."""
     name = short_unit(unit)
-    return f"{square_metres / float(unit) ** 2:,.0f} ft2" if name == "ft" else f"{square_metres:,.0f} m2"
+    return (
+        f"{square_metres / float(unit) ** 2:,.0f} ft2"
+        if name == "ft"
+        else f"{square_metres:,.0f} m2"
+    )
 
 
 def length_text(metres: float | Fraction, unit: float | Fraction) -> str:
@@ -91,13 +99,16 @@ def number_text(number: float) -> str:
 def in_unit_of_crs(text: str, units: Units) -> str:
     """Add feet to the lengths in metres of a text if the CRS is in feet: ``0.12 m`` becomes ``0.394 ft (0.12 m)``.
 
-    The text does not change if heights have another unit than x and y, since a length may be in either direction.
+    The text does not change if heights have another unit than x and y, since a length may be in
+    either direction.
     """
     if short_unit(units.horizontal) != "ft" or units.vertical != units.horizontal:
         return text
 
     def length(found: re.Match[str]) -> str:
-        lengths = [length_text(float(number), units.horizontal) for number in found.groups() if number]
+        lengths = [
+            length_text(float(number), units.horizontal) for number in found.groups() if number
+        ]
         return " to ".join(lengths)
 
     return _METRES.sub(length, text)

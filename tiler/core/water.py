@@ -32,7 +32,8 @@ KINDS = {
 
 
 POINTS_AT_ONCE = 1 << 13
-"""Number of points that `places_along` compares with a segment at once, so that they stay in the cache."""
+"""Number of points that `places_along` compares with a segment at once, so that they stay in
+the cache."""
 
 
 class Station(NamedTuple):
@@ -97,14 +98,24 @@ class Water:
     @property
     def range(self) -> tuple[float, float]:
         """Highest and lowest level, in units of the CRS."""
-        z = [self.level] if self.level is not None or self.flow is None else self.flow[:, 2].tolist()
+        z = (
+            [self.level]
+            if self.level is not None or self.flow is None
+            else self.flow[:, 2].tolist()
+        )
         return max(z) / COUNTS_PER_UNIT, min(z) / COUNTS_PER_UNIT
 
     @cached_property
     def digest(self) -> list[Any]:
         """Values on which results depend."""
         flow = None if self.flow is None else self.flow.tolist()
-        return [self.kind, self.area.key, self.level, flow, [list(station) for station in self.stations]]
+        return [
+            self.kind,
+            self.area.key,
+            self.level,
+            flow,
+            [list(station) for station in self.stations],
+        ]
 
     def heights(self, x: Counts, y: Counts) -> npt.NDArray[np.float64]:
         """Return the levels at positions in absolute counts, in whole counts."""
@@ -130,7 +141,9 @@ class Water:
         flow = None if data["flow"] is None else np.array(data["flow"], np.int64)
         area = Area.from_json(data["rings"])
         stations = tuple(Station(*station) for station in data["stations"])
-        return cls(data["number"], data["kind"], area, data["level"], flow, data["sure"], stations)
+        return cls(
+            data["number"], data["kind"], area, data["level"], flow, data["sure"], stations
+        )
 
 
 def lengths_along(line: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
@@ -152,15 +165,17 @@ def places_along(line: npt.NDArray[Any], x: Counts, y: Counts) -> Floats:
     along = np.zeros(x.shape)
     for first in range(0, x.size, POINTS_AT_ONCE):
         part = slice(first, first + POINTS_AT_ONCE)
-        along[part] = _nearest_along(segments, x[part].astype(np.float64), y[part].astype(np.float64))
+        along[part] = _nearest_along(
+            segments, x[part].astype(np.float64), y[part].astype(np.float64)
+        )
     return along
 
 
 def _nearest_along(segments: Floats, x: Floats, y: Floats) -> Floats:
     """Return `places_along` for a few points.
 
-    The columns of ``segments`` are x and y of the start, x and y from there to the end, the square of the length, and
-    the distance of the start along the line.
+    The columns of ``segments`` are x and y of the start, x and y from there to the end, the
+    square of the length, and the distance of the start along the line.
     """
     low_x, high_x, low_y, high_y = x.min(), x.max(), y.min(), y.max()
     middle = (low_x + high_x) / 2, (low_y + high_y) / 2
@@ -185,13 +200,18 @@ def _from_segment(segment: Floats, x: Any, y: Any) -> tuple[Floats, Floats]:
     from_x, from_y = x - x0, y - y0
     share = (from_x * dx + from_y * dy) / square
     aside = np.abs((from_x * dy - from_y * dx) / square) * np.sqrt(square)
-    end_x, end_y = np.where(share < 1, from_x, x - (x0 + dx)), np.where(share < 1, from_y, y - (y0 + dy))
+    end_x, end_y = (
+        np.where(share < 1, from_x, x - (x0 + dx)),
+        np.where(share < 1, from_y, y - (y0 + dy)),
+    )
     is_beside = (share > 0) & (share < 1)
     distance = np.where(is_beside, aside, np.sqrt(end_x * end_x + end_y * end_y))
     return distance, np.minimum(np.maximum(share, 0.0), 1.0)
 
 
-def lifted_line(line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.NDArray[Any]) -> Counts:
+def lifted_line(
+    line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.NDArray[Any]
+) -> Counts:
     """Return a line with heights, which are interpolated between known heights along it.
 
     Parameters
@@ -211,7 +231,9 @@ def lifted_line(line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.N
     lengths = lengths_along(line)
     every = np.unique(np.concatenate((lengths, places.clip(0, lengths[-1]))))
     xy = [np.interp(every, lengths, line[:, axis]) for axis in (0, 1)]
-    vertices = np.rint(np.stack((*xy, np.interp(every, places, heights)), axis=1)).astype(np.int64)
+    vertices = np.rint(np.stack((*xy, np.interp(every, places, heights)), axis=1)).astype(
+        np.int64
+    )
     moved = np.concatenate(([True], (np.diff(vertices[:, :2], axis=0) != 0).any(axis=1)))
     return np.asarray(vertices[moved])
 

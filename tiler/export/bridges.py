@@ -18,16 +18,21 @@ LAYER = "bridges"
 def write_bridges(store_url: str, work: WriteBridges) -> FileRecord:
     """Write ``<out>/bridges.gpkg`` (a `tiler.schedule.task.Work`).
 
-    The file has one polygon for the free part of each deck. Columns are ``length_m``, ``width_m``, ``clearance_m``
-    (height above the surface next to it) and ``points_below``. There are more than a few points below a deck only where
-    the scanner looked from the side.
+    The file has one polygon for the free part of each deck. Columns are ``length_m``,
+    ``width_m``, ``clearance_m`` (height above the surface next to it) and ``points_below``.
+    There are more than a few points below a deck only where the scanner looked from the side.
 
     Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
-    shapes = [shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT) for ring, *_ in work.decks]
+    shapes = [
+        shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT)
+        for ring, *_ in work.decks
+    ]
     sizes = np.array([deck[1:] for deck in work.decks], np.float64).reshape(-1, 4)
     columns = dict(zip(("length_m", "width_m", "clearance_m"), sizes.T, strict=False))
     crs = open_store(store_url).meta.frame.crs_wkt
     with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
-        file.add(LAYER, "Polygon", shapes, {**columns, "points_below": sizes[:, 3].astype(np.int32)})
+        file.add(
+            LAYER, "Polygon", shapes, {**columns, "points_below": sizes[:, 3].astype(np.int32)}
+        )
     return new.record

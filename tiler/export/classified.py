@@ -41,7 +41,14 @@ from tiler.io.las.columns import class_and_flags, write_classes
 from tiler.io.las.copc_writer import CopcWriter
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.newer_formats import as_standard_times, upgrade_records, upgraded_header
-from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, record_dtype, rows_at_once
+from tiler.io.las.reader import (
+    EVERYTHING,
+    PointReader,
+    Records,
+    count_decodable,
+    record_dtype,
+    rows_at_once,
+)
 from tiler.io.las.unchanged import unchanged, validate_unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter
 from tiler.io.locations import as_path, staging_folder, state_of
@@ -51,11 +58,14 @@ ROWS_PER_BATCH = 1 << 27
 """Maximum number of labels in memory, of one byte each."""
 
 _STEP = SPOOL_CHUNK
-"""Number of records that are read, changed and written together, so that they fit into the processor's cache."""
+"""Number of records that are read, changed and written together, so that they fit into the
+processor's cache."""
 _CHUNKS_A_THREAD = 2
-"""Number of chunks of 65,536 records that each thread compresses per step. Threads wait for each other at its end."""
+"""Number of chunks of 65,536 records that each thread compresses per step. Threads wait for
+each other at its end."""
 WATER_RISE_M = 1.0
-"""Height above the water level from which an object, such as a tree over a bank, is not water."""
+"""Height above the water level from which an object, such as a tree over a bank, is not
+water."""
 WATER_LOW_M = 0.5
 """Depth below the water level from which returns are noise, since waves are lower."""
 _FEW_BYTES = 1 << 14
@@ -101,7 +111,9 @@ def write_classified(store_url: str, work: WriteClassified) -> CloudRecord:
     return replace(record, fetched=n_fetched, state=state)
 
 
-def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> CloudRecord:
+def _write(
+    store: TileStore, header: LasHeader, work: WriteClassified, out: Path
+) -> CloudRecord:
     """Write a cloud on this machine and return its record without ``fetched`` and ``state``."""
     partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
     form = upgraded_header(header) if work.copc else header
@@ -120,7 +132,11 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
                 write_copc_back(header, source, target, crs, copc, statistics)
             else:
                 notes = write_front(header, source, target, compressed, crs)
-                writer = PointWriter(target, header, work.threads) if compressed else PlainWriter(target)
+                writer = (
+                    PointWriter(target, header, work.threads)
+                    if compressed
+                    else PlainWriter(target)
+                )
                 counts, statistics = _write_points(header, form, writer, store, work)
                 writer.close()
                 if work.ranges:
@@ -157,7 +173,8 @@ def _write_points(
 ) -> tuple[_WrittenClasses, CloudStatistics]:
     """Write all records in their order, with new classes and in the format of the header ``form``."""
     table = written_classes(work.reclass)
-    pairs = np.zeros(table.size, dtype=np.int64)  # number of points for each label and class of the source
+    # number of points for each label and class of the source
+    pairs = np.zeros(table.size, dtype=np.int64)
     channels: set[int] = set()
     statistics = CloudStatistics(form)
     at_once = _STEP if work.threads == 1 else _STEP * _CHUNKS_A_THREAD * work.threads
@@ -177,7 +194,9 @@ def _write_points(
                         "would be damaged by the compressor; split the file by channel"
                     )
                 if work.copc:
-                    records = upgrade_records(as_standard_times(records, header), header.point_format)
+                    records = upgrade_records(
+                        as_standard_times(records, header), header.point_format
+                    )
                 labels = span_labels[start - first : stop - first]
                 if in_area is not None:
                     inside = in_area[start - first : stop - first]
@@ -243,7 +262,8 @@ def _reader(
 def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
     """Group ranges of rows, (start, count), into lists of (first, end) that span at most `ROWS_PER_BATCH` rows.
 
-    An octree has many small nodes, so the buckets are read once per group and not once per node.
+    An octree has many small nodes, so the buckets are read once per group and not once per
+    node.
     """
     together: list[tuple[int, int]] = []
     for start, count in ranges:
@@ -260,18 +280,21 @@ def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]
 def _channels(header: LasHeader, records: Records) -> set[int]:
     """Return the scanner channels of records with layered wave packets, or an empty set for other formats.
 
-    lazrs 0.8 silently damages wave packets if the channel changes within a chunk, both when it writes and when it
-    reads. All other fields are right.
+    lazrs 0.8 silently damages wave packets if the channel changes within a chunk, both when it
+    writes and when it reads. All other fields are right.
     """
     if header.point_format not in _WAVE_FORMATS:
         return set()
     return set(np.unique((records["classification_flags"] >> 4) & 3).tolist())
 
 
-def collect_labels(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.uint8]:
+def collect_labels(
+    store: TileStore, work: WriteClassified, first: int, last: int
+) -> npt.NDArray[np.uint8]:
     """Return the final labels of the rows ``first`` to ``last`` of a source, uint8.
 
-    Points in water have `WATER_BIT`. A label is 0 if the point is not in the store or lies outside the area.
+    Points in water have `WATER_BIT`. A label is 0 if the point is not in the store or lies
+    outside the area.
     """
     final_labels = np.zeros(last - first, dtype=np.uint8)
     for cell, rows, row_mask in _rows_inside(store, work, first, last):
@@ -285,7 +308,9 @@ def collect_labels(store: TileStore, work: WriteClassified, first: int, last: in
     return final_labels
 
 
-def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.bool_]:
+def _inside_area(
+    store: TileStore, work: WriteClassified, first: int, last: int
+) -> npt.NDArray[np.bool_]:
     """Return a mask of the rows ``first`` to ``last`` of a source: True for points of the store inside the area."""
     in_area = np.zeros(last - first, dtype=np.bool_)
     for _, rows, row_mask in _rows_inside(store, work, first, last):
@@ -298,7 +323,8 @@ def _rows_inside(
 ) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
     """Yield the buckets that contain any of the rows ``first`` to ``last`` of a source inside the area.
 
-    Yield the cell of each bucket, the rows of all of its points, and a mask of the requested ones.
+    Yield the cell of each bucket, the rows of all of its points, and a mask of the requested
+    ones.
     """
     area = store.area(work.area)
     for cell in work.cells:

@@ -48,7 +48,8 @@ class NewCrs:
 def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> NewCrs | None:
     """Return the CRS to write into a classified cloud, or None if the records of the source stay.
 
-    LAS 1.4 and COPC get WKT. Earlier versions of LAS get GeoTIFF keys if the CRS parts have EPSG codes, else WKT.
+    LAS 1.4 and COPC get WKT. Earlier versions of LAS get GeoTIFF keys if the CRS parts have
+    EPSG codes, else WKT.
 
     Parameters
     ----------
@@ -73,9 +74,7 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
     keys = geotiff_keys(CRS.from_wkt(work.wkt))
     if keys is not None:
         return NewCrs(packed_record(PROJECTION_USER, _KEYS, "", keys), False, note)
-    told = (
-        "CRS written as WKT, although the LAS version is before 1.4: GeoTIFF keys have no code for this CRS"
-    )
+    told = "CRS written as WKT, although the LAS version is before 1.4: GeoTIFF keys have no code for this CRS"
     return NewCrs(_wkt_record(work.wkt), True, told)
 
 
@@ -85,13 +84,19 @@ def without_crs(records: Sequence[Vlr]) -> list[Vlr]:
 
 
 def _is_crs(record: Vlr) -> bool:
-    return record.user_id == PROJECTION_USER and record.record_id in (_WKT, _KEYS, _NUMBERS, _TEXTS)
+    return record.user_id == PROJECTION_USER and record.record_id in (
+        _WKT,
+        _KEYS,
+        _NUMBERS,
+        _TEXTS,
+    )
 
 
 def geotiff_keys(crs: CRS) -> bytes | None:
     """Return GeoTIFF keys with the EPSG codes of a projected CRS, or None if it lacks such codes.
 
-    A vertical CRS is included. laspy omits units and the vertical CRS, and rasterio writes keys only into images.
+    A vertical CRS is included. laspy omits units and the vertical CRS, and rasterio writes keys
+    only into images.
     """
     horizontal, vertical = split(crs)
     if horizontal is None or not horizontal.is_projected:

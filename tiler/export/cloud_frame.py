@@ -1,7 +1,7 @@
 """Copying of header and records of a source into its classified cloud, with correct file positions.
 
-laspy drops text after a NUL, reserved bytes, counts, dates and bytes between records. Here all of them are copied as
-bytes, and only the points pass through lazrs.
+laspy drops text after a NUL, reserved bytes, counts, dates and bytes between records. Here all
+of them are copied as bytes, and only the points pass through lazrs.
 """
 
 from __future__ import annotations
@@ -118,7 +118,9 @@ def patch_counts_and_bounds(target: BinaryIO, statistics: CloudStatistics) -> No
     target.seek(0, os.SEEK_END)
 
 
-def write_back(header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCrs | None) -> None:
+def write_back(
+    header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCrs | None
+) -> None:
     """Write the EVLRs, or the waveform packets of LAS 1.3, and the positions of both."""
     target.seek(0, os.SEEK_END)
     if header.version[1] >= 4:
@@ -139,10 +141,13 @@ def write_back(header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCr
     target.seek(0, os.SEEK_END)
 
 
-def write_copc_front(header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCrs | None) -> list[str]:
+def write_copc_front(
+    header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCrs | None
+) -> list[str]:
     """Write header and VLRs of a COPC file, and return notes for the user.
 
-    Counts, bounds and the position of the hierarchy are only known at the end, so their bytes are reserved.
+    Counts, bounds and the position of the hierarchy are only known at the end, so their bytes
+    are reserved.
     """
     form, notes = upgraded_header(header), changes_of_format(header)
     source.seek(0)
@@ -159,13 +164,22 @@ def write_copc_front(header: LasHeader, source: BinaryIO, target: BinaryIO, crs:
     if gap > _MARKED_BYTES:
         lost += gap
     if lost:
-        notes.append(f"{lost} bytes between header, records and points left out: COPC has no place for them")
+        notes.append(
+            f"{lost} bytes between header, records and points left out: COPC has no place for them"
+        )
     begin = target.tell()
     _patch(target, 6, "<H", form.global_encoding)
     _patch(target, 24, "<BB", *form.version)
     count = len(records) + 2 + (crs is not None)
     _patch(
-        target, 94, "<HIIBH", HEADER_BYTES, begin, count, form.point_format | _COMPRESSED, form.record_length
+        target,
+        94,
+        "<HIIBH",
+        HEADER_BYTES,
+        begin,
+        count,
+        form.point_format | _COMPRESSED,
+        form.record_length,
     )
     target.seek(begin)
     return notes

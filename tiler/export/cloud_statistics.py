@@ -49,7 +49,12 @@ class CloudStatistics:
             sums = self._sums.setdefault(name, list(_NOTHING))
             if values.size:
                 low, high, total, squares = sums_of(values)
-                sums[:] = [min(sums[0], low), max(sums[1], high), sums[2] + total, sums[3] + squares]
+                sums[:] = [
+                    min(sums[0], low),
+                    max(sums[1], high),
+                    sums[2] + total,
+                    sums[3] + squares,
+                ]
         names = records.dtype.names or ()
         if "gps_time" in names and self._header.global_encoding & 1:
             times = records["gps_time"][np.isfinite(records["gps_time"])]
@@ -60,7 +65,9 @@ class CloudStatistics:
     def to_json(self) -> PointStatistics:
         """Return the statistics as plain values."""
         header = self._header
-        scales = dict(zip(COORDINATES, zip(header.scales, header.offsets, strict=True), strict=True))
+        scales = dict(
+            zip(COORDINATES, zip(header.scales, header.offsets, strict=True), strict=True)
+        )
         fields = {}
         if not self.points:
             return {"fields": {}, "gps": self._times or None}

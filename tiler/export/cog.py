@@ -1,8 +1,9 @@
 """Writing of a raster of the store as a cloud-optimised GeoTIFF (COG).
 
-A COG has its overviews before the full resolution, so blocks cannot be written in their order. They go to a plain tiled
-GeoTIFF, which GDAL's COG driver then copies with bounded memory. Both are scratch files next to the target until the
-COG is complete. The plain file needs up to 4 bytes per pixel, and nothing for blocks without data.
+A COG has its overviews before the full resolution, so blocks cannot be written in their order.
+They go to a plain tiled GeoTIFF, which GDAL's COG driver then copies with bounded memory. Both
+are scratch files next to the target until the COG is complete. The plain file needs up to 4
+bytes per pixel, and nothing for blocks without data.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ class Statistics:
             min(self.low, float(values.min())),
             max(self.high, float(values.max())),
             self.mean + shift * values.size / n,
-            self.squares + float(((values - mean) ** 2).sum()) + shift**2 * self.n * values.size / n,
+            self.squares
+            + float(((values - mean) ** 2).sum())
+            + shift**2 * self.n * values.size / n,
         )
 
     def tags(self, pixels: int) -> dict[str, str]:
@@ -77,7 +80,8 @@ class Statistics:
 def write_cog(store_url: str, work: WriteCog) -> RasterFileRecord:
     """Write a raster of the store as ``<out>/<name>.tif`` (a `tiler.schedule.task.Work`).
 
-    The same content gives the same bytes, since the file does not contain time, path, workers or tiles.
+    The same content gives the same bytes, since the file does not contain time, path, workers
+    or tiles.
 
     Returns
     -------
@@ -133,7 +137,9 @@ def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
     nodata = PRODUCTS[work.product].nodata
     look = raster_metadata(store.meta.frame, work)
     area = store.area(work.area)
-    with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
+    with plain_geotiff(
+        path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look
+    ) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
             values = _read(store, work, block)
             if area is not None:
@@ -141,7 +147,9 @@ def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 if look.nodata != nodata:
-                    values = np.where(values == np.float32(nodata), np.float32(look.nodata), values)
+                    values = np.where(
+                        values == np.float32(nodata), np.float32(look.nodata), values
+                    )
                 raster.write(values, block.row, block.col)
         raster.tag_band({**look.meanings, **statistics.tags(spec.height * spec.width)})
     return statistics
@@ -209,14 +217,17 @@ def _check(partial: Path, spec: RasterSpec) -> None:
     last = spec.block_at(row, col, BLOCK_PIXELS)
     with raster_errors(partial), rasterio.open(partial) as raster:
         if raster.shape != (spec.height, spec.width):
-            raise ProcessingError(f"{partial}: {raster.shape} pixels instead of {(spec.height, spec.width)}")
+            raise ProcessingError(
+                f"{partial}: {raster.shape} pixels instead of {(spec.height, spec.width)}"
+            )
         raster.read(1, window=Window(last.col, last.row, last.width, last.height))
 
 
 def _publish(partial: Path, target: Path) -> None:
     """Give a complete file its final name, and sync it to the disk."""
     with raster_errors(target):
-        with open(partial, "rb+") as stream:  # Windows cannot sync a file that is open only for reading.
+        # Windows cannot sync a file that is open only for reading.
+        with open(partial, "rb+") as stream:
             os.fsync(stream.fileno())
         replace_file(partial, target)
         sync_folder(target.parent)

@@ -1,10 +1,11 @@
 """Contours of a raster that is read block by block: lines of a block, and lines joined across blocks.
 
-An edge connects two neighbouring pixel centres, and a line runs from edge to edge. A vertex is identified by its edge
-and computed only from the two heights at the ends of the edge. So the blocks on both sides of a border find the same
-vertex, and lines join exactly.
+An edge connects two neighbouring pixel centres, and a line runs from edge to edge. A vertex is
+identified by its edge and computed only from the two heights at the ends of the edge. So the
+blocks on both sides of a border find the same vertex, and lines join exactly.
 
-Short rings are drawn only around small tops and pits, since other short rings are noise of the heights.
+Short rings are drawn only around small tops and pits, since other short rings are noise of the
+heights.
 """
 
 from __future__ import annotations
@@ -25,13 +26,15 @@ Ints = npt.NDArray[np.int64]
 OFF_LEVEL = 1e-6
 """Distance from a level, as a share of the interval, below which a height is moved to this distance above the level.
 
-So lines never run through a pixel centre, where they would touch, and run around a lake that lies exactly on a level.
+So lines never run through a pixel centre, where they would touch, and run around a lake that
+lies exactly on a level.
 """
 
 SHORT = 10.0
 """Length in pixels below which a ring is drawn only around a top or a pit."""
 MIN_RISE = 0.5
-"""Minimum difference between the level of a short ring and the ground inside it, as a share of the interval."""
+"""Minimum difference between the level of a short ring and the ground inside it, as a share of
+the interval."""
 
 LINES_OF_RELIEF = 50
 """Maximum number of levels over the relief of a run if the user gives no interval."""
@@ -44,11 +47,12 @@ REACH_SIGMAS = 3
 """Radius of the smoothing in standard deviations."""
 
 MAX_HELD_VERTICES = 4_000_000
-"""Maximum number of vertices of unfinished lines in memory. If there are more, the longest lines are cut."""
+"""Maximum number of vertices of unfinished lines in memory. If there are more, the longest
+lines are cut."""
 
 Key = tuple[int, int, int, int]
-"""Key of a vertex: level, row and column of the first pixel (from the north-west) of its edge, and the direction of the
-edge, 1 for south and 0 for east."""
+"""Key of a vertex: level, row and column of the first pixel (from the north-west) of its edge,
+and the direction of the edge, 1 for south and 0 for east."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,9 @@ def default_interval(relief: float, floor: Fraction, noise: float = 0.0) -> Frac
     if least <= floor:
         return floor
     power = math.floor(math.log10(least)) - 1
-    steps = (Fraction(step) * Fraction(10) ** (power + more) for more in range(4) for step in STEPS)
+    steps = (
+        Fraction(step) * Fraction(10) ** (power + more) for more in range(4) for step in STEPS
+    )
     return next(step for step in steps if float(step) >= least)
 
 
@@ -134,24 +140,34 @@ def contour_block(heights: Floats, interval: Fraction, row: int, col: int) -> It
         return
     step = float(interval)
     level = np.rint(heights / step)
-    heights = np.where(np.abs(heights / step - level) < OFF_LEVEL, (level + OFF_LEVEL) * step, heights)
-    lines = contour_generator(
-        z=np.ma.masked_invalid(heights), name="serial", corner_mask=False, line_type=LineType.Separate
+    heights = np.where(
+        np.abs(heights / step - level) < OFF_LEVEL, (level + OFF_LEVEL) * step, heights
     )
-    for number in range(math.ceil(np.nanmin(heights) / step), math.floor(np.nanmax(heights) / step) + 1):
+    lines = contour_generator(
+        z=np.ma.masked_invalid(heights),
+        name="serial",
+        corner_mask=False,
+        line_type=LineType.Separate,
+    )
+    for number in range(
+        math.ceil(np.nanmin(heights) / step), math.floor(np.nanmax(heights) / step) + 1
+    ):
         height = float(number * interval)
         for line in lines.lines(height):
             rows, cols, down = _edges(np.asarray(line))
             part = _part(heights, height, rows, cols, down)
             rows, cols = rows + row, cols + col
             first, last = ((number, int(rows[i]), int(cols[i]), int(down[i])) for i in (0, -1))
-            yield Piece(first, last, np.stack((cols + (1 - down) * part, rows + down * part), axis=1))
+            yield Piece(
+                first, last, np.stack((cols + (1 - down) * part, rows + down * part), axis=1)
+            )
 
 
 def _edges(line: Floats) -> tuple[Ints, Ints, Ints]:
     """Return row and column of the first pixel of the edge of each vertex (x, y), and 1 if the edge runs south.
 
-    One of x and y is a whole number up to rounding. `OFF_LEVEL` keeps the other one much farther from whole numbers.
+    One of x and y is a whole number up to rounding. `OFF_LEVEL` keeps the other one much
+    farther from whole numbers.
     """
     nearest = np.rint(line)
     off = np.abs(line - nearest)
@@ -164,7 +180,8 @@ def _edges(line: Floats) -> tuple[Ints, Ints, Ints]:
 def _part(heights: Floats, level: float, rows: Ints, cols: Ints, down: Ints) -> Floats:
     """Return the position of each vertex along its edge (0 to 1), from the heights at both ends.
 
-    The ends are in the order of the raster, so that both blocks of an edge get the same position.
+    The ends are in the order of the raster, so that both blocks of an edge get the same
+    position.
     """
     first, second = heights[rows, cols], heights[rows + down, cols + 1 - down]
     part: Floats = (level - first) / (second - first)
@@ -210,7 +227,12 @@ class Joiner:
         before = self._ends.pop(piece.start, None)
         if before is not None:
             self._forget(before)
-            line = _Line(before.start, line.end, [*before.parts, line.parts[0][1:]], before.n + line.n - 1)
+            line = _Line(
+                before.start,
+                line.end,
+                [*before.parts, line.parts[0][1:]],
+                before.n + line.n - 1,
+            )
             self._held -= 1
         if line.start == line.end:
             self._held -= line.n
@@ -233,7 +255,9 @@ class Joiner:
         def waits(key: Key) -> bool:
             return key[1] == last_row and key[3] == 0
 
-        done = [line for line in self._starts.values() if not (waits(line.start) or waits(line.end))]
+        done = [
+            line for line in self._starts.values() if not (waits(line.start) or waits(line.end))
+        ]
         for line in done:
             yield self._given(line)
         if self._held > self.max_held:
@@ -270,7 +294,8 @@ def is_short(places: Floats) -> bool:
 def stays(places: Floats, heights: Floats, level: float, interval: float) -> bool:
     """Return whether a short ring is the only ring of a top or pit that is high or deep enough to be drawn.
 
-    Its ground differs from the level of the ring by at least `MIN_RISE` intervals, and by less than one interval.
+    Its ground differs from the level of the ring by at least `MIN_RISE` intervals, and by less
+    than one interval.
 
     Parameters
     ----------

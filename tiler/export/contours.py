@@ -39,7 +39,8 @@ BLOCK = 1024
 FLOOR_M, FLOOR_FEET = Fraction(1, 4), Fraction(1)
 """Minimum default interval, in metres and, for heights in feet, in feet."""
 USUAL = (0.02, 0.98)
-"""Quantiles of the heights whose difference is the relief, so that one tower does not change the interval."""
+"""Quantiles of the heights whose difference is the relief, so that one tower does not change
+the interval."""
 BINS = 10_000
 """Number of bins of the histogram of the heights from which these quantiles are taken."""
 NO_SPOT = 2
@@ -74,13 +75,17 @@ class _Terrain:
         top, left = max(block.row - reach, 0), max(block.col - reach, 0)
         bottom = min(block.row + block.height + reach, self.spec.height)
         right = min(block.col + block.width + reach, self.spec.width)
-        return self.heights(Block(top, left, bottom - top, right - left)), block.row - top, block.col - left
+        return (
+            self.heights(Block(top, left, bottom - top, right - left)),
+            block.row - top,
+            block.col - left,
+        )
 
     def land_smoothed(self, block: Block, sigma: float) -> Floats:
         """Return the heights of a block, averaged on land, where heights of water have no weight.
 
-        Water keeps the heights of its outermost pixels and is NaN inside. So lines run around water, and end at the
-        shore of a river that falls through their level.
+        Water keeps the heights of its outermost pixels and is NaN inside. So lines run around
+        water, and end at the shore of a river that falls through their level.
         """
         margin = max(smoothing_reach(sigma), 1)
         heights, top, left = self.around(block, margin)
@@ -90,8 +95,12 @@ class _Terrain:
             smooth_heights = smoothed(heights, sigma)
         else:
             wet = waters.inside(self.spec, wide)
-            smooth_heights = np.where(wet, heights, smoothed(np.where(wet, np.nan, heights), sigma))
-            smooth_heights[scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = np.nan
+            smooth_heights = np.where(
+                wet, heights, smoothed(np.where(wet, np.nan, heights), sigma)
+            )
+            smooth_heights[scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = (
+                np.nan
+            )
         return smooth_heights[top : top + block.height, left : left + block.width]
 
     def relief(self) -> tuple[float, float]:
@@ -120,13 +129,18 @@ class _Terrain:
         """Return a mask of the pixels of a block that are within ``reach`` pixels of water."""
         top, left = max(block.row - reach, 0), max(block.col - reach, 0)
         wide = Block(
-            top, left, block.row + block.height + reach - top, block.col + block.width + reach - left
+            top,
+            left,
+            block.row + block.height + reach - top,
+            block.col + block.width + reach - left,
         )
         waters = self.store.waters(self.waters, self.spec.block_bounds(wide))
         if waters is None:
             return np.zeros((block.height, block.width), np.bool_)
         size = 2 * reach + 1
-        near = scipy.ndimage.binary_dilation(waters.inside(self.spec, wide), np.ones((size, size), np.bool_))
+        near = scipy.ndimage.binary_dilation(
+            waters.inside(self.spec, wide), np.ones((size, size), np.bool_)
+        )
         rows, cols = within(block, wide)
         wet_mask: npt.NDArray[np.bool_] = near[rows, cols]
         return wet_mask
@@ -188,11 +202,16 @@ def _interval(work: VectorFile, terrain: _Terrain, low: float, high: float) -> F
     return default_interval(0.0 if np.isnan(low) else high - low, floor, work.noise)
 
 
-def _stays(terrain: _Terrain, sigma: float, interval: Fraction, level: int, places: Floats) -> bool:
+def _stays(
+    terrain: _Terrain, sigma: float, interval: Fraction, level: int, places: Floats
+) -> bool:
     """Return whether a line is drawn. Only short rings are left out, unless `stays` keeps them."""
     if not is_short(places):
         return True
-    first, last = np.floor(places.min(axis=0)).astype(int), np.ceil(places.max(axis=0)).astype(int)
+    first, last = (
+        np.floor(places.min(axis=0)).astype(int),
+        np.ceil(places.max(axis=0)).astype(int),
+    )
     (col, row), (width, height) = first.tolist(), (last - first + 1).tolist()
     heights = terrain.land_smoothed(Block(row, col, height, width), sigma)
     return stays(places - first, heights, float(level * interval), float(interval))
@@ -205,8 +224,11 @@ def _lines(
     spec = terrain.spec
     for row in range(0, spec.height, BLOCK):
         for col in range(0, spec.width, BLOCK):
-            # The block includes the first row and column of the next blocks, since lines run between pixel centres.
-            block = Block(row, col, min(BLOCK + 1, spec.height - row), min(BLOCK + 1, spec.width - col))
+            # The block includes the first row and column of the next blocks, since lines run
+            # between pixel centres.
+            block = Block(
+                row, col, min(BLOCK + 1, spec.height - row), min(BLOCK + 1, spec.width - col)
+            )
             core = terrain.land_smoothed(block, sigma)
             for piece in contour_block(core, interval, row, col):
                 yield from joiner.add(piece)
@@ -260,7 +282,9 @@ def write_spots(store_url: str, work: WriteSpots) -> SpotsRecord:
                 columns = _columns_of_spots(heights[rows, cols], kind, terrain.decimals)
                 coordinates = terrain.places(pixels.astype(np.float64))
                 file.add("spots", "Point", shapely.points(coordinates), columns)
-    return SpotsRecord(**new.record.to_json(), interval=float(interval), highs=counts[HIGH], lows=counts[LOW])
+    return SpotsRecord(
+        **new.record.to_json(), interval=float(interval), highs=counts[HIGH], lows=counts[LOW]
+    )
 
 
 def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, npt.NDArray[Any]]:

@@ -31,18 +31,26 @@ def write_mosaic(store_url: str, work: WriteMosaic) -> FileRecord:
     """
     frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
     whole = _hull([spec for _, spec in work.sheets])
-    root = ElementTree.Element("VRTDataset", rasterXSize=str(whole.width), rasterYSize=str(whole.height))
+    root = ElementTree.Element(
+        "VRTDataset", rasterXSize=str(whole.width), rasterYSize=str(whole.height)
+    )
     if frame.crs_wkt is not None:
         root.append(_srs(frame.crs_wkt))
     a, b, c, d, e, f = whole.transform(COUNTS_PER_UNIT)
-    ElementTree.SubElement(root, "GeoTransform").text = ", ".join(repr(v) for v in (c, a, b, f, d, e))
+    ElementTree.SubElement(root, "GeoTransform").text = ", ".join(
+        repr(v) for v in (c, a, b, f, d, e)
+    )
     _add_metadata(root, {"AREA_OR_POINT": "Area", **work.tags})
-    band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_TYPES[product.dtype], band="1")
+    band = ElementTree.SubElement(
+        root, "VRTRasterBand", dataType=_TYPES[product.dtype], band="1"
+    )
     _describe_band(band, raster_metadata(frame, work))
     for path, spec in work.sheets:
         _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
     ElementTree.indent(root)
-    return write_bytes(work.out, f"{work.product}.vrt", ElementTree.tostring(root, encoding="utf-8"))
+    return write_bytes(
+        work.out, f"{work.product}.vrt", ElementTree.tostring(root, encoding="utf-8")
+    )
 
 
 def _srs(crs: str) -> ElementTree.Element:
@@ -58,7 +66,9 @@ def _srs(crs: str) -> ElementTree.Element:
             rasterio.shutil.copy(pixel, copy.name, driver="VRT")
         srs = ElementTree.fromstring(copy.read()).find("SRS")
     if srs is None:
-        raise ProcessingError(f"GDAL cannot write the CRS {crs[:60]} into a VRT; export without --sheets")
+        raise ProcessingError(
+            f"GDAL cannot write the CRS {crs[:60]} into a VRT; export without --sheets"
+        )
     return srs
 
 
@@ -100,13 +110,19 @@ def category_names(names: Sequence[str]) -> ElementTree.Element:
     return element
 
 
-def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: RasterSpec, kind: str) -> None:
+def _add_sheet(
+    band: ElementTree.Element, path: str, spec: RasterSpec, whole: RasterSpec, kind: str
+) -> None:
     source = ElementTree.SubElement(band, "SimpleSource")
     ElementTree.SubElement(source, "SourceFilename", relativeToVRT="1").text = path
     ElementTree.SubElement(source, "SourceBand").text = "1"
     size = (str(spec.width), str(spec.height))
     block = dict(zip(("RasterXSize", "RasterYSize"), size, strict=True))
-    block |= {"DataType": kind, "BlockXSize": str(BLOCK_PIXELS), "BlockYSize": str(BLOCK_PIXELS)}
+    block |= {
+        "DataType": kind,
+        "BlockXSize": str(BLOCK_PIXELS),
+        "BlockYSize": str(BLOCK_PIXELS),
+    }
     ElementTree.SubElement(source, "SourceProperties", block)
     offset = (str(spec.west - whole.west), str(whole.north - spec.north))
     for name, (x, y) in (("SrcRect", ("0", "0")), ("DstRect", offset)):
@@ -116,7 +132,8 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
 def write_legend(store_url: str, work: WriteLegend) -> FileRecord:
     """Write ``<out>/<product>.tif.aux.xml`` (a `tiler.schedule.task.Work`).
 
-    A GeoTIFF contains the colours of its classes, but GDAL keeps their names in a file next to it.
+    A GeoTIFF contains the colours of its classes, but GDAL keeps their names in a file next to
+    it.
 
     Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """

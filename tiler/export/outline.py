@@ -30,8 +30,9 @@ POLYGON = 3
 def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
     """Write the outline of the survey as ``<out>/outline.gpkg`` (a `tiler.schedule.task.Work`).
 
-    The outline is the edge of the terrain, pixel by pixel. The file has one polygon for each part of the survey, with
-    its voids as holes, and with ``area_m2`` (without the voids), ``void_m2`` and ``void_percent`` (of both together).
+    The outline is the edge of the terrain, pixel by pixel. The file has one polygon for each
+    part of the survey, with its voids as holes, and with ``area_m2`` (without the voids),
+    ``void_m2`` and ``void_percent`` (of both together).
 
     Returns
     -------
@@ -45,24 +46,43 @@ def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
     """
     store, spec = open_store(store_url), work.spec
     area = store.area(work.area)
-    pieces = [_polygons(store, work, area, spec.block_named(name, BLOCK_PIXELS)) for name in work.blocks]
+    pieces = [
+        _polygons(store, work, area, spec.block_named(name, BLOCK_PIXELS))
+        for name in work.blocks
+    ]
     parts = joined(np.concatenate([np.empty(0, object), *pieces]))
     square = float(store.meta.frame.units.horizontal) ** 2
     land = shapely.area(parts) * square
-    void = np.array([sum(shapely.Polygon(ring).area for ring in part.interiors) for part in parts]) * square
-    columns = {"area_m2": land, "void_m2": void, "void_percent": 100 * void / np.maximum(land + void, 1e-9)}
+    void = (
+        np.array([sum(shapely.Polygon(ring).area for ring in part.interiors) for part in parts])
+        * square
+    )
+    columns = {
+        "area_m2": land,
+        "void_m2": void,
+        "void_percent": 100 * void / np.maximum(land + void, 1e-9),
+    }
     crs = store.meta.frame.crs_wkt
     with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
-        file.add(LAYER, "Polygon", list(parts), {k: np.asarray(v, np.float64) for k, v in columns.items()})
+        file.add(
+            LAYER,
+            "Polygon",
+            list(parts),
+            {k: np.asarray(v, np.float64) for k, v in columns.items()},
+        )
     size = float(spec.lattice.size / COUNTS_PER_UNIT)
-    return OutlineFileRecord(**new.record.to_json(), polygons=len(parts), rings=rings_of(parts, size))
+    return OutlineFileRecord(
+        **new.record.to_json(), polygons=len(parts), rings=rings_of(parts, size)
+    )
 
 
-def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Block) -> npt.NDArray[Any]:
+def _polygons(
+    store: TileStore, work: WriteOutline, area: Area | None, block: Block
+) -> npt.NDArray[Any]:
     """Return the polygons around the pixels of a block that belong to the survey.
 
-    These pixels have a height, or lie inside the survey and should have one. Pixels in a void are left out, even if
-    facets span it.
+    These pixels have a height, or lie inside the survey and should have one. Pixels in a void
+    are left out, even if facets span it.
     """
     cells = coarse_values(store, work.survey, work.coarse, work.spec, block)
     covered = cells == SURVEYED
@@ -73,7 +93,9 @@ def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Bl
     return polygons_of(covered, work.spec, block)
 
 
-def polygons_of(inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block) -> npt.NDArray[Any]:
+def polygons_of(
+    inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block
+) -> npt.NDArray[Any]:
     """Return polygons around the chosen pixels of a block, in units of the CRS.
 
     Parameters
@@ -94,8 +116,11 @@ def polygons_of(inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block) -
 
 def joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Join the polygons of all blocks that share a side, and return the results from the north-west."""
-    # Corners of blocks would stay as vertices on straight sides, so the polygons are simplified.
-    parts = shapely.normalize(shapely.simplify(shapely.get_parts(shapely.union_all(pieces)), 0.0))
+    # Corners of blocks would stay as vertices on straight sides, so the polygons are
+    # simplified.
+    parts = shapely.normalize(
+        shapely.simplify(shapely.get_parts(shapely.union_all(pieces)), 0.0)
+    )
     parts = parts[(shapely.get_type_id(parts) == POLYGON) & ~shapely.is_empty(parts)]
     west, _, _, north = shapely.bounds(parts).T if len(parts) else np.empty((4, 0))
     polygons: npt.NDArray[Any] = parts[np.lexsort((west, -north))]

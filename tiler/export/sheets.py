@@ -51,9 +51,14 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> FileRecord:
             product_sheets = [sheet for sheet in work.sheets if sheet.product == product]
             edges = np.array([_edges(sheet.spec) for sheet in product_sheets])
             # A height of None becomes NaN, which is NULL in the file.
-            figures = np.array([(s.void_percent, s.low, s.high) for s in product_sheets], np.float64)
+            figures = np.array(
+                [(s.void_percent, s.low, s.high) for s in product_sheets], np.float64
+            )
             numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
-            columns = {"location": np.array([sheet.path for sheet in product_sheets], object), **numbers}
+            columns = {
+                "location": np.array([sheet.path for sheet in product_sheets], object),
+                **numbers,
+            }
             file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
     return new.record
 
@@ -62,4 +67,9 @@ def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:
     """Return the west, south, east and north edge of a raster in units of the CRS."""
     size = spec.lattice.size / COUNTS_PER_UNIT
     west, north = spec.west * size, spec.north * size
-    return float(west), float(north - spec.height * size), float(west + spec.width * size), float(north)
+    return (
+        float(west),
+        float(north - spec.height * size),
+        float(west + spec.width * size),
+        float(north),
+    )

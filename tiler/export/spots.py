@@ -9,7 +9,8 @@ import scipy
 HIGH, LOW = "high", "low"
 
 BESIDE = 5
-"""Side in pixels of the square around a spot in which every pixel has a height, since the edge of data is not a top."""
+"""Side in pixels of the square around a spot in which every pixel has a height, since the edge
+of data is not a top."""
 
 
 def spots_of_block(
@@ -37,7 +38,8 @@ def spots_of_block(
     bottom = scipy.ndimage.minimum_filter(np.where(known, height, np.inf), size, mode="nearest")
     chosen = known & (height == top) & (top - bottom >= least)
     chosen &= scipy.ndimage.binary_erosion(known, np.ones((BESIDE, BESIDE), np.bool_))
-    # Chosen pixels near each other have the same height, and only the first of them in the raster is kept.
+    # Chosen pixels near each other have the same height, and only the first of them in the
+    # raster is kept.
     number = np.where(chosen, np.arange(heights.size).reshape(heights.shape), heights.size)
     first = scipy.ndimage.minimum_filter(number, size, mode="nearest") == number
     rows, cols = np.nonzero(chosen & first)

@@ -19,8 +19,12 @@ from tiler.io.las.columns import RGB_FORMATS, is_legacy
 Box = tuple[float, float, float, float]
 """Lowest x and y, highest x and y, in units of the CRS."""
 
-UNKNOWN_DATES = {"start_datetime": "1970-01-01T00:00:00Z", "end_datetime": "9999-12-31T23:59:59Z"}
-"""Dates of a cloud of unknown age. STAC requires a time, and the time of the run would be wrong."""
+UNKNOWN_DATES = {
+    "start_datetime": "1970-01-01T00:00:00Z",
+    "end_datetime": "9999-12-31T23:59:59Z",
+}
+"""Dates of a cloud of unknown age. STAC requires a time, and the time of the run would be
+wrong."""
 
 _WGS84, _DIGITS = 4326, 7
 _GPS_EPOCH, _GPS_OFFSET_S = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000
@@ -86,10 +90,16 @@ class Globe:
         if bbox[0] <= bbox[2]:
             return {"type": "Polygon", "coordinates": [_ring(vertices)]}
         whole = shapely.Polygon([(x % 360, y) for x, y in vertices])
-        parts = [(shapely.clip_by_rect(whole, west, -90, west + 180, 90), -2 * west) for west in (0, 180)]
+        parts = [
+            (shapely.clip_by_rect(whole, west, -90, west + 180, 90), -2 * west)
+            for west in (0, 180)
+        ]
         parts = [(polygon.orient(part), shift) for part, shift in parts if not part.is_empty]
         rings = [shapely.get_coordinates(part) + (shift, 0) for part, shift in parts]
-        return {"type": "MultiPolygon", "coordinates": [[_ring(ring.tolist())] for ring in rings]}
+        return {
+            "type": "MultiPolygon",
+            "coordinates": [[_ring(ring.tolist())] for ring in rings],
+        }
 
 
 def _ring(places: Iterable[Iterable[float]]) -> list[list[float]]:
@@ -141,7 +151,8 @@ def dates_of_gps(times: Sequence[float] | None) -> tuple[date, date] | None:
 def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
     """Return the dates as STAC has them.
 
-    A single day is a ``datetime``. Several days are ``start_datetime`` and ``end_datetime``, with ``datetime`` None.
+    A single day is a ``datetime``. Several days are ``start_datetime`` and ``end_datetime``,
+    with ``datetime`` None.
     """
     known = [dates for dates in found if dates is not None]
     if not known:
@@ -166,7 +177,13 @@ def schema(point_formats: Iterable[int]) -> list[SchemaField]:
     """Return ``pc:schemas``: the fields of points of these formats, with the names of PDAL and QGIS."""
     formats = set(point_formats)
     fields = [*((axis, 8, "floating") for axis in "XYZ"), ("Intensity", 2, "unsigned")]
-    bytes_ = ["ReturnNumber", "NumberOfReturns", "ScanDirectionFlag", "EdgeOfFlightLine", "Classification"]
+    bytes_ = [
+        "ReturnNumber",
+        "NumberOfReturns",
+        "ScanDirectionFlag",
+        "EdgeOfFlightLine",
+        "Classification",
+    ]
     fields += [(name, 1, "unsigned") for name in bytes_]
     fields += [
         ("ScanAngleRank", 4, "floating"),
@@ -190,7 +207,12 @@ def statistics(
 ) -> list[dict[str, str | float]]:
     """Return ``pc:statistics`` of a cloud (`tiler.export.cloud_statistics`), given the names of its schema."""
     return [
-        {"name": name, "position": position, "count": points, **dict(sorted(fields[name].items()))}
+        {
+            "name": name,
+            "position": position,
+            "count": points,
+            **dict(sorted(fields[name].items())),
+        }
         for position, name in enumerate(names)
         if name in fields
     ]

@@ -169,11 +169,17 @@ def _report_files(job: Job, tasks: FileTasks, made: Commits) -> None:
     _report_spots(job)
     _report_outline(job)
     if job.results.fetched is not None:
-        clouds = [CloudRecord.of(made[task.key][1]) for task in tasks.clouds if task.key in made]
+        clouds = [
+            CloudRecord.of(made[task.key][1]) for task in tasks.clouds if task.key in made
+        ]
         fetched = sum(record.fetched or 0 for record in clouds)
         job.results.fetched = replace(job.results.fetched, classified=fetched)
     if job.plan.inputs.area is not None:
-        terrain = [task.key for task in tasks.cogs if task.arguments.product == "dtm" and task.key in made]
+        terrain = [
+            task.key
+            for task in tasks.cogs
+            if task.arguments.product == "dtm" and task.key in made
+        ]
         filled = sum(RasterFileRecord.of(made[key][1]).valid for key in terrain)
         job.results.dtm = replace(job.results.dtm, filled=filled)
 
@@ -181,7 +187,9 @@ def _report_files(job: Job, tasks: FileTasks, made: Commits) -> None:
 def _record_files(job: Job, paths: Mapping[str, str], basis: str) -> None:
     """Record from which data the products were made, and which files may still be those of an earlier run."""
     # The virtual cloud is valid as long as the clouds are, which have no basis in run.json.
-    products = [path for key, path in paths.items() if key.endswith(PRODUCTS) and path != VIRTUAL]
+    products = [
+        path for key, path in paths.items() if key.endswith(PRODUCTS) and path != VIRTUAL
+    ]
     job.results.made_of = {**job.results.made_of, **dict.fromkeys(products, basis)}
     # If a task failed, the file of an earlier run may still be there.
     unwritten = [path for path in paths.values() if path not in job.results.outputs]
@@ -204,7 +212,9 @@ def _report_outline(job: Job) -> None:
     outline = job.results.outline
     if commit is not None and outline is not None:
         record = OutlineFileRecord.of(commit[1])
-        job.results.outline = replace(outline, rings=record.rings or [], polygons=record.polygons)
+        job.results.outline = replace(
+            outline, rings=record.rings or [], polygons=record.polygons
+        )
 
 
 def _report_contours(job: Job) -> None:
@@ -241,7 +251,9 @@ def _validate_outputs_exist(job: Job) -> None:
     gone = [path for path, size in zip(outputs, sizes, strict=True) if size is None]
     if gone:
         files = listed([joined(job.products, path) for path in gone], 1, "files")
-        raise ProcessingError(f"{files}: removed during the run; run again to make the missing files")
+        raise ProcessingError(
+            f"{files}: removed during the run; run again to make the missing files"
+        )
 
 
 def _basis(gridding: GridContext) -> str:
@@ -251,17 +263,26 @@ def _basis(gridding: GridContext) -> str:
     """
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
-    into = [str(config.sheets), config.sheet_name, config.empty_sheets] if config.sheets else None
+    into = (
+        [str(config.sheets), config.sheet_name, config.empty_sheets] if config.sheets else None
+    )
     water = gridding.water_key
     return digest_of(
-        terrain, config.voids, config.outline, str(config.spike), into, gridding.plan.inputs.area_key, water
+        terrain,
+        config.voids,
+        config.outline,
+        str(config.spike),
+        into,
+        gridding.plan.inputs.area_key,
+        water,
     )
 
 
 def _files(tasks: list[Task]) -> dict[str, str]:
     """Return the path or URL of the file that each task writes, by the key of the task."""
     return {
-        t.key: joined(t.arguments.out, t.key) if t.key.endswith(PRODUCTS) else t.arguments.out for t in tasks
+        t.key: joined(t.arguments.out, t.key) if t.key.endswith(PRODUCTS) else t.arguments.out
+        for t in tasks
     }
 
 

@@ -21,10 +21,12 @@ from tiler.store import open_store
 POLYGONS, FLOW, REACHES, BREAKLINES = "water", "flow", "reaches", "breaklines"
 """Layers of the file."""
 STEP_SLOPE = 1.0
-"""Slope of a river's line above which a structure (a dam, a weir, a fall) is assumed to lie across it."""
+"""Slope of a river's line above which a structure (a dam, a weir, a fall) is assumed to lie
+across it."""
 
 MAX_DAM_M, MIN_DAM_M = 40.0, 0.5
-"""A dam between two bodies is at most this wide, and its levels differ by at least this, in metres."""
+"""A dam between two bodies is at most this wide, and its levels differ by at least this, in
+metres."""
 WIDER_DAM = 2.0
 """A dam is at most this many times as wide as at its narrowest."""
 
@@ -37,13 +39,14 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
 
     Layer ``flow`` has the line of each river, with the height of the water at each vertex.
 
-    Layer ``reaches`` has the stations of each river in downstream order, with ``number``, ``along`` (distance from the
-    first station in the unit of the CRS), ``level``, ``seen`` (number of pixels of the water from which the level was
-    estimated), ``left``, ``right`` (levels estimated from the banks) and ``slope_permille`` (slope to the next one).
+    Layer ``reaches`` has the stations of each river in downstream order, with ``number``,
+    ``along`` (distance from the first station in the unit of the CRS), ``level``, ``seen``
+    (number of pixels of the water from which the level was estimated), ``left``, ``right``
+    (levels estimated from the banks) and ``slope_permille`` (slope to the next one).
 
-    Layer ``breaklines`` has shores at their level, lines of flow, and structures in 3D, with ``number`` and ``kind``
-    (shore, flow or structure). A structure is a line from bank to bank at a step, with the level above the step, or the
-    upper shore at a dam between two bodies.
+    Layer ``breaklines`` has shores at their level, lines of flow, and structures in 3D, with
+    ``number`` and ``kind`` (shore, flow or structure). A structure is a line from bank to bank
+    at a step, with the level above the step, or the upper shore at a dam between two bodies.
 
     Returns
     -------
@@ -60,14 +63,18 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
         "level": np.array([b.range[0] for b in bodies], np.float64),
         "level_end": np.array([b.range[1] for b in bodies], np.float64),
         "area_m2": np.array([shape.area * square for shape in shapes], np.float64),
-        "sure": np.array([np.nan if b.confidence is None else b.confidence for b in bodies], np.float64),
+        "sure": np.array(
+            [np.nan if b.confidence is None else b.confidence for b in bodies], np.float64
+        ),
     }
     rivers = [(b.number, b.flow) for b in bodies if b.flow is not None]
     crs = store.meta.frame.crs_wkt
     with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
         file.add(POLYGONS, "MultiPolygon", shapes, columns)
         lines = [shapely.LineString(flow / COUNTS_PER_UNIT) for _, flow in rivers]
-        file.add(FLOW, "LineString Z", lines, {"number": np.array([n for n, _ in rivers], np.int64)})
+        file.add(
+            FLOW, "LineString Z", lines, {"number": np.array([n for n, _ in rivers], np.int64)}
+        )
         _add_reaches(file, bodies, store.meta.frame)
         _add_breaklines(file, bodies, store.meta.frame)
     return WaterFileRecord(**new.record.to_json(), bodies=len(bodies))
@@ -84,7 +91,10 @@ def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -
         slope = 1000 * fall / np.maximum(np.diff(lengths) * float(frame.metres_xy), 1e-9)
         along.append(lengths / COUNTS_PER_UNIT)
         slopes.append(np.append(slope, np.nan))
-    z = np.array([[s.level, s.left, s.right] for s in stations], np.float64).reshape(-1, 3) / COUNTS_PER_UNIT
+    z = (
+        np.array([[s.level, s.left, s.right] for s in stations], np.float64).reshape(-1, 3)
+        / COUNTS_PER_UNIT
+    )
     numbers = [body.number for body in rivers for _ in body.stations]
     columns = {
         "number": np.array(numbers, np.int64),
@@ -105,7 +115,11 @@ def _add_breaklines(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame
     numbers, kinds = list[int](), list[str]()
     dam_lines = dams(bodies, frame)
     for body, body_dams in zip(bodies, dam_lines, strict=True):
-        body_lines = [("shore", _lifted_ring(body, ring)) for rings in body.area.polygons for ring in rings]
+        body_lines = [
+            ("shore", _lifted_ring(body, ring))
+            for rings in body.area.polygons
+            for ring in rings
+        ]
         if body.flow is not None:
             body_lines.append(("flow", body.flow))
             body_lines += [("structure", line) for line in structures(body)]
@@ -131,9 +145,14 @@ def structures(body: Water) -> list[npt.NDArray[np.float64]]:
     falls = -np.diff(flow[:, 2]) > STEP_SLOPE * np.diff(lengths_along(flow))
     for i in np.flatnonzero(falls).tolist():
         before, after = flow[max(i - 1, 0), :2], flow[min(i + 2, len(flow) - 1), :2]
-        middle, way = (flow[i, :2] + flow[i + 1, :2]) / 2 / COUNTS_PER_UNIT, (after - before).astype(float)
+        middle, way = (
+            (flow[i, :2] + flow[i + 1, :2]) / 2 / COUNTS_PER_UNIT,
+            (after - before).astype(float),
+        )
         aside = np.array([-way[1], way[0]]) / max(math.hypot(*way), 1.0) * diagonal
-        lines = shapely.get_parts(shapely.LineString([middle + aside, middle - aside]).intersection(shape))
+        lines = shapely.get_parts(
+            shapely.LineString([middle + aside, middle - aside]).intersection(shape)
+        )
         lines = lines[shapely.length(lines) > 0]
         if not len(lines):
             continue
@@ -161,7 +180,9 @@ def dams(bodies: Sequence[Water], frame: CoordFrame) -> list[list[npt.NDArray[np
         shore = shapely.line_merge(shapely.intersection(shapely.boundary(shapes[upper]), near))
         parts = shapely.get_parts(shore)
         for part in parts[shapely.length(parts) > width]:
-            lines[upper].append(_lifted(bodies[upper], shapely.get_coordinates(part) * COUNTS_PER_UNIT))
+            lines[upper].append(
+                _lifted(bodies[upper], shapely.get_coordinates(part) * COUNTS_PER_UNIT)
+            )
     return lines
 
 

@@ -61,7 +61,9 @@ class TileReader:
         self._columns = ("xyz", *(name for name in step.columns if name != "labels"))
         self._labels = work.labels_in if "labels" in step.columns else None
         self._elected_labels = work.elected_labels_in if "labels" in step.columns else None
-        self._margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(step.label_margin_m)))))
+        self._margin = math.ceil(
+            store.meta.frame.counts(Fraction(repr(float(step.label_margin_m))))
+        )
         self._near: dict[Cell, BucketInfo] | None = None
         self._held: OrderedDict[Cell, Bucket] = OrderedDict()
         self._held_bytes = 0
@@ -81,16 +83,24 @@ class TileReader:
             block = self._elected(bounds)
         else:
             fine, frame = self._store.meta.fine.size, self._store.meta.frame
-            nested = cell_m > 0 and (frame.counts(Fraction(repr(float(cell_m)))) / fine).denominator == 1
+            nested = (
+                cell_m > 0
+                and (frame.counts(Fraction(repr(float(cell_m)))) / fine).denominator == 1
+            )
             if nested and not self._step.every_point:
-                block = self._store.window(bounds, self._columns, True, self._labels, slices_by_cell)
+                block = self._store.window(
+                    bounds, self._columns, True, self._labels, slices_by_cell
+                )
             else:
                 columns = (*self._columns, "classification", "flags")
                 block = self._store.window(bounds, columns, labels=self._labels)
                 block = block.take(self._participating(block))
         points = self._as_points(block)
-        # If the pass labels only candidates, `bucket` takes them from the window instead of reading them again.
-        self._window = (points, slices_by_cell) if slices_by_cell and self._work.candidates_only else None
+        # If the pass labels only candidates, `bucket` takes them from the window instead of
+        # reading them again.
+        self._window = (
+            (points, slices_by_cell) if slices_by_cell and self._work.candidates_only else None
+        )
         return points, _any_uncertified(block)
 
     def bucket(self, cell: Cell) -> Bucket:
@@ -120,7 +130,9 @@ class TileReader:
             return [], False
         lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin
         if self._near is None:  # The index is read only once for all buckets.
-            self._near = self._store.buckets_within(lattice.hull(self._work.cells).pad(self._margin))
+            self._near = self._store.buckets_within(
+                lattice.hull(self._work.cells).pad(self._margin)
+            )
         bounds = lattice.bounds(cell).pad(self._margin)
         parts = []
         uncertified = False
@@ -139,14 +151,19 @@ class TileReader:
     def _read(self, cell: Cell) -> Bucket:
         if self._work.labels_elected:
             block = self._elected(self._store.meta.bucket.bounds(cell))
-            return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_uncertified(block))
+            return Bucket(
+                self._as_points(block), np.ones(len(block), np.bool_), _any_uncertified(block)
+            )
         candidates_only = self._work.candidates_only
         columns = self._columns
-        if not candidates_only:  # All candidates take part, so their classes and flags are not needed.
+        # All candidates take part, so their classes and flags are not needed.
+        if not candidates_only:
             columns = (*columns, "classification", "flags")
         block = self._store.read_bucket(cell, columns, candidates_only)
         # If only candidates have labels, a bucket with all its points is read without labels.
-        if self._labels is not None and (candidates_only or not self._work.input_candidates_only):
+        if self._labels is not None and (
+            candidates_only or not self._work.input_candidates_only
+        ):
             labels = self._store.read_labels(self._labels, cell, candidates_only)
             block = dataclasses.replace(block, labels=labels)
         mask = np.ones(len(block), np.bool_) if candidates_only else self._participating(block)

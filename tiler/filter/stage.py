@@ -34,8 +34,8 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     if job.plan.config.method == KEEP:
         return Labelled.of(job.plan.config, assembled.digests, {})
     passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
-    # An earlier run may have used a method with more passes. The commits of the additional passes are removed, because
-    # the labels of those passes may be overwritten.
+    # An earlier run may have used a method with more passes. The commits of the additional
+    # passes are removed, because the labels of those passes may be overwritten.
     max_passes = max(job.store.get_state("passes") or 0, len(passes))
     job.store.put_state("passes", max_passes)
     for number in range(len(passes), max_passes):
@@ -58,7 +58,9 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
         if (step.elects or step.gives_labels) and not has_written:
             has_written = True
             _clear_passed_over(job, passes, state)
-            passed_over = [f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)]
+            passed_over = [
+                f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)
+            ]
             job.listener(StagesPassedOver(passed_over))
         tasks = list(filter_tasks(job.plan, assembled, number, state, pass_inputs))
         kind = state["survey"]["kind"] if "survey" in state else likely_kind(job.plan)
@@ -72,7 +74,9 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
             for task in tasks:
                 if task.key not in filtered:
                     _write_empty_results(job, task, step, pass_inputs)
-            pass_inputs = pass_inputs.after(number, step, is_last, candidates_only, assembled, filtered)
+            pass_inputs = pass_inputs.after(
+                number, step, is_last, candidates_only, assembled, filtered
+            )
             last_pass = step.name if is_last else ""
         if step.gives_labels:
             job.results.filter = _label_counts(job, list(tile_records(filtered)), len(tasks))
@@ -102,7 +106,11 @@ def _without_known_places(state_after: State, state: State) -> State:
 
     So the table, which may have a million places, is stored only once.
     """
-    return {name: value for name, value in state_after.items() if name != PLACES or name not in state}
+    return {
+        name: value
+        for name, value in state_after.items()
+        if name != PLACES or name not in state
+    }
 
 
 def _known_state(job: Job, step: Pass, state: State) -> State:
@@ -166,7 +174,9 @@ def _write_empty_results(job: Job, task: Task, step: Pass, inputs: PassInputs) -
             job.store.write_elected_labels(work.labels_out, cell, labels)
         else:
             bucket = buckets[cell]
-            labels = np.zeros(bucket.n_candidates if work.candidates_only else bucket.n, np.uint8)
+            labels = np.zeros(
+                bucket.n_candidates if work.candidates_only else bucket.n, np.uint8
+            )
             job.store.write_labels(work.labels_out, cell, labels, work.candidates_only)
 
 

@@ -47,8 +47,8 @@ def influence_margin_m(step: Pass, params: Any) -> float:
 def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
     """Filter one tile.
 
-    A core with uncertified labels or statistics is repeated with twice the halo, up to ``max_halo``. Labels that stay
-    uncertified keep bit 7 and are counted.
+    A core with uncertified labels or statistics is repeated with twice the halo, up to
+    ``max_halo``. Labels that stay uncertified keep bit 7 and are counted.
 
     Returns
     -------
@@ -58,7 +58,9 @@ def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
     store = open_store(store_url)
     params = METHODS[work.method].params(**work.parameters)
     step = params.passes[work.number]
-    scale = Scale(store.meta.frame.metres_xy, store.meta.frame.metres_z, store.meta.frame.origin)
+    scale = Scale(
+        store.meta.frame.metres_xy, store.meta.frame.metres_z, store.meta.frame.origin
+    )
     core = store.meta.bucket.hull(work.cells)
     local_core = _local(core, store)
     reader = TileReader(store, step, work)
@@ -77,18 +79,22 @@ def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
             labels[cell], near_uncertified = _label(reader, cell, model)
             inputs_uncertified |= near_uncertified
         n_uncertified = sum(
-            int(np.count_nonzero(cell_labels & UNCERTIFIED_BIT)) for cell_labels in labels.values()
+            int(np.count_nonzero(cell_labels & UNCERTIFIED_BIT))
+            for cell_labels in labels.values()
         )
         if (n_uncertified == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
         halo = min(2 * halo, work.max_halo)
         del points, model  # This frees memory for the wider window.
-    if inputs_uncertified:  # Uncertified labels of an earlier pass may have changed any of these labels.
+    # Uncertified labels of an earlier pass may have changed any of these labels.
+    if inputs_uncertified:
         labels = {
             cell: cell_labels | (cell_labels > 0) * np.uint8(UNCERTIFIED_BIT)
             for cell, cell_labels in labels.items()
         }
-        n_uncertified = sum(int(np.count_nonzero(cell_labels)) for cell_labels in labels.values())
+        n_uncertified = sum(
+            int(np.count_nonzero(cell_labels)) for cell_labels in labels.values()
+        )
     elected, elected_points = _elect(store, work.cells, model, work.elected_out)
     for cell, cell_labels in labels.items():
         if work.labels_elected or step.elects:
@@ -122,7 +128,8 @@ def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
 def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
     """Return the labels of the points of a bucket, and whether a label around the bucket was uncertified.
 
-    Uncertified labels have bit 7. Points that do not take part in filtering are not passed to the model.
+    Uncertified labels have bit 7. Points that do not take part in filtering are not passed to
+    the model.
     """
     bucket = reader.bucket(cell)
     points_around, near_uncertified = reader.points_around(cell)
@@ -138,7 +145,9 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
 
 def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np.uint8]:
     """Return the labels of the points that a pass elects in a bucket. Uncertified labels have bit 7."""
-    labels, uncertified = model.label(Points(model.elect(_local(store.meta.bucket.bounds(cell), store))))
+    labels, uncertified = model.label(
+        Points(model.elect(_local(store.meta.bucket.bounds(cell), store)))
+    )
     return labels | (uncertified.astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
 
 
@@ -176,8 +185,8 @@ def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[
 def _known_window(store: TileStore, window: Bounds, margin: int) -> Window:
     """Return the window in local counts. A side is open if there are no points within ``margin`` beyond it.
 
-    Points farther away cannot change the result. The method surrounds the data with virtual points, which keep the
-    circumcircles of the TIN within the margin.
+    Points farther away cannot change the result. The method surrounds the data with virtual
+    points, which keep the circumcircles of the TIN within the margin.
     """
     padded = window.pad(margin)
 

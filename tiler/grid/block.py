@@ -1,9 +1,9 @@
 """Blocks of a raster: heights at pixel centres on the TIN of the ground points around them.
 
-The pixels depend only on the data, not on the block or its halo. A facet fills a pixel only if its longest edge and its
-circumradius stay within a limit, so data farther away than twice that limit have no influence. A pixel is uncertified
-if data within that distance but outside the window could change it. A block with uncertified pixels is repeated with a
-larger halo.
+The pixels depend only on the data, not on the block or its halo. A facet fills a pixel only if
+its longest edge and its circumradius stay within a limit, so data farther away than twice that
+limit have no influence. A pixel is uncertified if data within that distance but outside the
+window could change it. A block with uncertified pixels is repeated with a larger halo.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class _GroundCounts(NamedTuple):
 
 
 MAX_WINDOW = MAX_EXTENT // 2
-"""Side of a window, in counts, from which its block is divided: half of the extent that a TIN can have."""
+"""Side of a window, in counts, from which its block is divided: half of the extent that a TIN
+can have."""
 
 
 def full_halo(max_edge: Fraction) -> int:
@@ -73,8 +74,8 @@ def grid_block(store_url: str, work: GridBlock) -> TerrainRecord:
 def grid_blocks(store_url: str, work: GridBlocks) -> JoinedRecord[TerrainRecord]:
     """Write blocks of a raster that share a TIN. This is a `tiler.schedule.task.Work`.
 
-    The pixels are those of `grid_block`. The record of each block, in ``parts``, is also the same except for the ground
-    points, which are counted in the shared window.
+    The pixels are those of `grid_block`. The record of each block, in ``parts``, is also the
+    same except for the ground points, which are counted in the shared window.
     """
     store, parts = open_store(store_url), []
     for block, heights, record in heights_of_blocks(store, work.blocks):
@@ -109,8 +110,9 @@ def heights_of_blocks(
 ) -> Iterator[tuple[GridBlock, Heights, TerrainRecord]]:
     """Compute heights and records of blocks that differ only in their positions, without checksums.
 
-    The blocks share a TIN if it is not too wide or too full. Otherwise each block has its own TIN, and a block that is
-    still too full is divided into quarters. A block with uncertified pixels is repeated by itself with twice the halo.
+    The blocks share a TIN if it is not too wide or too full. Otherwise each block has its own
+    TIN, and a block that is still too full is divided into quarters. A block with uncertified
+    pixels is repeated by itself with twice the halo.
 
     Yields
     ------
@@ -138,7 +140,9 @@ def _heights(
         for work in works:
             yield from _heights(store, (work,), halo, tries)
         return
-    if _too_wide(whole, halo) and not store.buckets_within(_window(whole, full_halo(whole.max_edge))):
+    if _too_wide(whole, halo) and not store.buckets_within(
+        _window(whole, full_halo(whole.max_edge))
+    ):
         yield whole, *_nothing(whole.block, halo)
         return
     if _too_full(store, whole, halo):
@@ -192,10 +196,15 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
     if work.max_points is None or side <= MIN_PART:
         return False
     held = store.buckets_within(_window(work, halo)).values()
-    return sum(max_points_in_bucket(info.n, store.meta.bucket, work.thin) for info in held) > work.max_points
+    return (
+        sum(max_points_in_bucket(info.n, store.meta.bucket, work.thin) for info in held)
+        > work.max_points
+    )
 
 
-def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights, TerrainRecord]:
+def _in_quarters(
+    store: TileStore, work: GridBlock, tries: int
+) -> tuple[Heights, TerrainRecord]:
     """Compute a block quarter by quarter."""
     row, col, height, width = astuple(work.block)
     heights = np.empty((height, width), np.float32)
@@ -204,7 +213,9 @@ def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights
         for left, wide in ((0, width // 2), (width // 2, width - width // 2)):
             if tall == 0 or wide == 0:
                 continue
-            part, record = block_heights(store, replace(work, block=Block(row + top, col + left, tall, wide)))
+            part, record = block_heights(
+                store, replace(work, block=Block(row + top, col + left, tall, wide))
+            )
             heights[top : top + tall, left : left + wide] = part
             records.append(record)
     filled = sum(record.filled for record in records)
@@ -228,7 +239,9 @@ def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, TerrainRe
     return heights, record
 
 
-def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[TinRaster, _GroundCounts]:
+def _attempt(
+    store: TileStore, work: GridBlock, window: Bounds
+) -> tuple[TinRaster, _GroundCounts]:
     """Return heights and uncertified pixels of a block, and the counts of its ground points."""
     ground, xyz = surface_ground(store, work, window)
     if work.breaklines is not None:
@@ -280,10 +293,13 @@ def rasterise_window(
         if work.interpolation != "idw":
             return raster
         heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)
-        # All points within the halo are known. If the search went farther, there may be nearer points.
+        # All points within the halo are known. If the search went farther, there may be nearer
+        # points.
         known = spec.block_bounds(block).x0 - window.x0
         filled = ~np.isnan(raster.heights)
-        return TinRaster(np.where(filled, heights, np.nan), raster.marks | (filled & (distance > known)))
+        return TinRaster(
+            np.where(filled, heights, np.nan), raster.marks | (filled & (distance > known))
+        )
     except ValueError as error:
         raise ProcessingError(
             f"block {block.name}: {error}; use a smaller max_edge or another resolution"

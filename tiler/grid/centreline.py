@@ -27,7 +27,9 @@ def polygon_of(area: Area) -> Any:
     for rings in area.polygons:
         shape = shapely.Polygon()
         for ring in rings:
-            shape = shapely.symmetric_difference(shape, shapely.make_valid(shapely.Polygon(ring)))
+            shape = shapely.symmetric_difference(
+                shape, shapely.make_valid(shapely.Polygon(ring))
+            )
         shapes.append(shape)
     return shapely.union_all(shapes)
 
@@ -40,7 +42,9 @@ def area_of(shape: Any) -> Area:
     for part in shapely.get_parts(shapely.make_valid(shape)):
         if part.geom_type == "Polygon":
             rings = (part.exterior, *part.interiors)
-            polygons.append(tuple(np.rint(shapely.get_coordinates(r)[:-1]).astype(np.int64) for r in rings))
+            polygons.append(
+                tuple(np.rint(shapely.get_coordinates(r)[:-1]).astype(np.int64) for r in rings)
+            )
     return Area(tuple(polygons))
 
 
@@ -59,10 +63,19 @@ def centreline(shape: Any) -> Floats | None:
     from rasterio.features import rasterize
 
     west, south, east, north = shape.bounds
-    cell = max(mean_width(shape) / CELLS_ACROSS, math.sqrt((east - west) * (north - south) / MAX_CELLS), 1.0)
+    cell = max(
+        mean_width(shape) / CELLS_ACROSS,
+        math.sqrt((east - west) * (north - south) / MAX_CELLS),
+        1.0,
+    )
     height, width = math.ceil((north - south) / cell) + 2, math.ceil((east - west) / cell) + 2
     to_cells = Affine(cell, 0, west - cell, 0, -cell, north + cell)
-    wet = rasterize([(shape, 1)], (height, width), transform=to_cells, all_touched=True, dtype="uint8") > 0
+    wet = (
+        rasterize(
+            [(shape, 1)], (height, width), transform=to_cells, all_touched=True, dtype="uint8"
+        )
+        > 0
+    )
     parts, number = scipy.ndimage.label(wet, np.ones((3, 3), np.bool_))
     if number == 0:
         return None
@@ -95,7 +108,8 @@ def centreline(shape: Any) -> Floats | None:
 def _graph(wet: npt.NDArray[np.bool_], shore_distance: Floats) -> tuple[Any, Any, Any]:
     """Return rows and columns of cells, and two graphs of neighbouring cells.
 
-    The first graph has the lengths of steps. In the second graph, steps near the shore cost more.
+    The first graph has the lengths of steps. In the second graph, steps near the shore cost
+    more.
     """
     cells = np.nonzero(wet)
     number = np.full(wet.shape, -1, np.int32)  # scipy before 1.15 needs int32 indices in graphs
@@ -117,5 +131,7 @@ def _graph(wet: npt.NDArray[np.bool_], shore_distance: Floats) -> tuple[Any, Any
 
 
 def _farthest(graph: Any, start: int) -> int:
-    distance = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=np.array([start]))[0]
+    distance = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=np.array([start]))[
+        0
+    ]
     return int(np.where(np.isfinite(distance), distance, -1.0).argmax())

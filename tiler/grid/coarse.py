@@ -1,7 +1,7 @@
 """Coarse lattice: cells of fixed size, in blocks that are anchored at CRS coordinate 0.
 
-Decisions on coarse cells are made block by block, each with a margin of its neighbours. So the decision at a position
-does not depend on what else is in the run.
+Decisions on coarse cells are made block by block, each with a margin of its neighbours. So the
+decision at a position does not depend on what else is in the run.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float32]
 Runs = list[list[int]]
-"""Runs of neighbouring blocks: first row of pixels, first columns of first and last block (see `block_runs`)."""
+"""Runs of neighbouring blocks: first row of pixels, first columns of first and last block (see
+`block_runs`)."""
 
 
 def coarse_raster(lattice: Lattice, extent: Bounds) -> RasterSpec:
@@ -30,10 +31,14 @@ def coarse_raster(lattice: Lattice, extent: Bounds) -> RasterSpec:
 
 def padded(block: Block, pad: int) -> Block:
     """Return a block and ``pad`` cells around it, which may extend beyond the raster."""
-    return Block(block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad)
+    return Block(
+        block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad
+    )
 
 
-def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pad: int = 0) -> Runs:
+def block_runs(
+    cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pad: int = 0
+) -> Runs:
     """Find the blocks of a raster within ``pad`` pixels of a set coarse cell.
 
     Only the cells are visited, since a raster that is mostly empty has far more blocks.
@@ -54,7 +59,11 @@ def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pa
     """
     rows: dict[int, list[tuple[int, int]]] = {}
     for row in np.flatnonzero(cells.any(axis=1)).tolist():
-        steps = np.flatnonzero(np.diff(cells[row], prepend=False, append=False)).reshape(-1, 2).tolist()
+        steps = (
+            np.flatnonzero(np.diff(cells[row], prepend=False, append=False))
+            .reshape(-1, 2)
+            .tolist()
+        )
         for start, end in steps:
             box = covered(coarse, spec, Block(row, start, 1, end - start), pad)
             if box.height <= 0 or box.width <= 0:
@@ -62,7 +71,9 @@ def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pa
             run = box.col // size * size, (box.col + box.width - 1) // size * size
             for top in range(box.row // size * size, box.row + box.height, size):
                 rows.setdefault(top, []).append(run)
-    return [[row, first, last] for row in sorted(rows) for first, last in _merged(rows[row], size)]
+    return [
+        [row, first, last] for row in sorted(rows) for first, last in _merged(rows[row], size)
+    ]
 
 
 def _merged(runs: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
@@ -90,9 +101,13 @@ def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block, pad: int = 0) ->
     left, right = index(bounds.x0) - spec.west, index(bounds.x1 - 1) + 1 - spec.west
     top, bottom = spec.north - 1 - index(bounds.y1 - 1), spec.north - index(bounds.y0)
     left, top = max(left - pad, 0), max(top - pad, 0)
-    return Block(top, left, min(bottom + pad, spec.height) - top, min(right + pad, spec.width) - left)
+    return Block(
+        top, left, min(bottom + pad, spec.height) - top, min(right + pad, spec.width) - left
+    )
 
 
-def blocks_under(coarse: RasterSpec, spec: RasterSpec, cells: Block, size: int) -> Iterator[Block]:
+def blocks_under(
+    coarse: RasterSpec, spec: RasterSpec, cells: Block, size: int
+) -> Iterator[Block]:
     """Yield the blocks of ``size`` pixels of a raster that overlap coarse cells."""
     yield from spec.blocks_within(coarse.block_bounds(cells), size)

@@ -9,22 +9,26 @@ import scipy
 from tiler.grid.reach import Floats
 
 N_BANK_CELLS = 20
-"""The bank is continued by a plane through this many of its cells with ground, the nearest ones."""
+"""The bank is continued by a plane through this many of its cells with ground, the nearest
+ones."""
 MAX_TIES = 23
 """Up to this many more cells are used if they are as far away as the last of the nearest cells.
 
-At most 24 cells of a lattice have the same distance from another cell, up to a distance of 40 cells.
+At most 24 cells of a lattice have the same distance from another cell, up to a distance of 40
+cells.
 """
 MIN_VARIANCE = 0.05
-"""Cells of the bank define a plane if their variance is larger than this in each direction, in square cells. Those of
-two adjacent rows have 0.25, those of a single row 0."""
+"""Cells of the bank define a plane if their variance is larger than this in each direction, in
+square cells. Those of two adjacent rows have 0.25, those of a single row 0."""
 AT_ONCE = 8192
 """Number of cells whose planes are fitted at a time, which limits memory to about 30 MiB."""
 
 Indices = npt.NDArray[np.int64]
 
 
-def continued_bank(cells: Indices, bank: Indices, above: Floats, reach: float) -> tuple[Floats, Floats]:
+def continued_bank(
+    cells: Indices, bank: Indices, above: Floats, reach: float
+) -> tuple[Floats, Floats]:
     """Extrapolate the bank to other cells. Each cell has its own plane through the nearest cells of the bank.
 
     Parameters
@@ -63,14 +67,18 @@ def _nearest(
     k = range(1, N_BANK_CELLS + MAX_TIES + 1)
     found = tree.query(cells, k=k, distance_upper_bound=reach + 1e-6)
     distance, near = np.asarray(found[0]), np.asarray(found[1])
-    # Cells at the same distance are all used. The tree would choose some of them, depending on cells far away.
+    # Cells at the same distance are all used. The tree would choose some of them, depending on
+    # cells far away.
     used = np.isfinite(distance) & (distance <= distance[:, N_BANK_CELLS - 1, None])
-    # The tree's order of these cells depends on cells far away as well, and the order changes the last bits of sums.
+    # The tree's order of these cells depends on cells far away as well, and the order changes
+    # the last bits of sums.
     near = np.sort(np.where(used, near, tree.n), axis=1)
     return near < tree.n, np.where(near < tree.n, near, 0)
 
 
-def _planes(offsets: Indices, heights: Floats, used: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _planes(
+    offsets: Indices, heights: Floats, used: npt.NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
     """Return height and slope of the planes through the used cells at offsets, at the offset 0."""
     number = np.maximum(used.sum(axis=1), 1)
 

@@ -1,9 +1,10 @@
 """Coarse raster of the extent of the survey, which distinguishes voids inside it from the area outside.
 
-A coarse cell is occupied if it contains a surface point. Gaps up to a certain width belong to the survey: 20 m, or more
-where points are sparse (`gaps_of`). They are closed by a disk of that diameter. Enclosed areas of any width belong to
-the survey too. All other cells are outside. Each block is closed separately, with a margin. Its open areas are joined
-with those of its neighbours to find the enclosed areas (`tiler.grid.tasks.survey`).
+A coarse cell is occupied if it contains a surface point. Gaps up to a certain width belong to
+the survey: 20 m, or more where points are sparse (`gaps_of`). They are closed by a disk of that
+diameter. Enclosed areas of any width belong to the survey too. All other cells are outside.
+Each block is closed separately, with a margin. Its open areas are joined with those of its
+neighbours to find the enclosed areas (`tiler.grid.tasks.survey`).
 """
 
 from __future__ import annotations
@@ -29,11 +30,13 @@ from tiler.grid.work import BlockWork, PointsBlock
 from tiler.store import open_store, read_cells
 
 WINDOW = 128
-"""Side of the windows in coarse cells, anchored at CRS coordinate 0. Each window has its own widest gap."""
+"""Side of the windows in coarse cells, anchored at CRS coordinate 0. Each window has its own
+widest gap."""
 MIN_GAP = 6
 """Least diameter of the disk in cells, as a smaller disk is not round."""
 ENOUGH_CELLS = 4
-"""Points are not sparse if occupied squares of half a gap's width have at least this many occupied cells on average."""
+"""Points are not sparse if occupied squares of half a gap's width have at least this many
+occupied cells on average."""
 NO_PIECE = -1.0
 """Value of a raster of open areas for a block that was not written: it is open everywhere."""
 
@@ -80,7 +83,8 @@ class SurveyBlock(BlockWork):
 def occupancy_block(store_url: str, work: PointsBlock) -> OccupancyRecord:
     """Write one block of the raster of occupied cells. This is a `tiler.schedule.task.Work`.
 
-    The value of a cell is the number of its points, negated if the input classifies more than half of them as water.
+    The value of a cell is the number of its points, negated if the input classifies more than
+    half of them as water.
 
     Returns
     -------
@@ -93,10 +97,14 @@ def occupancy_block(store_url: str, work: PointsBlock) -> OccupancyRecord:
     for cell in store.buckets_within(bounds):
         points, chosen = surface_points(store, rule, cell)
         chosen &= points.inside(bounds, store.meta.frame.origin)
-        cell_indices = pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)
+        cell_indices = pixel_indices(
+            points.xyz[:, chosen], store.meta.frame.origin, spec, block
+        )
         counts += np.bincount(cell_indices, minlength=len(counts))
         if points.classification is not None:
-            water += np.bincount(cell_indices[points.classification[chosen] == WATER], minlength=len(counts))
+            water += np.bincount(
+                cell_indices[points.classification[chosen] == WATER], minlength=len(counts)
+            )
     shape = block.height, block.width
     values = np.where(2 * water > counts, -counts, counts).astype(np.float32).reshape(shape)
     store.write_block(work.name, block, values)
@@ -175,7 +183,9 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
     while gap < most and n_occupied:
         squares = occupied
         for axis, length in enumerate(occupied.shape):
-            squares = np.logical_or.reduceat(squares, np.arange(0, length, int(gap / 2)), axis=axis)
+            squares = np.logical_or.reduceat(
+                squares, np.arange(0, length, int(gap / 2)), axis=axis
+            )
         if n_occupied >= ENOUGH_CELLS * np.count_nonzero(squares):
             break
         gap *= 2
@@ -202,7 +212,9 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
         filled = within(occupied, radius)
         part = box_around(filled, 1)  # no cell beyond it is filled
         filled[part] = ~within(~filled[part], radius)
-        closed |= filled[pad : len(occupied) - pad, pad : occupied.shape[1] - pad] & (gap_of_cell == gap)
+        closed |= filled[pad : len(occupied) - pad, pad : occupied.shape[1] - pad] & (
+            gap_of_cell == gap
+        )
     return closed
 
 

@@ -17,9 +17,11 @@ from tiler.grid.roofs import Advice
 from tiler.store import TileStore, open_store
 
 CELL_M, MAX_CELL_M = 1.0, 1.25
-"""Approximate and largest side of the cells for the search. Finer pixels are thinned, coarser pixels hide crowns."""
+"""Approximate and largest side of the cells for the search. Finer pixels are thinned, coarser
+pixels hide crowns."""
 MIN_SHARE, MIN_BLOCKS = 0.1, 10
-"""Least share of the terrain and least number of blocks (0.06 ha each) that look like crowns for a warning."""
+"""Least share of the terrain and least number of blocks (0.06 ha each) that look like crowns
+for a warning."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,9 @@ def ground_counts(
     bounds = spec.block_bounds(block)
     xyz = read_ground(store, rule, bounds).xyz
     pixels = pixel_indices(xyz, store.meta.frame.origin, spec, block)
-    return np.bincount(pixels, minlength=block.height * block.width).reshape(block.height, block.width)
+    return np.bincount(pixels, minlength=block.height * block.width).reshape(
+        block.height, block.width
+    )
 
 
 def pixel_indices(

@@ -64,7 +64,12 @@ def _with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Fl
     top, left = min(block.row, 1), min(block.col, 1)
     bottom = min(spec.height - block.row - block.height, 1)
     right = min(spec.width - block.col - block.width, 1)
-    wider = Block(block.row - top, block.col - left, block.height + top + bottom, block.width + left + right)
+    wider = Block(
+        block.row - top,
+        block.col - left,
+        block.height + top + bottom,
+        block.width + left + right,
+    )
     rim = ((1 - top, 1 - bottom), (1 - left, 1 - right))
     return np.pad(_read(store, name, wider), rim, constant_values=np.nan)
 
@@ -72,13 +77,16 @@ def _with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Fl
 def _terrain_gradients(
     store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]
 ) -> tuple[Float64, Float64]:
-    # The size of a pixel is converted to vertical units, as plan and heights may have different units (feet, metres).
+    # The size of a pixel is converted to vertical units, as plan and heights may have different
+    # units (feet, metres).
     frame = store.meta.frame
     step = spec.lattice.size * frame.metres_xy / frame.units.vertical
     return gradients(_with_rim(store, sources[0], spec, block), float(step))
 
 
-def _hillshade(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
+def _hillshade(
+    store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]
+) -> Float64:
     return multidirectional_hillshade(*_terrain_gradients(store, spec, block, sources))
 
 

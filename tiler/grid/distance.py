@@ -32,7 +32,8 @@ class DistanceBlock(PointsBlock):
 def distance_block(store_url: str, work: DistanceBlock) -> BlockRecord:
     """Write one block of the plan distance to the nearest ground point. This is a `tiler.schedule.task.Work`.
 
-    The distance is in metres from the pixel's centre (rounded down to a whole count), and at most ``cap``.
+    The distance is in metres from the pixel's centre (rounded down to a whole count), and at
+    most ``cap``.
 
     Returns
     -------
@@ -63,7 +64,11 @@ def ground_distance(
 
 
 def distance_to(
-    xyz: npt.NDArray[np.int32], origin: tuple[int, int], spec: RasterSpec, block: Block, reach: Fraction
+    xyz: npt.NDArray[np.int32],
+    origin: tuple[int, int],
+    spec: RasterSpec,
+    block: Block,
+    reach: Fraction,
 ) -> npt.NDArray[np.float64]:
     """Return plan distances to points in counts, float64 (height, width), infinite beyond ``reach`` counts.
 

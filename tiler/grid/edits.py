@@ -48,7 +48,9 @@ def count_edited_points(store_url: str, work: CountEditedPoints) -> EditCountsRe
         ground_before, after, given = int(is_ground[rows].sum()), [0, 0], 0
         if edit.action == TO_GROUND:
             becoming = [points.to_ground(rows, cell) for cell in (None, edits.cell)]
-            after = [ground_before + int(np.count_nonzero(~is_ground[more])) for more in becoming]
+            after = [
+                ground_before + int(np.count_nonzero(~is_ground[more])) for more in becoming
+            ]
             given = len(becoming[0])
         counts.append([edit.number, len(rows), ground_before, *after, given])
     return EditCountsRecord(counts)

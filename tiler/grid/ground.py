@@ -49,12 +49,15 @@ class GroundSelection:
         """Return whether each class or label is ground: bool (256,)."""
         table = np.zeros(256, np.bool_)
         for value in self.classes:
-            table[[value, value | UNCERTIFIED_BIT] if self.labels is not None else [value]] = True
+            table[[value, value | UNCERTIFIED_BIT] if self.labels is not None else [value]] = (
+                True
+            )
         return table
 
 
 Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
-"""Function from a bucket and some of its points, int32 (3, n), to indices of the chosen points."""
+"""Function from a bucket and some of its points, int32 (3, n), to indices of the chosen
+points."""
 
 
 @dataclass(frozen=True)
@@ -93,13 +96,17 @@ def read_ground(
     parts, marks = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)]
     read = 0
     for cell in store.buckets_within(bounds):
-        block, classes, is_ground = read_classes(store, rule, cell, needs_input=bool(rule.erode))
+        block, classes, is_ground = read_classes(
+            store, rule, cell, needs_input=bool(rule.erode)
+        )
         chosen = is_ground & _used(block, rule, store, cell)
         chosen &= block.inside(bounds, store.meta.frame.origin)
         index = np.flatnonzero(chosen)
         if rule.erode and len(index):
             own_objects = block.xyz[:, _is_object(block, classes, is_ground, rule, store, cell)]
-            index = index[~_beside_objects(store, rule, cell, block.xyz[:, index], own_objects, edges)]
+            index = index[
+                ~_beside_objects(store, rule, cell, block.xyz[:, index], own_objects, edges)
+            ]
         points = block.xyz.take(index, axis=1)
         read += points.shape[1]
         parts.append(points if choose is None else points[:, choose(cell, points)])
@@ -107,7 +114,9 @@ def read_ground(
     return Ground(np.concatenate(parts, axis=1), read, int(np.concatenate(marks).sum()))
 
 
-def read_objects(store: TileStore, rule: GroundSelection, bounds: Bounds) -> npt.NDArray[np.int32]:
+def read_objects(
+    store: TileStore, rule: GroundSelection, bounds: Bounds
+) -> npt.NDArray[np.int32]:
     """Read the points in ``bounds`` (absolute counts) that are neither ground nor noise, int32 (3, n)."""
     parts = [np.empty((3, 0), np.int32)]
     for cell in store.buckets_within(bounds):
@@ -130,7 +139,9 @@ def read_ground_and_objects(
         used = block.inside(bounds, store.meta.frame.origin) & _used(block, rule, store, cell)
         ground_parts.append(block.xyz[:, used & is_ground])
         labels = None if rule.labels is None else classes
-        object_parts.append(block.xyz[:, used & ~is_ground & ~_is_noise(block, labels, store, cell)])
+        object_parts.append(
+            block.xyz[:, used & ~is_ground & ~_is_noise(block, labels, store, cell)]
+        )
     return np.concatenate(ground_parts, axis=1), np.concatenate(object_parts, axis=1)
 
 
@@ -139,14 +150,19 @@ def read_classes(
 ) -> tuple[PointBlock, npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
     """Read the points of a bucket with their flags. Return them with their classes and a mask of the ground points.
 
-    The points include the classes of the input if ``needs_input`` is set, or if the ground depends on them.
+    The points include the classes of the input if ``needs_input`` is set, or if the ground
+    depends on them.
     """
     edits = None
     if rule.edits is not None:
         edits = store.edits(rule.edits, store.meta.bucket.bounds(cell), OF_POINTS)
     needs_input |= rule.labels is None or edits is not None
-    block = store.read_bucket(cell, ("xyz", "flags", *(("classification",) if needs_input else ())))
-    column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
+    block = store.read_bucket(
+        cell, ("xyz", "flags", *(("classification",) if needs_input else ()))
+    )
+    column = (
+        block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
+    )
     classes = _required(column, store, cell)
     is_ground = rule.is_ground()[classes]
     if edits is not None:
@@ -164,7 +180,9 @@ def _objects_at_edges(
     for cell in store.buckets_within(bounds.pad(radius)):
         block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
         edge = ~block.inside(store.meta.bucket.bounds(cell).pad(-radius), origin)
-        objects_by_cell[cell] = block.xyz[:, edge & _is_object(block, classes, is_ground, rule, store, cell)]
+        objects_by_cell[cell] = block.xyz[
+            :, edge & _is_object(block, classes, is_ground, rule, store, cell)
+        ]
     return objects_by_cell
 
 
@@ -178,7 +196,9 @@ def _beside_objects(
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the ground points near objects of the bucket (``own``) or of a neighbour."""
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
-    neighbour_objects = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
+    neighbour_objects = [
+        edges[other] for other in store.meta.bucket.among(around, edges) if other != cell
+    ]
     objects = np.concatenate([own, *neighbour_objects], axis=1)
     return near_objects(ground, objects, rule.erode, rule.erode_rise, store.meta.frame.origin)
 
@@ -201,7 +221,9 @@ def _is_noise(
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the points that are noise by the input, or by the filter if there are labels."""
     noise = np.isin(_required(block.classification, store, cell), NOISE)
-    return noise if labels is None else noise | np.isin(labels & ~np.uint8(UNCERTIFIED_BIT), NOISE)
+    return (
+        noise if labels is None else noise | np.isin(labels & ~np.uint8(UNCERTIFIED_BIT), NOISE)
+    )
 
 
 def surface_points(
@@ -216,14 +238,18 @@ def surface_points(
     return block, _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
 
 
-def _used(block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell) -> npt.NDArray[np.bool_]:
+def _used(
+    block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell
+) -> npt.NDArray[np.bool_]:
     """Return a mask of the points that are not excluded by a flag."""
     flags = _required(block.flags, store, cell)
     mask: npt.NDArray[np.bool_] = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
     return mask
 
 
-def _required(column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell) -> npt.NDArray[np.uint8]:
+def _required(
+    column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell
+) -> npt.NDArray[np.uint8]:
     if column is None:
         raise StoreError(
             f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"

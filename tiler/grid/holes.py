@@ -13,7 +13,8 @@ from tiler.core.raster import NODATA, Block, RasterSpec, within
 from tiler.store import TileStore
 
 CELL_PIXELS = 32
-"""Side in pixels of the cells that summarize holes. They keep a block's record small for holes of any shape."""
+"""Side in pixels of the cells that summarize holes. They keep a block's record small for holes
+of any shape."""
 
 LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
 """Actions of edits that can leave pixels without a height."""
@@ -70,7 +71,9 @@ def holes_of_block(
     empty, in_area = heights == np.float32(NODATA), spec.inside(block, area)
     holes = empty & surveyed & in_area
     asked, counts = np.zeros_like(holes), []
-    block_edits = None if edits is None else store.edits(edits, spec.block_bounds(block), LEAVE_HOLES)
+    block_edits = (
+        None if edits is None else store.edits(edits, spec.block_bounds(block), LEAVE_HOLES)
+    )
     for edit in () if block_edits is None else block_edits.edits:
         part = spec.part(block, edit.area.bounds)
         inside, part_in_block = spec.inside(part, edit.area), within(part, block)

@@ -64,9 +64,10 @@ class MaskBlock(PointsBlock):
 def mask_block(store_url: str, work: MaskBlock) -> MaskRecord:
     """Write one block of the mask. This is a `tiler.schedule.task.Work`.
 
-    A pixel with a height is measured if a ground point lies in it, else interpolated. A pixel without a height is a
-    hole inside the survey (see `tiler.grid.coverage`), else outside. Filled holes, water and a canopy that was bridged
-    have separate values. A pixel where a tile failed is a hole, even if its surroundings give it a height.
+    A pixel with a height is measured if a ground point lies in it, else interpolated. A pixel
+    without a height is a hole inside the survey (see `tiler.grid.coverage`), else outside.
+    Filled holes, water and a canopy that was bridged have separate values. A pixel where a tile
+    failed is a hole, even if its surroundings give it a height.
 
     Returns
     -------
@@ -81,7 +82,9 @@ def mask_block(store_url: str, work: MaskBlock) -> MaskRecord:
     inside = coarse_values(store, work.survey, work.coarse, spec, block) >= SURVEYED
     measured = ground_counts(store, work.rule, spec, block) > 0
     mask = np.select(
-        [heights & measured, heights, filled, inside], [MEASURED, INTERPOLATED, FILLED, HOLE], OUTSIDE
+        [heights & measured, heights, filled, inside],
+        [MEASURED, INTERPOLATED, FILLED, HOLE],
+        OUTSIDE,
     ).astype(np.float32)
     if work.canopy is not None:
         mask[(store.read_block(work.canopy, block) > 0) & filled] = CANOPY

@@ -56,8 +56,9 @@ class OutlineBlock(BlockWork):
 def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
     """Write one block of a model, cut at the survey's outline and with level water.
 
-    This is a `tiler.schedule.task.Work`. Facets span a concave border of the survey, so land that was never surveyed
-    would get a height from the border. Facets also span rivers that leave the survey. Water keeps its height there.
+    This is a `tiler.schedule.task.Work`. Facets span a concave border of the survey, so land
+    that was never surveyed would get a height from the border. Facets also span rivers that
+    leave the survey. Water keeps its height there.
 
     Returns
     -------
@@ -86,7 +87,9 @@ def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
     store.write_block(work.name, block, heights)
     filled = int(np.count_nonzero(heights != nodata))
     lost = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
-    holes = holes_of_block(store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area))
+    holes = holes_of_block(
+        store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area)
+    )
     return OutlineRecord(
         pixels=heights.size,
         filled=filled,

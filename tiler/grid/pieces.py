@@ -1,7 +1,7 @@
 """Connected areas of a coarse raster, which is labelled block by block.
 
-A task labels the areas of its block and records the labels along the block's sides. The coordinator joins areas that
-touch, so that an array of the whole raster is never needed.
+A task labels the areas of its block and records the labels along the block's sides. The
+coordinator joins areas that touch, so that an array of the whole raster is never needed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ Node = TypeVar("Node")
 
 Labels = npt.NDArray[np.int32]
 Side = list[list[int]]
-"""Runs of labels along a side of a block from the north or west, as [label (0: none), number of cells]."""
+"""Runs of labels along a side of a block from the north or west, as [label (0: none), number of
+cells]."""
 
 AROUND = np.ones((3, 3), np.bool_)
 """Neighbourhood in which cells touch at sides and corners."""
@@ -55,14 +56,21 @@ def label_block(cells: Bools, corners: bool) -> tuple[Labels, dict[str, Side]]:
         Labels along the ``north``, ``south``, ``west`` and ``east`` side, for `join_pieces`.
     """
     labels, _ = scipy.ndimage.label(cells, AROUND if corners else None)
-    sides = {"north": labels[0], "south": labels[-1], "west": labels[:, 0], "east": labels[:, -1]}
+    sides = {
+        "north": labels[0],
+        "south": labels[-1],
+        "west": labels[:, 0],
+        "east": labels[:, -1],
+    }
     return labels.astype(np.int32), {name: _runs(line) for name, line in sides.items()}
 
 
 def _runs(line: npt.NDArray[Any]) -> Side:
     starts = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
     lengths = np.diff(starts, append=len(line))
-    return [[int(label), int(length)] for label, length in zip(line[starts], lengths, strict=True)]
+    return [
+        [int(label), int(length)] for label, length in zip(line[starts], lengths, strict=True)
+    ]
 
 
 def side_labels(side: Side) -> Labels:
@@ -72,7 +80,9 @@ def side_labels(side: Side) -> Labels:
     return cell_labels
 
 
-def touching(blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool) -> set[tuple[Piece, Piece]]:
+def touching(
+    blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool
+) -> set[tuple[Piece, Piece]]:
     """Return the pairs of areas of neighbouring blocks that touch.
 
     Parameters
@@ -86,7 +96,9 @@ def touching(blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool
         below, right = (row + BLOCK_PIXELS, col), (row, col + BLOCK_PIXELS)
         for other, side, facing_side in ((below, "south", "north"), (right, "east", "west")):
             if other in blocks:
-                pairs = _facing(side_labels(sides[side]), side_labels(blocks[other][facing_side]), corners)
+                pairs = _facing(
+                    side_labels(sides[side]), side_labels(blocks[other][facing_side]), corners
+                )
                 touching_pairs |= {(Piece(row, col, a), Piece(*other, b)) for a, b in pairs}
         for other, end, start in (
             ((row + BLOCK_PIXELS, col + BLOCK_PIXELS), -1, 0),
@@ -147,7 +159,9 @@ class Joined:
 
 
 def join_pieces(
-    blocks: Mapping[tuple[int, int], Mapping[str, Side]], counts: Mapping[tuple[int, int], int], corners: bool
+    blocks: Mapping[tuple[int, int], Mapping[str, Side]],
+    counts: Mapping[tuple[int, int], int],
+    corners: bool,
 ) -> Joined:
     """Join the areas of all blocks of a raster.
 
@@ -165,11 +179,17 @@ def join_pieces(
         for first_cell in sorted(counts)
         for label in range(1, counts[first_cell] + 1)
     ]
-    return Joined({area[0]: tuple(area) for area in components(pieces, touching(blocks, corners))})
+    return Joined(
+        {area[0]: tuple(area) for area in components(pieces, touching(blocks, corners))}
+    )
 
 
 def areas_within(
-    store: TileStore, name: str, coarse: RasterSpec, window: Block, joins: Iterable[tuple[Piece, Piece]]
+    store: TileStore,
+    name: str,
+    coarse: RasterSpec,
+    window: Block,
+    joins: Iterable[tuple[Piece, Piece]],
 ) -> tuple[Labels, list[Piece]]:
     """Find the areas in a window of a raster of labels.
 
@@ -190,10 +210,15 @@ def areas_within(
     labels = read_cells(store, name, coarse, window).astype(np.int32)
     numbers, names = np.zeros_like(labels), dict[Piece, int]()
     known = dict(joins)
-    for row in range(window.row // BLOCK_PIXELS * BLOCK_PIXELS, window.row + window.height, BLOCK_PIXELS):
-        for col in range(window.col // BLOCK_PIXELS * BLOCK_PIXELS, window.col + window.width, BLOCK_PIXELS):
+    for row in range(
+        window.row // BLOCK_PIXELS * BLOCK_PIXELS, window.row + window.height, BLOCK_PIXELS
+    ):
+        for col in range(
+            window.col // BLOCK_PIXELS * BLOCK_PIXELS, window.col + window.width, BLOCK_PIXELS
+        ):
             part = part_of(window, row, col)
-            present = np.flatnonzero(np.bincount(labels[part].ravel()))  # like np.unique, but without sorting
+            # like np.unique, but without sorting
+            present = np.flatnonzero(np.bincount(labels[part].ravel()))
             table = np.zeros(int(present.max(initial=0)) + 1, np.int32)
             for label in present[present > 0].tolist():
                 piece = Piece(row, col, label)

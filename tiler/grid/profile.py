@@ -1,8 +1,9 @@
 """Level of a river along its line: robust levels at stations, a falling profile, and steps at dams.
 
-A station uses pixels within half a spacing along the line: pixels of the water with returns, and of both banks.
-Returns of the water give the level if they are smooth. Banks give it if no station with smooth returns is near. The
-profile is the isotonic regression of the levels, weighted by evidence, in the direction that fits better.
+A station uses pixels within half a spacing along the line: pixels of the water with returns,
+and of both banks. Returns of the water give the level if they are smooth. Banks give it if no
+station with smooth returns is near. The profile is the isotonic regression of the levels,
+weighted by evidence, in the direction that fits better.
 """
 
 from __future__ import annotations
@@ -27,11 +28,14 @@ SMOOTH_M = 0.3
 BANK_WEIGHT = 0.05
 """Weight of a pixel of a bank. A pixel of the water itself has weight 1."""
 NEAR_STATIONS = 3
-"""Banks are not used at stations up to this far from a station with returns of the water, in stations."""
+"""Banks are not used at stations up to this far from a station with returns of the water, in
+stations."""
 LEVEL_M = 0.1
-"""Total fall below which a river is level: a tenth of a metre between its ends is within the errors of both."""
+"""Total fall below which a river is level: a tenth of a metre between its ends is within the
+errors of both."""
 STEP_M = 0.4
-"""A fall between two stations is a step at one position if it is more than this and steeper than `STEEPEST`."""
+"""A fall between two stations is a step at one position if it is more than this and steeper
+than `STEEPEST`."""
 STEEPEST = 1 / 30
 """Steepest slope of water without a step."""
 
@@ -74,14 +78,17 @@ def profile_along(
         return Profile(lifted_line(line, np.zeros(1), np.array([level])), ())
     levels = np.array([station.level for station in stations])
     fits = [
-        scipy.optimize.isotonic_regression(levels, weights=weights, increasing=up).x for up in (False, True)
+        scipy.optimize.isotonic_regression(levels, weights=weights, increasing=up).x
+        for up in (False, True)
     ]
     errors = [float((weights * (fit - levels) ** 2).sum()) for fit in fits]
     downstream = errors[0] <= errors[1]
     fit = fits[0 if downstream else 1]
     if np.ptp(fit) < LEVEL_M * scale.z:
         fit = np.full_like(fit, _weighted_median(levels, weights))
-    stations = [s._replace(level=round(float(level))) for s, level in zip(stations, fit, strict=True)]
+    stations = [
+        s._replace(level=round(float(level))) for s, level in zip(stations, fit, strict=True)
+    ]
     distances, heights = _with_steps(along, fit, line, water, scale)
     flow = lifted_line(line, distances, heights)
     if downstream:
@@ -98,8 +105,8 @@ def bank_level(heights: npt.NDArray[np.int64]) -> float:
 def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
     """Return the level of water from its own heights, or None if they are too few or not smooth.
 
-    If heights differ by more than waves do, for example between strips flown at different water levels, the lower level
-    counts.
+    If heights differ by more than waves do, for example between strips flown at different water
+    levels, the lower level counts.
     """
     if len(heights) < MIN_PIXELS:
         return None
@@ -149,9 +156,13 @@ def _station(
     water_height = water_level(own, scale)
     known = [level for level in levels if level is not None]
     if water_height is not None:
-        return Station(x, y, round(water_height), len(own), levels[0], levels[1]), float(len(own))
+        return Station(x, y, round(water_height), len(own), levels[0], levels[1]), float(
+            len(own)
+        )
     if known:
-        return Station(x, y, min(known), 0, levels[0], levels[1]), BANK_WEIGHT * sum(map(len, banks))
+        return Station(x, y, min(known), 0, levels[0], levels[1]), BANK_WEIGHT * sum(
+            map(len, banks)
+        )
     return None, 0.0
 
 
@@ -170,7 +181,9 @@ def _left_of(line: Floats, xyz: Counts, along: Floats) -> npt.NDArray[np.bool_]:
     lengths = lengths_along(line)
     segment = np.clip(np.searchsorted(lengths, along, side="right") - 1, 0, len(line) - 2)
     start, step = line[segment], line[segment + 1] - line[segment]
-    return np.asarray(step[:, 0] * (xyz[1] - start[:, 1]) - step[:, 1] * (xyz[0] - start[:, 0]) > 0)
+    return np.asarray(
+        step[:, 0] * (xyz[1] - start[:, 1]) - step[:, 1] * (xyz[0] - start[:, 0]) > 0
+    )
 
 
 def _weighted_median(values: Floats, weights: Floats) -> float:
@@ -186,9 +199,14 @@ def _with_steps(
     import shapely
 
     distances, heights = [along[:1]], [levels[:1]]
-    inside = shapely.line_locate_point(shapely.LineString(line), shapely.points(water[0], water[1]))
+    inside = shapely.line_locate_point(
+        shapely.LineString(line), shapely.points(water[0], water[1])
+    )
     for i in range(len(along) - 1):
-        fall, length = abs(levels[i + 1] - levels[i]) / scale.z, (along[i + 1] - along[i]) / scale.xy
+        fall, length = (
+            abs(levels[i + 1] - levels[i]) / scale.z,
+            (along[i + 1] - along[i]) / scale.xy,
+        )
         if fall > STEP_M and fall > STEEPEST * length:
             step = _step_at(along[i], along[i + 1], levels[i], levels[i + 1], inside, water[2])
             distances.append(np.array([step - 0.05 * scale.xy, step + 0.05 * scale.xy]))
@@ -199,7 +217,12 @@ def _with_steps(
 
 
 def _step_at(
-    start: float, end: float, before: float, after: float, inside: Floats, z: npt.NDArray[np.int64]
+    start: float,
+    end: float,
+    before: float,
+    after: float,
+    inside: Floats,
+    z: npt.NDArray[np.int64],
 ) -> float:
     """Return the distance along the line at which the water's heights change from one level to the other."""
     here = np.flatnonzero((inside > start) & (inside < end))

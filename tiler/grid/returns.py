@@ -38,7 +38,9 @@ def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
         sums = merged(counts, 1 << level).sum(axis=2)
         bins = np.rint(np.log2(sums[sums > 0]) * BINS_PER_OCTAVE).astype(np.int64)
         bin_numbers, cells = np.unique(bins, return_counts=True)
-        level_histograms.append([[int(b), int(n)] for b, n in zip(bin_numbers, cells, strict=True)])
+        level_histograms.append(
+            [[int(b), int(n)] for b, n in zip(bin_numbers, cells, strict=True)]
+        )
     return level_histograms
 
 
@@ -60,12 +62,16 @@ def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int,
     """
     blocks = list(found)
     for level in range(LEVELS):
-        bins = np.array([pair for block in blocks for pair in block[level]], np.int64).reshape(-1, 2)
+        bins = np.array([pair for block in blocks for pair in block[level]], np.int64).reshape(
+            -1, 2
+        )
         if not len(bins):
             return None
         bins = bins[np.argsort(bins[:, 0], kind="stable")]
         cumulative = np.cumsum(bins[:, 1])
-        median = float(2 ** (bins[np.searchsorted(cumulative, cumulative[-1] / 2), 0] / BINS_PER_OCTAVE))
+        median = float(
+            2 ** (bins[np.searchsorted(cumulative, cumulative[-1] / 2), 0] / BINS_PER_OCTAVE)
+        )
         if median >= enough:
             return 1 << level, median
     return None

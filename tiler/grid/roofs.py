@@ -21,7 +21,8 @@ from tiler.store import TileStore, open_store
 Float64 = npt.NDArray[np.float64]
 
 TOO_WIDE = 0.8
-"""Share of ``max_building_size`` from which the width of a roof in the terrain causes a warning."""
+"""Share of ``max_building_size`` from which the width of a roof in the terrain causes a
+warning."""
 PART_CELLS = 500
 """Side in cells of the parts in which terrain is examined. One part is in memory at a time."""
 STRIP_ROWS = 512
@@ -51,7 +52,9 @@ def find_roofs(store_url: str, work: FindRoofs) -> RoofsRecord:
     """Search for roofs on a worker, which has loaded the kernels. The ``advice`` is a warning, or None."""
     blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
     store = open_store(store_url)
-    advice = roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m, work.waters)
+    advice = roofs_in_terrain(
+        store, "dtm", work.spec, blocks, work.building_m, work.roof_m, work.waters
+    )
     return RoofsRecord(advice)
 
 
@@ -88,17 +91,26 @@ def roofs_in_terrain(
     core, pad = PART_CELLS * times, math.ceil(reach_m(pixel * times) / pixel / times) * times
     widest, where = 0.0, None
     parts = {
-        part for block in filled for part in spec.blocks_within(spec.block_bounds(_wider(block, pad)), core)
+        part
+        for block in filled
+        for part in spec.blocks_within(spec.block_bounds(_wider(block, pad)), core)
     }
     for block in sorted(parts, key=north_west):
         top, left = max(block.row - pad, 0), max(block.col - pad, 0)
         bottom = min(block.row + block.height + pad, spec.height)
         right = min(block.col + block.width + pad, spec.width)
-        part = _part(store, name, waters, spec, Block(top, left, bottom - top, right - left), times)
-        heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
+        part = _part(
+            store, name, waters, spec, Block(top, left, bottom - top, right - left), times
+        )
+        heights = np.where(part == np.float32(NODATA), np.nan, part) * float(
+            frame.units.vertical
+        )
         for roof in remaining_roofs(heights, pixel * times, TOO_WIDE * building_m):
             if roof.width_m > widest:
-                widest, where = roof.width_m, (top + int(roof.row * times), left + int(roof.column * times))
+                widest, where = (
+                    roof.width_m,
+                    (top + int(roof.row * times), left + int(roof.column * times)),
+                )
     if where is None:
         return None
     x, y = _place(spec, *where)
@@ -116,7 +128,9 @@ def roofs_in_terrain(
 
 
 def _wider(block: Block, pad: int) -> Block:
-    return Block(block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad)
+    return Block(
+        block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad
+    )
 
 
 def _place(spec: RasterSpec, row: int, col: int) -> tuple[float, float]:

@@ -70,7 +70,11 @@ def sigma_block(store_url: str, work: SigmaBlock) -> SigmaRecord:
     store.write_block(work.name, block, values)
     filled = int(np.count_nonzero(there))
     return SigmaRecord(
-        pixels=values.size, filled=filled, groups=groups, histogram=histogram, checksum=checksum(values)
+        pixels=values.size,
+        filled=filled,
+        groups=groups,
+        histogram=histogram,
+        checksum=checksum(values),
     )
 
 

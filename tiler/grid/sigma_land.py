@@ -12,7 +12,8 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.store import TileStore, read_cells
 
 CELL_M = 3.4
-"""Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17 m."""
+"""Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17
+m."""
 HALF = 2
 """Number of cells on each side of the middle cell in the window of the median."""
 RIM = HALF + 1
@@ -57,7 +58,9 @@ class Land:
         """
         east, north = gradients(self._means, pixel * self._side)
         steep = np.sqrt(east * east + north * north)
-        pixel_slope = steep[np.ix_(self._rows // self._side - 1, self._columns // self._side - 1)]
+        pixel_slope = steep[
+            np.ix_(self._rows // self._side - 1, self._columns // self._side - 1)
+        ]
         return np.nan_to_num(pixel_slope)
 
     def off_trend(self) -> Float64:
@@ -65,13 +68,18 @@ class Land:
 
         Medians are interpolated linearly between the middles of cells.
         """
-        around = np.lib.stride_tricks.sliding_window_view(self._means, (2 * HALF + 1, 2 * HALF + 1))
+        around = np.lib.stride_tricks.sliding_window_view(
+            self._means, (2 * HALF + 1, 2 * HALF + 1)
+        )
         ordered = np.sort(around.reshape(*around.shape[:2], -1), axis=-1)  # NaN is last
         n = np.count_nonzero(~np.isnan(ordered), axis=-1)[..., np.newaxis]
         low = np.take_along_axis(ordered, np.maximum((n - 1) // 2, 0), -1)[..., 0]
-        high = np.take_along_axis(ordered, np.minimum(n // 2, ordered.shape[-1] - 1), -1)[..., 0]
+        high = np.take_along_axis(ordered, np.minimum(n // 2, ordered.shape[-1] - 1), -1)[
+            ..., 0
+        ]
         trend = _linear(
-            _linear((low + high) / 2, *self._between(self._rows)).T, *self._between(self._columns)
+            _linear((low + high) / 2, *self._between(self._rows)).T,
+            *self._between(self._columns),
         )
         return np.nan_to_num(np.abs(self._heights[np.ix_(self._rows, self._columns)] - trend.T))
 

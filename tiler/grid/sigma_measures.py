@@ -60,7 +60,12 @@ class Measures(NamedTuple):
 
 
 def measures_of(
-    store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block, terrain: str, cap: Fraction
+    store: TileStore,
+    rule: GroundSelection,
+    spec: RasterSpec,
+    block: Block,
+    terrain: str,
+    cap: Fraction,
 ) -> Measures:
     """Compute the measures of a block's pixels. Measures of pixels without a height are not meaningful.
 
@@ -141,7 +146,9 @@ class _Cells:
     def window(self, origin: tuple[int, int]) -> CellWindow:
         """Return the cells in the form that kernels need."""
         lattice = self._lattice
-        return CellWindow(lattice.p, lattice.q, self._west, self._north, self._height, self._width, *origin)
+        return CellWindow(
+            lattice.p, lattice.q, self._west, self._north, self._height, self._width, *origin
+        )
 
     def at_pixels(self, cells: Float64) -> Float64:
         """Return the values of cells, without their margin, at the block's pixels."""

@@ -1,8 +1,9 @@
 """Standard error of a height from measures around it: a sum of variances, each with a constant.
 
-The constants are fitted by ``python -m tests.benchmarks.sigma_constants`` to scenes whose terrain is known. Their
-accuracy on scenes that were left out of the fit is in ``docs/trust.md``. LiDAR and photogrammetric clouds have
-different constants. For a cloud of unknown source the larger variance counts.
+The constants are fitted by ``python -m tests.benchmarks.sigma_constants`` to scenes whose
+terrain is known. Their accuracy on scenes that were left out of the fit is in
+``docs/trust.md``. LiDAR and photogrammetric clouds have different constants. For a cloud of
+unknown source the larger variance counts.
 """
 
 from __future__ import annotations
@@ -22,9 +23,11 @@ GAP_M = 0.5
 """Distance below which a ground point counts as if it were in the pixel."""
 
 MAX_TREND_M = 10.0
-"""Upper limit of the gap in the term `Weights.trend_gap`, as the window of the trend reaches only 8.5 m."""
+"""Upper limit of the gap in the term `Weights.trend_gap`, as the window of the trend reaches
+only 8.5 m."""
 FLOOR_M2 = 0.02**2
-"""Least variance: strips, grids and geoids differ by some centimetres, which is not in any measure."""
+"""Least variance: strips, grids and geoids differ by some centimetres, which is not in any
+measure."""
 LINEAR = 0.5
 """Mean variance at a random position in a triangle whose corners have noise of variance 1."""
 
@@ -103,7 +106,9 @@ def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
     }
 
 
-def standard_error_m(found: Measures, mask: npt.NDArray[np.float32], kind: str | None) -> Float64:
+def standard_error_m(
+    found: Measures, mask: npt.NDArray[np.float32], kind: str | None
+) -> Float64:
     """Return the standard error of heights in metres.
 
     Parameters
@@ -115,7 +120,9 @@ def standard_error_m(found: Measures, mask: npt.NDArray[np.float32], kind: str |
         Source of the cloud: `LASER`, `MATCHED`, or None if it is not known.
     """
     parts = terms(found, mask)
-    variances = [weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)]
+    variances = [
+        weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)
+    ]
     sigma: Float64 = np.sqrt(np.maximum.reduce(variances))
     return sigma
 

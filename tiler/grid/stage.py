@@ -56,13 +56,16 @@ from tiler.store import Commits
 MATCHED_SURFACE, MATCHED_EROSION = "median", Fraction(1, 2)
 """Defaults of `surface` and `erode` for photogrammetric clouds.
 
-The median averages noise. Erosion removes the skirts of walls, which filters cannot distinguish from ground.
+The median averages noise. Erosion removes the skirts of walls, which filters cannot distinguish
+from ground.
 """
 BLANK_BLOCKS = 256
 """Number of blocks of an earlier run that one task removes."""
 
 
-def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Corrections) -> GridContext:
+def grid(
+    job: Job, assembled: IngestResult, labelled: Labelled, corrections: Corrections
+) -> GridContext:
     """Make all rasters that the products need, block by block."""
     if labelled.matched and job.plan.config.method != KEEP:
         _settle_surface(job)
@@ -92,7 +95,9 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
     if "mask" in gridding.made:
         _report_mask(job, gridding.spec, gridding.made["mask"])
     if "sigma" in gridding.made:
-        job.results.sigma = sigma_result(gridding.kind, records_of(SigmaRecord, gridding.made["sigma"]))
+        job.results.sigma = sigma_result(
+            gridding.kind, records_of(SigmaRecord, gridding.made["sigma"])
+        )
     return gridding
 
 
@@ -119,14 +124,17 @@ def _holes(job: Job) -> list[Bounds]:
     return holes
 
 
-def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:
+def _make(
+    job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], join: Join | None
+) -> Commits:
     """Make one raster of the store."""
     name, stage = raster.name, raster.stage
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)
     job.store.create_raster(name, spec.height, spec.width, raster.fill)
     written = {
-        spec.block_at(*first_pixel, BLOCK_PIXELS).name for first_pixel in job.store.stored_blocks(name)
+        spec.block_at(*first_pixel, BLOCK_PIXELS).name
+        for first_pixel in job.store.stored_blocks(name)
     }
     lost = {key for key, (_, stored) in done.items() if stored.get("filled")} - written
     if lost:
@@ -153,7 +161,9 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
         tasks.append(Task("blank", digest, digest, blank_blocks, work))
     for outcome in job.executors.choose().run(compute, job.store.url, tasks) if tasks else ():
         if outcome.record is None and not outcome.again:
-            raise ProcessingError(f"{name}: blocks of an earlier run cannot be removed: {outcome.error}")
+            raise ProcessingError(
+                f"{name}: blocks of an earlier run cannot be removed: {outcome.error}"
+            )
 
 
 def _report_outline(job: Job, gridding: GridContext) -> None:
@@ -172,7 +182,9 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
     )
     if cut:
         unit = job.plan.frame.units.horizontal
-        sparse = f" ({length_text(widest, unit)} where points are sparse)" if widest > usual else ""
+        sparse = (
+            f" ({length_text(widest, unit)} where points are sparse)" if widest > usual else ""
+        )
         job.note(
             f"{counted(cut, 'pixel')} outside the survey left without a height; gaps of up to "
             f"{length_text(usual, unit)}{sparse} between points count as surveyed (--outline hull keeps these heights)"
@@ -209,10 +221,14 @@ def _report_surface(job: Job, made: Mapping[str, Any]) -> None:
 def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
     totals = np.sum([record.values for record in records_of(MaskRecord, made)], axis=0).tolist()
     totals[OUTSIDE] += spec.height * spec.width - sum(totals)
-    job.results.mask = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
+    job.results.mask = {
+        text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()
+    }
 
 
-def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
+def _report_terrain(
+    job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]
+) -> None:
     if job.plan.thin_ground and job.plan.config.surface_percent is None:
         job.note(
             "decided: one ground point per cell a quarter of a pixel wide makes the surface, because all ground points "

@@ -1,7 +1,8 @@
 """Surface model: the highest return of each pixel without spikes, elsewhere the TIN of these returns.
 
-The surface is never below the terrain. Returns below the terrain come from the slope within their pixel, from low noise
-that the filter missed, or from places where the terrain is too high.
+The surface is never below the terrain. Returns below the terrain come from the slope within
+their pixel, from low noise that the filter missed, or from places where the terrain is too
+high.
 """
 
 from __future__ import annotations
@@ -55,10 +56,11 @@ class SurfaceBlock(TinBlock):
 def surface_block(store_url: str, work: SurfaceBlock) -> SurfaceRecord:
     """Write one block of the surface model. This is a `tiler.schedule.task.Work`.
 
-    All points except withheld or skipped ones and noise (classes 7 and 18, by the input or by the filter) are used,
-    since water and bridges are surface. `HighestReturns.supported` removes spikes among the pixels within ``reach``. A
-    pixel with a return has its height. Other pixels are interpolated on the TIN of these returns under the same limit
-    as the terrain. All heights are at least those of the terrain.
+    All points except withheld or skipped ones and noise (classes 7 and 18, by the input or by
+    the filter) are used, since water and bridges are surface. `HighestReturns.supported`
+    removes spikes among the pixels within ``reach``. A pixel with a return has its height.
+    Other pixels are interpolated on the TIN of these returns under the same limit as the
+    terrain. All heights are at least those of the terrain.
 
     Returns
     -------
@@ -70,20 +72,30 @@ def surface_block(store_url: str, work: SurfaceBlock) -> SurfaceRecord:
     deep_m = DEEP_M / float(store.meta.frame.units.vertical)
     heights, deep = above_terrain(heights, store.read_block(work.terrain, work.block), deep_m)
     store.write_block(work.name, work.block, heights)
-    return replace(record, deep=int(np.count_nonzero(deep & measured)), checksum=checksum(heights))
+    return replace(
+        record, deep=int(np.count_nonzero(deep & measured)), checksum=checksum(heights)
+    )
 
 
-def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heights, npt.NDArray[np.bool_]]:
+def above_terrain(
+    heights: Heights, terrain: Heights, deep: float
+) -> tuple[Heights, npt.NDArray[np.bool_]]:
     """Raise heights to the terrain where both are known. Return also where they were more than ``deep`` below it."""
     both = (heights != np.float32(NODATA)) & (terrain != np.float32(NODATA))
-    return np.where(both, np.maximum(heights, terrain), heights), both & (terrain - heights > deep)
+    return np.where(both, np.maximum(heights, terrain), heights), both & (
+        terrain - heights > deep
+    )
 
 
 def surface_heights(
     store: TileStore, work: SurfaceBlock
 ) -> tuple[Heights, npt.NDArray[np.bool_], SurfaceRecord]:
     """Return the heights of any block, not yet raised to the terrain, a mask of measured pixels, and the record."""
-    block, bounds, limit = work.block, work.spec.block_bounds(work.block), full_halo(work.max_edge)
+    block, bounds, limit = (
+        work.block,
+        work.spec.block_bounds(work.block),
+        full_halo(work.max_edge),
+    )
     returns = _returns(store, work, block)
     measured = returns[..., 2] != NOTHING
     heights = np.where(measured, returns[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
@@ -126,7 +138,12 @@ def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:
 def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
     """Return the highest supported return of each pixel, int32 (height, width, 3)."""
     radius, origin = work.reach, store.meta.frame.origin
-    wider = Block(block.row - radius, block.col - radius, block.height + 2 * radius, block.width + 2 * radius)
+    wider = Block(
+        block.row - radius,
+        block.col - radius,
+        block.height + 2 * radius,
+        block.width + 2 * radius,
+    )
     bounds = work.spec.block_bounds(wider)
     highest = HighestReturns(wider.height, wider.width)
     for cell in store.buckets_within(bounds):

@@ -30,7 +30,8 @@ def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[G
     if work.thin is None:
         ground = read_ground(store, work.rule, window)
         return ground, ground.xyz
-    # Cells that the window cuts are read whole, so that the same point is chosen in them for all windows.
+    # Cells that the window cuts are read whole, so that the same point is chosen in them for
+    # all windows.
     origin = store.meta.frame.origin
     choose = _choice(work.thin, work.percent, origin)
     by_bucket = partial(_whole_cells, choose, work.thin, store.meta.bucket, origin)
@@ -39,7 +40,9 @@ def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[G
     return ground, xyz[:, PointBlock(xyz).inside(window, origin)]
 
 
-def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Callable[[Counts], Index]:
+def _choice(
+    cell: Lattice, percent: int | None, origin: tuple[int, int]
+) -> Callable[[Counts], Index]:
     """Return the function that chooses the point of each cell for the TIN."""
     if percent is None:
         return partial(central_points, origin=origin, lattice=cell)
@@ -82,11 +85,13 @@ def central_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> In
     return order[_starts(ix[order], iy[order])]
 
 
-def ranked_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice, percent: int) -> Index:
+def ranked_points(
+    xyz: Counts, origin: tuple[int, int], lattice: Lattice, percent: int
+) -> Index:
     """Return the indices of the points at a percentile of the heights of each cell.
 
-    Percentile 50 is the (lower) median, 0 the lowest point. A measured point, unlike a mean, lies on the surface
-    wherever it is in its cell. Ties are in the order of (z, x, y).
+    Percentile 50 is the (lower) median, 0 the lowest point. A measured point, unlike a mean,
+    lies on the surface wherever it is in its cell. Ties are in the order of (z, x, y).
 
     Parameters
     ----------
@@ -111,7 +116,8 @@ def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Inde
     columns, heights = int(ix.max()) - col + 1, int(z.max()) - low + 1
     if (int(iy.max()) - row + 1) * columns * heights >= 1 << 63:
         return np.lexsort((y, x, z, ix, iy))
-    # One sort by one number is several times as fast as five. Points with equal numbers are sorted once more.
+    # One sort by one number is several times as fast as five. Points with equal numbers are
+    # sorted once more.
     keys = ((iy - row) * columns + (ix - col)) * heights + (z - low)
     order: Index = np.argsort(keys)
     alike = np.diff(keys[order]) == 0
@@ -121,7 +127,9 @@ def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Inde
     return order
 
 
-def _in_cells(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> tuple[Int64, Int64, Int64, Int64]:
+def _in_cells(
+    xyz: Counts, origin: tuple[int, int], lattice: Lattice
+) -> tuple[Int64, Int64, Int64, Int64]:
     """Return the absolute x and y of points, and the column and row of their cells."""
     x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
     return x, y, lattice.index(x), lattice.index(y)

@@ -1,8 +1,9 @@
 """Voids inside the survey, filled from the TIN of the pixels around each void.
 
-A halo of any width may be too small for the facets over a hole. So holes are found by coarse cells, block by block, and
-joined. Each hole is filled from all pixels with a height that touch it, in whichever block they lie. The triangulation
-is unique, so borders of blocks are not visible.
+A halo of any width may be too small for the facets over a hole. So holes are found by coarse
+cells, block by block, and joined. Each hole is filled from all pixels with a height that touch
+it, in whichever block they lie. The triangulation is unique, so borders of blocks are not
+visible.
 """
 
 from __future__ import annotations
@@ -104,8 +105,8 @@ class FillBlock:
 def find_voids(store_url: str, work: FindVoids) -> HolesRecord:
     """Label the holes of a raster of heights in one block of coarse cells.
 
-    This is a `tiler.schedule.task.Work`. Cells of a hole contain, or lie within, a pixel without a height inside the
-    survey. Cells that touch belong to one hole.
+    This is a `tiler.schedule.task.Work`. Cells of a hole contain, or lie within, a pixel
+    without a height inside the survey. Cells that touch belong to one hole.
 
     Returns
     -------
@@ -124,7 +125,10 @@ def find_voids(store_url: str, work: FindVoids) -> HolesRecord:
     blocks = []
     for number, (down, right) in enumerate(scipy.ndimage.find_objects(labels), start=1):
         box = Block(
-            block.row + down.start, block.col + right.start, down.stop - down.start, right.stop - right.start
+            block.row + down.start,
+            block.col + right.start,
+            down.stop - down.start,
+            right.stop - right.start,
         )
         hole_mask = labels[down, right] == number
         blocks.append(block_runs(hole_mask, coarse.window(box), spec, BLOCK_PIXELS, NEAR))
@@ -147,7 +151,10 @@ def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
             cell_rows, cell_cols = coarse_cells(coarse, spec, part)
             cells = cell_rows[rows] - block.row, cell_cols[cols] - block.col
             in_block = (
-                (cells[0] >= 0) & (cells[0] < block.height) & (cells[1] >= 0) & (cells[1] < block.width)
+                (cells[0] >= 0)
+                & (cells[0] < block.height)
+                & (cells[1] >= 0)
+                & (cells[1] < block.width)
             )
             empty[cells[0][in_block], cells[1][in_block]] = True
     return empty
@@ -169,8 +176,9 @@ def _within_large_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
 def fill_block(store_url: str, work: FillBlock) -> FilledRecord:
     """Write one block of the heights with holes filled. This is a `tiler.schedule.task.Work`.
 
-    Heights are linear on the TIN of the centres of all pixels around a hole, with heights rounded to counts. Pixels
-    outside all facets, as in a hole that is open to one side, stay without a height.
+    Heights are linear on the TIN of the centres of all pixels around a hole, with heights
+    rounded to counts. Pixels outside all facets, as in a hole that is open to one side, stay
+    without a height.
 
     Returns
     -------
@@ -185,7 +193,9 @@ def fill_block(store_url: str, work: FillBlock) -> FilledRecord:
         inside = empty & _pixels_in_void(store, rasters, void, block)
         if inside.any():
             rim = _rim(store, rasters, void)
-            raster = rasterise(Tin.build(*rim), pixels_of(rasters.spec, block, store.meta.frame.origin))
+            raster = rasterise(
+                Tin.build(*rim), pixels_of(rasters.spec, block, store.meta.frame.origin)
+            )
             heights = np.where(inside, heights_in_units(raster.heights), heights)
     edit_heights(store, work.edits, rasters.spec, block, heights)
     store.write_block(work.name, block, heights)
@@ -200,9 +210,14 @@ def fill_block(store_url: str, work: FillBlock) -> FilledRecord:
 
 def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[np.bool_]:
     """Return a mask of the pixels without a height inside the survey."""
-    empty: npt.NDArray[np.bool_] = store.read_block(rasters.heights, block) == np.float32(NODATA)
+    empty: npt.NDArray[np.bool_] = store.read_block(rasters.heights, block) == np.float32(
+        NODATA
+    )
     if empty.any():
-        empty &= coarse_values(store, rasters.survey, rasters.coarse, rasters.spec, block) >= SURVEYED
+        empty &= (
+            coarse_values(store, rasters.survey, rasters.coarse, rasters.spec, block)
+            >= SURVEYED
+        )
     return empty
 
 
@@ -222,19 +237,30 @@ def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int
         cells = coarse.block_at(area.row, area.col, BLOCK_PIXELS)
         piece_mask = store.read_block(rasters.numbers, cells) == area.label
         cores.update(
-            blocks_of(block_runs(piece_mask, coarse.window(cells), spec, PART_PIXELS, 1), spec, PART_PIXELS)
+            blocks_of(
+                block_runs(piece_mask, coarse.window(cells), spec, PART_PIXELS, 1),
+                spec,
+                PART_PIXELS,
+            )
         )
-    rim_parts = [_rim_of_part(store, rasters, void, part) for part in sorted(cores, key=north_west)]
+    rim_parts = [
+        _rim_of_part(store, rasters, void, part) for part in sorted(cores, key=north_west)
+    ]
     x, y, z = np.concatenate([np.empty((3, 0), np.int64), *rim_parts], axis=1)
     east, north = store.meta.frame.origin
     return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)
 
 
-def _rim_of_part(store: TileStore, rasters: VoidRasters, void: Void, core: Block) -> npt.NDArray[np.int64]:
+def _rim_of_part(
+    store: TileStore, rasters: VoidRasters, void: Void, core: Block
+) -> npt.NDArray[np.int64]:
     """Return the absolute counts (3, n) of the rim's pixels in ``core``, including those beside holes outside it."""
     spec = rasters.spec
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
-    bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)
+    bottom, right = (
+        min(core.row + core.height + 1, spec.height),
+        min(core.col + core.width + 1, spec.width),
+    )
     wide = Block(top, left, bottom - top, right - left)
     hole_cells_mask = _pixels_in_void(store, rasters, void, wide)
     if not hole_cells_mask.any():

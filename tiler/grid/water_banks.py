@@ -1,9 +1,9 @@
 """Correction of the shore by points, in cells that are finer than the coarse cells in which water is found.
 
-The shore runs between the middles of coarse cells. At an upright bank, a coarse cell has both bank and water. So the
-polygon of the water may include ground high above the level, or miss a strip of water at the foot of a quay. In fine
-cells, high ground is land if it is connected with the bank. Fine cells of a quay are water if they have no points, or
-ground at the level.
+The shore runs between the middles of coarse cells. At an upright bank, a coarse cell has both
+bank and water. So the polygon of the water may include ground high above the level, or miss a
+strip of water at the foot of a quay. In fine cells, high ground is land if it is connected with
+the bank. Fine cells of a quay are water if they have no points, or ground at the level.
 """
 
 from __future__ import annotations
@@ -34,11 +34,14 @@ FINER = 2
 Fine cells are usually 1 m wide. With 2 points per m2, six of seven of them have a point.
 """
 HIGH_M = 0.3
-"""Ground in a fine cell is land if it is more than this above the water, in metres. Broken water is lower."""
+"""Ground in a fine cell is land if it is more than this above the water, in metres. Broken
+water is lower."""
 BANK_REACH_FINE_CELLS = 4
-"""High ground becomes land only up to this distance from cells that are already land, in fine cells."""
+"""High ground becomes land only up to this distance from cells that are already land, in fine
+cells."""
 BANK_MARGIN = math.ceil(2 * BANK_REACH_FINE_CELLS / FINER)
-"""The fine cells of a block depend on cells up to this distance from the block, in coarse cells."""
+"""The fine cells of a block depend on cells up to this distance from the block, in coarse
+cells."""
 ENOUGH_POINTS = 5
 """A fine cell without points is water only if fine cells of the land near it have this many points on average.
 
@@ -106,7 +109,9 @@ def shore_details(
     """
     fine, fine_window = finer_raster(coarse), finer_window(window)
     field = finer_field(shore.field)
-    ground, has_points = fine_cells(store, rule, fine, fine_window, _near_shore(field, BANK_REACH_FINE_CELLS))
+    ground, has_points = fine_cells(
+        store, rule, fine, fine_window, _near_shore(field, BANK_REACH_FINE_CELLS)
+    )
     above = ground - each_finer(shore.level)
     banks = high_banks(field, above)
     water = quay_water(field, each_finer(shore.is_dense_quay), above, has_points)
@@ -118,8 +123,8 @@ def shore_details(
 def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
     """Return the shape of some cells of a window, in absolute counts.
 
-    The shape is extended over their neighbours in the mask ``among``. Otherwise it would end half a cell before the
-    centres of these neighbours, and leave a gap.
+    The shape is extended over their neighbours in the mask ``among``. Otherwise it would end
+    half a cell before the centres of these neighbours, and leave a gap.
     """
     import shapely
 
@@ -160,13 +165,19 @@ def finer_raster(coarse: RasterSpec) -> RasterSpec:
     """Return the raster of the fine cells."""
     lattice = Lattice(coarse.lattice.size / FINER)
     return RasterSpec(
-        lattice, coarse.west * FINER, coarse.north * FINER, coarse.height * FINER, coarse.width * FINER
+        lattice,
+        coarse.west * FINER,
+        coarse.north * FINER,
+        coarse.height * FINER,
+        coarse.width * FINER,
     )
 
 
 def finer_window(window: Block) -> Block:
     """Return the fine cells of a window of coarse cells."""
-    return Block(window.row * FINER, window.col * FINER, window.height * FINER, window.width * FINER)
+    return Block(
+        window.row * FINER, window.col * FINER, window.height * FINER, window.width * FINER
+    )
 
 
 def finer_field(field: Floats) -> Floats:
@@ -209,7 +220,9 @@ def fine_cells(
         ground, others = read_ground_and_objects(store, rule, inside)
         cells = pixel_indices(ground, frame.origin, fine, part)
         shape, size = (part.height, part.width), part.height * part.width
-        total[in_window] += np.bincount(cells, ground[2].astype(np.float64), size).reshape(shape)
+        total[in_window] += np.bincount(cells, ground[2].astype(np.float64), size).reshape(
+            shape
+        )
         number[in_window] += np.bincount(cells, minlength=size).reshape(shape)
         others_cells = pixel_indices(others, frame.origin, fine, part)
         objects[in_window] += np.bincount(others_cells, minlength=size).reshape(shape)
@@ -235,7 +248,8 @@ def high_banks(field: Floats, above: Floats) -> Bools:
 def quay_water(field: Floats, is_dense_quay: Bools, above: Floats, has_points: Bools) -> Bools:
     """Return a mask of the cells at upright banks that are water and connected with the water.
 
-    They have no points, because water returns few pulses, or their ground is at most `LEVEL_M` above the water.
+    They have no points, because water returns few pulses, or their ground is at most `LEVEL_M`
+    above the water.
 
     Parameters
     ----------
@@ -251,4 +265,6 @@ def quay_water(field: Floats, is_dense_quay: Bools, above: Floats, has_points: B
 
 def _spread(start: Bools, over: Bools, reach: int) -> Bools:
     """Return a mask of the cells of ``over`` that are connected with ``start`` by at most ``reach`` steps."""
-    return np.asarray(scipy.ndimage.binary_dilation(start, AROUND, reach, mask=start | over) & ~start)
+    return np.asarray(
+        scipy.ndimage.binary_dilation(start, AROUND, reach, mask=start | over) & ~start
+    )

@@ -1,11 +1,12 @@
 """Candidates for water, and the decision which candidates are water.
 
-Laser scanners get few returns from water, often none, and returns of water are at one height. The same is true of
-shadows of buildings, gaps between flight strips, wet asphalt and dark lawns, but only water is lower than everything
-around it. So a candidate is a connected area of cells that are empty, or flat with few returns, or classified as
-water in the input. A candidate is water if the ground some metres from its shore is higher than the shore almost all
-around, and lower almost nowhere. The land around an area is counted block by block and added up, so that large areas
-need not be in memory.
+Laser scanners get few returns from water, often none, and returns of water are at one height.
+The same is true of shadows of buildings, gaps between flight strips, wet asphalt and dark
+lawns, but only water is lower than everything around it. So a candidate is a connected area of
+cells that are empty, or flat with few returns, or classified as water in the input. A candidate
+is water if the ground some metres from its shore is higher than the shore almost all around,
+and lower almost nowhere. The land around an area is counted block by block and added up, so
+that large areas need not be in memory.
 """
 
 from __future__ import annotations
@@ -31,12 +32,14 @@ With fewer returns, a cell may be empty by chance.
 SPARSE = 0.6
 """A flat cell has few returns if the mean number of returns per cell around it is below this share of the median.
 
-The median is that of the block and its neighbours. Mean and median leave out cells without returns.
+The median is that of the block and its neighbours. Mean and median leave out cells without
+returns.
 """
 MEAN_SIDE_CELLS = 5
 """The mean around a cell is computed in a square of this side, in cells."""
 FLAT_M = 0.35
-"""A cell is flat if the heights of the cell and its eight neighbours differ by less than this, in metres."""
+"""A cell is flat if the heights of the cell and its eight neighbours differ by less than this,
+in metres."""
 MIN_WIDTH_M = 6
 """Narrower parts of candidates are left out, in metres. This excludes shadows and hedges."""
 
@@ -50,7 +53,8 @@ The ring of water is higher than the shore.
 N_NEAREST = 20
 """A cell of the ring is compared with this many cells of the shore, the nearest ones."""
 LOW_PERCENT = 20
-"""The height of a cell of the ring is compared with this percentile of the heights of its nearest shore cells."""
+"""The height of a cell of the ring is compared with this percentile of the heights of its
+nearest shore cells."""
 CELLS_PER_BATCH = 1 << 14
 """This many cells of the ring are compared in one batch. Each takes about 600 bytes."""
 RISE_M = 0.3
@@ -58,15 +62,20 @@ RISE_M = 0.3
 FALL_M = 0.2
 """A cell of the ring falls if it is more than this below the shore, in metres."""
 MIN_RISING = 0.6
-"""An area that is not water by the input is water only if at least this share of its ring rises."""
+"""An area that is not water by the input is water only if at least this share of its ring
+rises."""
 MAX_FALLING = 0.05
-"""An area that is not water by the input is water only if at most this share of its ring falls."""
+"""An area that is not water by the input is water only if at most this share of its ring
+falls."""
 MIN_KNOWN = 0.4
-"""The land around an area is used only if at least this share of its shore has heights and returns."""
+"""The land around an area is used only if at least this share of its shore has heights and
+returns."""
 MIN_CELLS = 20
-"""The land around an area is used only if shore and ring each have this many cells with heights and returns."""
+"""The land around an area is used only if shore and ring each have this many cells with heights
+and returns."""
 GIVEN_SHARE = 0.03
-"""An area is water if at least this share of its cells is water by the input, unless much of its ring falls."""
+"""An area is water if at least this share of its cells is water by the input, unless much of
+its ring falls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +110,11 @@ class WaterCells:
             """Return the four values of each square, along a third axis."""
             padded = np.pad(values, pads, constant_values=fill)
             rows, cols = padded.shape
-            return padded.reshape(rows // 2, 2, cols // 2, 2).swapaxes(1, 2).reshape(rows // 2, cols // 2, 4)
+            return (
+                padded.reshape(rows // 2, 2, cols // 2, 2)
+                .swapaxes(1, 2)
+                .reshape(rows // 2, cols // 2, 4)
+            )
 
         ground = fours(self.ground, np.nan)
         known = ~np.isnan(ground)
@@ -192,7 +205,10 @@ class Rim(NamedTuple):
     def confidence(self) -> float:
         """Confidence that the area is water, for areas with enough of the ring rising."""
         return round(
-            0.5 + 0.45 * (self.rising_share - MIN_RISING) / (1 - MIN_RISING) - 2 * self.falling_share, 2
+            0.5
+            + 0.45 * (self.rising_share - MIN_RISING) / (1 - MIN_RISING)
+            - 2 * self.falling_share,
+            2,
         )
 
 
@@ -223,7 +239,9 @@ def water_candidates(cells: WaterCells, usual: float | None) -> Bools:
     if usual is not None:
         candidates = candidates | sparse_cells(cells, flat_cells(cells), usual)
     candidates = opened(candidates, max(MIN_WIDTH_M / 2 / cells.size_m, 1.0))
-    candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
+    candidates |= cells.given & scipy.ndimage.binary_dilation(
+        candidates, np.ones((3, 3), np.bool_)
+    )
     return np.asarray(candidates)
 
 
@@ -243,7 +261,8 @@ def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
 def water_confidence(counts: CellCounts, rim: Rim) -> float | None:
     """Return the confidence that an area is water, from the input and the land around it, or None if it is land.
 
-    An area that is not water by the input counts as land also if too little of the land around it is known.
+    An area that is not water by the input counts as land also if too little of the land around
+    it is known.
     """
     if counts.is_given:
         return None if rim.known and rim.falling_share >= 5 * MAX_FALLING else 0.95
@@ -252,7 +271,9 @@ def water_confidence(counts: CellCounts, rim: Rim) -> float | None:
     return rim.confidence
 
 
-def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water: Bools | None = None) -> Rim:
+def rim_of(
+    cells: WaterCells, area: Bools, others: Bools, counted: Bools, water: Bools | None = None
+) -> Rim:
     """Count the land around an area.
 
     Parameters
@@ -281,7 +302,9 @@ def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water:
     if not shore.any() or not counts.n_ring:
         return counts
     rise = cells.ground[ring] - _low_shore(cells.ground, shore, np.argwhere(ring))
-    return counts._replace(n_rising=int((rise > RISE_M).sum()), n_falling=int((rise < -FALL_M).sum()))
+    return counts._replace(
+        n_rising=int((rise > RISE_M).sum()), n_falling=int((rise < -FALL_M).sum())
+    )
 
 
 def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Floats:
@@ -296,7 +319,9 @@ def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Fl
         batch = cells[first : first + CELLS_PER_BATCH]
         _, near = tree.query(batch, k=min(N_NEAREST, len(heights)))
         near_heights = heights[near.reshape(len(batch), -1)]
-        low_heights[first : first + len(batch)] = np.percentile(near_heights, LOW_PERCENT, axis=1)
+        low_heights[first : first + len(batch)] = np.percentile(
+            near_heights, LOW_PERCENT, axis=1
+        )
     return low_heights
 
 

@@ -1,10 +1,11 @@
 """Crowns that hang over water, and the water beneath them.
 
-A laser scanner gets returns from a crown over water, and hardly any from the water below. The terrain beneath such
-crowns is interpolated from the bank, so water would end where crowns begin. Over land, some pulses pass through a crown
-and reach the ground. So cells with crowns and without ground are water if they are connected with open water and do not
-lie between cells with ground. The slope of the bank is continued beneath the crowns, and water ends where the continued
-bank rises above the level.
+A laser scanner gets returns from a crown over water, and hardly any from the water below. The
+terrain beneath such crowns is interpolated from the bank, so water would end where crowns
+begin. Over land, some pulses pass through a crown and reach the ground. So cells with crowns
+and without ground are water if they are connected with open water and do not lie between cells
+with ground. The slope of the bank is continued beneath the crowns, and water ends where the
+continued bank rises above the level.
 """
 
 from __future__ import annotations
@@ -51,9 +52,11 @@ REED_ROUGH_M = 0.2
 REED_M = 3.0
 """Reed is at most this high above the terrain, in metres. Trees are higher."""
 MIN_GROUND_SHARE = 0.3
-"""A lack of ground is a sign of water only if at least this share of the cells with crowns nearby have ground."""
+"""A lack of ground is a sign of water only if at least this share of the cells with crowns
+nearby have ground."""
 AMONG_M = 8.0
-"""Hidden cells in a gap between cells with ground are land if the gap is narrower than twice this, in metres."""
+"""Hidden cells in a gap between cells with ground are land if the gap is narrower than twice
+this, in metres."""
 BANK_M = 24.0
 """Cells of the bank farther from hidden cells than this are not used, in metres."""
 MAX_QUAY_SLOPE = 0.15
@@ -62,7 +65,8 @@ MAX_QUAY_SLOPE = 0.15
 Then hidden cells are water at any height of the continued bank.
 """
 LOW_M = 0.15
-"""A hidden cell is water if the continued bank is at most this high above the water there, in metres."""
+"""A hidden cell is water if the continued bank is at most this high above the water there, in
+metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +93,8 @@ class CrownsBlock(BlockWork):
 def crowns_block(store_url: str, work: CrownsBlock) -> BlockRecord:
     """Write the kinds of plants in the cells of a block that are near water. This is a `tiler.schedule.task.Work`.
 
-    The value of a cell is `CROWN_WITH_GROUND` or `HIDDEN` for a crown, `REED` for reed, the sum for both, or 0.
+    The value of a cell is `CROWN_WITH_GROUND` or `HIDDEN` for a crown, `REED` for reed, the sum
+    for both, or 0.
 
     Returns
     -------
@@ -100,13 +105,22 @@ def crowns_block(store_url: str, work: CrownsBlock) -> BlockRecord:
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     margin = crowns_margin(size_m)
     confidence = np.max(
-        [read_cells(store, name, spec, padded(work.block, margin)) for name in work.confidences], axis=0
+        [
+            read_cells(store, name, spec, padded(work.block, margin))
+            for name in work.confidences
+        ],
+        axis=0,
     )
-    # The window has a margin of one cell, because `plant_kinds` compares each cell with its neighbours.
-    near_water = within(confidence > 0, CROWN_M / size_m)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
+    # The window has a margin of one cell, because `plant_kinds` compares each cell with its
+    # neighbours.
+    near_water = within(confidence > 0, CROWN_M / size_m)[
+        margin - 1 : 1 - margin, margin - 1 : 1 - margin
+    ]
     window = padded(work.block, 1)
     examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
-    values = np.where(examined, _crowns(store, work, window, examined), 0)[1:-1, 1:-1].astype(np.float32)
+    values = np.where(examined, _crowns(store, work, window, examined), 0)[1:-1, 1:-1].astype(
+        np.float32
+    )
     store.write_block(work.name, work.block, values)
     return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
 
@@ -116,10 +130,13 @@ def crowns_margin(size_m: float) -> int:
     return math.ceil(CROWN_M / size_m) + 2
 
 
-def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools) -> npt.NDArray[np.int64]:
+def _crowns(
+    store: TileStore, work: CrownsBlock, window: Block, examined: Bools
+) -> npt.NDArray[np.int64]:
     """Return the value of each cell of a window, see `crowns_block`.
 
-    Only the values of ``examined`` cells are right, because only buckets with such cells are read.
+    Only the values of ``examined`` cells are right, because only buckets with such cells are
+    read.
     """
     frame, spec = store.meta.frame, work.spec
     point_cells, are_objects = [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
@@ -178,7 +195,9 @@ def plant_kinds(
 
         Roughness is measured with the chosen points.
         """
-        rough = (roughness(xyz[:, chosen], cells[chosen], terrain.size) * scale).reshape(terrain.shape)
+        rough = (roughness(xyz[:, chosen], cells[chosen], terrain.size) * scale).reshape(
+            terrain.shape
+        )
         return _mostly(rough > limit, ~np.isnan(rough)) & has_objects
 
     tops = np.full(terrain.size, -np.inf)
@@ -198,8 +217,9 @@ def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
 def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
     """Return the RMS vertical distance of the points of each cell from the plane through them, float64 (size,).
 
-    The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points, or if the points lie on a
-    line. Only integers are added, so the order of the points does not matter.
+    The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points, or
+    if the points lie on a line. Only integers are added, so the order of the points does not
+    matter.
 
     Parameters
     ----------
@@ -235,7 +255,10 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
     determinant = xx * yy - xy * xy
     has_plane = (n >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
     explained = np.divide(
-        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(count), where=has_plane
+        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx,
+        determinant,
+        out=np.zeros(count),
+        where=has_plane,
     )
     rough = np.full(size, np.nan)
     rough[has_points] = np.where(has_plane, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
@@ -254,7 +277,9 @@ def _mostly(chosen: Bools, known: Bools) -> Bools:
     return np.asarray(2 * number(chosen & known) > number(known))
 
 
-def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
+def beneath_crowns(
+    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats
+) -> Bools:
     """Return a mask of the cells beneath crowns that are water.
 
     Parameters
@@ -294,12 +319,16 @@ def _ground_share(crowns: npt.NDArray[Any], side: int) -> Floats:
 
     def share(mask: Bools) -> Floats:
         """Return the share of the cells of a mask in the square around each cell."""
-        return np.asarray(scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant"))
+        return np.asarray(
+            scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
+        )
 
     has_ground = (crowns == CROWN_WITH_GROUND) | (crowns == CROWN_WITH_GROUND + REED)
     has_crown = has_ground | is_hidden(crowns)
     ground_share = share(has_ground)
-    return np.divide(ground_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown)
+    return np.divide(
+        ground_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown
+    )
 
 
 def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
@@ -307,5 +336,7 @@ def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
     whole = hidden | wet
     is_connected = np.zeros_like(hidden)
     box = box_around(whole, 0)
-    is_connected[box] = scipy.ndimage.binary_dilation(wet[box], iterations=max_steps, mask=whole[box])
+    is_connected[box] = scipy.ndimage.binary_dilation(
+        wet[box], iterations=max_steps, mask=whole[box]
+    )
     return is_connected & ~wet

@@ -21,7 +21,8 @@ BELOW_M = 0.4
 Such ground is the foot of a dam, or other water.
 """
 DEEP_CELLS = 5
-"""Ground counts as deeper than `BELOW_M` only in squares of this side, in cells. Smaller pits come from low returns."""
+"""Ground counts as deeper than `BELOW_M` only in squares of this side, in cells. Smaller pits
+come from low returns."""
 LEVEL_CELLS = 5
 """The level of water is the mean height in a square of this side, in cells."""
 LEVEL_STEP_M = 0.001
@@ -29,15 +30,18 @@ LEVEL_STEP_M = 0.001
 OUTER_CELLS = 2
 """The outermost cells of water may be bank: a border of this width, in cells."""
 NEAR_CELLS = 10
-"""Outermost cells do not contribute to the level if there are inner cells within this distance, in cells."""
+"""Outermost cells do not contribute to the level if there are inner cells within this distance,
+in cells."""
 BRIDGE_M = 14.0
 """Water extends under bridges up to this width, in metres."""
 UNDER_BRIDGE_M = 0.5
 """Terrain under a bridge is at most this high above the shores next to it, in metres."""
 TIDE_M = 0.7
-"""Land at the border of the survey may be water if it is at most this high above the water, in metres."""
+"""Land at the border of the survey may be water if it is at most this high above the water, in
+metres."""
 SPREAD_M = 0.2
-"""Land at the border of the survey may be water if the standard deviation of its heights is at most this, in metres."""
+"""Land at the border of the survey may be water if the standard deviation of its heights is at
+most this, in metres."""
 SPECK_CELLS = 4
 """A speck has at most this many cells."""
 
@@ -59,9 +63,9 @@ def smoothed(ground: Floats) -> Floats:
 def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     """Return the water level near each cell in metres, or None if the water has no returns.
 
-    The level comes from the nearest cells of water with returns. The outermost cells of the water may be bank, so they
-    count only if there are no inner cells near. Cells without returns do not count, as their heights come from the
-    banks.
+    The level comes from the nearest cells of water with returns. The outermost cells of the
+    water may be bank, so they count only if there are no inner cells near. Cells without
+    returns do not count, as their heights come from the banks.
     """
     ground = np.rint(cells.ground / LEVEL_STEP_M)  # Sums of whole numbers are exact.
     known = wet & (cells.returns > 0) & ~np.isnan(ground)
@@ -71,17 +75,21 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     known &= inner | ~within(inner, NEAR_CELLS)
     number = scipy.ndimage.uniform_filter(known.astype(np.float64), LEVEL_CELLS)
     total = scipy.ndimage.uniform_filter(np.where(known, ground, 0.0), LEVEL_CELLS)
-    nearest = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(
+        ~known, return_distances=False, return_indices=True
+    )
     levels: Floats = (total / np.where(known, number, 1.0))[tuple(nearest)] * LEVEL_STEP_M
     return levels
 
 
-def extended_to_shore(cells: WaterCells, water: Bools, level: Floats | None, max_steps: int) -> Bools:
+def extended_to_shore(
+    cells: WaterCells, water: Bools, level: Floats | None, max_steps: int
+) -> Bools:
     """Extend water by up to ``max_steps`` cells over connected low cells of the domain.
 
-    Cells are low if they have no height, or if they are at most `LEVEL_M` above the water and not in a deep square
-    (`DEEP_CELLS`). Low parts narrower than three cells are left out. ``level`` is the level near each cell. If it is
-    None, water is not extended.
+    Cells are low if they have no height, or if they are at most `LEVEL_M` above the water and
+    not in a deep square (`DEEP_CELLS`). Low parts narrower than three cells are left out.
+    ``level`` is the level near each cell. If it is None, water is not extended.
     """
     extended_water = water.copy()
     if level is None:
@@ -89,7 +97,9 @@ def extended_to_shore(cells: WaterCells, water: Bools, level: Floats | None, max
     box = box_around(water, max_steps)
     near, wet = cells.cut(box), water[box]
     above = near.ground - level[box]
-    deep = scipy.ndimage.binary_opening(above < -BELOW_M, np.ones((DEEP_CELLS, DEEP_CELLS), np.bool_))
+    deep = scipy.ndimage.binary_opening(
+        above < -BELOW_M, np.ones((DEEP_CELLS, DEEP_CELLS), np.bool_)
+    )
     low = near.domain & ~deep & ((above <= LEVEL_M) | np.isnan(above))
     low = opened(low | wet, math.sqrt(2)) | wet
     extended_water[box] = scipy.ndimage.binary_dilation(wet, iterations=max_steps, mask=low)
@@ -101,9 +111,10 @@ def close_bridge_gaps(
 ) -> Bools:
     """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
-    Land that water encloses is not a bridge, because bridges are connected with the bank. Such land is an island and
-    stays, if it has at most ``longest_island`` rows and columns. Longer land may extend beyond the window of another
-    block, where it would not look enclosed. Blocks have to agree, so no block treats longer land as an island.
+    Land that water encloses is not a bridge, because bridges are connected with the bank. Such
+    land is an island and stays, if it has at most ``longest_island`` rows and columns. Longer
+    land may extend beyond the window of another block, where it would not look enclosed. Blocks
+    have to agree, so no block treats longer land as an island.
     """
     pad = math.ceil(BRIDGE_M / size_m)
     padded = np.pad(water, pad)
@@ -139,12 +150,15 @@ def without_islands(water: Bools, min_cells: float) -> Bools:
     return np.asarray(water | (enclosed & (sizes < min_cells))[labels])
 
 
-def without_border_islands(cells: WaterCells, water: Bools, level: Floats, min_cells: float) -> Bools:
+def without_border_islands(
+    cells: WaterCells, water: Bools, level: Floats, min_cells: float
+) -> Bools:
     """Fill flat land of fewer than ``min_cells`` cells between water and the border of the survey.
 
-    Flat land is at most `TIDE_M` above the water, and its heights differ little (`SPREAD_M`). It is filled if it is a
-    speck, or if at least as many sides of its cells face the water as face the border. Such land is mostly water with
-    returns, for example from a flight at a higher tide. Land that touches the border of the array stays.
+    Flat land is at most `TIDE_M` above the water, and its heights differ little (`SPREAD_M`).
+    It is filled if it is a speck, or if at least as many sides of its cells face the water as
+    face the border. Such land is mostly water with returns, for example from a flight at a
+    higher tide. Land that touches the border of the array stays.
     """
     labels, _, inside = _land(water | ~cells.domain)
 
@@ -177,7 +191,8 @@ def _sides(cells: Bools) -> npt.NDArray[np.float64]:
 def _land(water: Bools) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Bools]:
     """Label the pieces of land.
 
-    Return the label of each cell, and for each label its number of cells and whether water encloses it.
+    Return the label of each cell, and for each label its number of cells and whether water
+    encloses it.
     """
     labels, number = scipy.ndimage.label(~water)
     sizes = np.bincount(labels.ravel(), minlength=number + 1)

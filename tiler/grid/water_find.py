@@ -35,7 +35,12 @@ from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_reed import has_no_bank
 from tiler.grid.water_search import Sources, read_search_cells
-from tiler.grid.water_shore import MAX_HEIGHT_M, REACH_CELLS, heights_above_water, shore_polygons
+from tiler.grid.water_shore import (
+    MAX_HEIGHT_M,
+    REACH_CELLS,
+    heights_above_water,
+    shore_polygons,
+)
 from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
 
@@ -47,12 +52,14 @@ Roundness is 4 pi area / (shore length)^2, which is 1 for a disk.
 MIN_LENGTH = 3
 """A river is assumed to be at least this many times as long as the least width of a river.
 
-An area is left out if it is smaller than both the smallest lake and a river of the least length and width.
+An area is left out if it is smaller than both the smallest lake and a river of the least length
+and width.
 """
 SIMPLER = 0.15
 """A simplified polygon is at most this far from the shore, in cells."""
 ONE_EXIT = 5
-"""Cells of water at the border of the survey belong to the same exit if they are at most this far apart, in cells."""
+"""Cells of water at the border of the survey belong to the same exit if they are at most this
+far apart, in cells."""
 MAX_BAY_M = 100.0
 """Bays of the border of the survey up to this width are filled with water, in metres."""
 
@@ -110,7 +117,10 @@ def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
     border_cells = [np.empty((0, 2), np.int64)]
     n_border_sides, n_cells = 0, 0
     for block, body_mask in _blocks(store, work):
-        beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
+        beyond = (
+            read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND))
+            == BEYOND
+        )
         border_mask, n_sides = _survey_border(body_mask, beyond)
         border_cells.append(np.argwhere(border_mask) + (block.row, block.col))
         n_border_sides += n_sides
@@ -130,7 +140,8 @@ def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
         lower_level_m = _lower_level(store, work) if kind == LAKE else None
         if lower_level_m is not None:
             whole = _whole(store, work, bays, lower_level_m)
-        # The details of the shore are added after the kind is decided, because they make the shore longer.
+        # The details of the shore are added after the kind is decided, because they make the
+        # shore longer.
         detailed = _detailed(store, work, whole, lower_level_m)
         body = Water(0, kind, _area(detailed, side), confidence=work.confidence).to_json()
     return BodyRecord(body)
@@ -149,12 +160,14 @@ def _whole(store: TileStore, work: DescribeBody, bays: Any, lower_level_m: float
     for block, _ in _blocks(store, work):
         polygons += _polygons(store, work, block, lower_level_m)
     water = _without_islands(shapely.union_all(polygons), min_area)
-    # Small islands are removed before bays are added. So land that is enclosed only after a bay was added stays, unless
-    # it is a speck.
+    # Small islands are removed before bays are added. So land that is enclosed only after a bay
+    # was added stays, unless it is a speck.
     return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2)
 
 
-def _detailed(store: TileStore, work: DescribeBody, whole: Any, lower_level_m: float | None) -> Any:
+def _detailed(
+    store: TileStore, work: DescribeBody, whole: Any, lower_level_m: float | None
+) -> Any:
     """Return the shape of a body with the details of its shore, without specks."""
     import shapely
 
@@ -162,7 +175,9 @@ def _detailed(store: TileStore, work: DescribeBody, whole: Any, lower_level_m: f
     details = [_details(store, work, block, lower_level_m) for block, _ in _blocks(store, work)]
     water = shapely.union_all([whole, *(shore.wet for shore in details)])
     water = shapely.difference(water, shapely.union_all([shore.dry for shore in details]))
-    detailed = _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
+    detailed = _without_specks(
+        _without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2
+    )
     return whole if shapely.is_empty(detailed) else detailed
 
 
@@ -208,11 +223,14 @@ def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
     return [cells[sorted(group)] for group in components(range(len(cells)), near)]
 
 
-def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], max_width: float) -> Any:
+def _bays(
+    store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], max_width: float
+) -> Any:
     """Return the bays at the exits of the water, as a shape in absolute counts.
 
-    Bays are places outside the survey between the cells of one exit. They are the union of triangles between the
-    corners of these cells, minus the land. Triangles with edges longer than ``max_width`` cells are left out.
+    Bays are places outside the survey between the cells of one exit. They are the union of
+    triangles between the corners of these cells, minus the land. Triangles with edges longer
+    than ``max_width`` cells are left out.
     """
     import shapely
 
@@ -221,7 +239,9 @@ def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64
     triangles_by_exit = [np.empty(0, object)]
     for cells in exits:
         points = (cells[:, None, ::-1] + corners).reshape(-1, 2)
-        triangles_by_exit.append(shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(points))))
+        triangles_by_exit.append(
+            shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(points)))
+        )
     triangles = np.concatenate(triangles_by_exit)
     edges = np.diff(shapely.get_coordinates(triangles).reshape(-1, 4, 2), axis=1)
     lengths = np.hypot(edges[:, :, 0], edges[:, :, 1])
@@ -295,24 +315,34 @@ def _surroundings(
     cells = read_search_cells(store, work.sources, work.coarse, around, 1)
     crowns = read_cells(store, work.crowns, work.coarse, around)
     smooth = smoothed(cells.ground)
-    level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
+    level = water_heights(
+        cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED)
+    )
     # The ground in hidden cells and high ground in reed are not bank.
-    no_bank = wet[box] & (is_hidden(crowns) if level is None else has_no_bank(crowns, smooth - level))
+    no_bank = wet[box] & (
+        is_hidden(crowns) if level is None else has_no_bank(crowns, smooth - level)
+    )
     field = np.full(wet.shape, MAX_HEIGHT_M)
     bank = cells.with_ground(np.where(no_bank, np.nan, smooth))
-    final = level if level is None or lower_level_m is None else np.minimum(level, lower_level_m)
+    final = (
+        level if level is None or lower_level_m is None else np.minimum(level, lower_level_m)
+    )
     field[box] = heights_above_water(bank, wet[box], final, lower_level_m is not None)
     return _Surroundings(cells.with_ground(smooth), wet, box, level, no_bank, field)
 
 
-def _polygons(store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None) -> list[Any]:
+def _polygons(
+    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
+) -> list[Any]:
     """Return polygons of the water of a block in absolute counts. They overlap with those of neighbouring blocks."""
     around = _surroundings(store, work, block, lower_level_m)
     rows, cols = _cut(around, REACH_CELLS - 1)
     return shore_polygons(around.field[rows, cols], work.coarse, _part(block, rows, cols))
 
 
-def _details(store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None) -> ShoreDetails:
+def _details(
+    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
+) -> ShoreDetails:
     """Return the details of the shore of a block. They overlap with those of neighbouring blocks."""
     around = _surroundings(store, work, block, lower_level_m)
     cells, wet, box, level, no_bank, field = around
@@ -345,7 +375,9 @@ def _cut(around: _Surroundings, spare: int) -> tuple[slice, slice]:
 def _part(block: Block, rows: slice, cols: slice) -> Block:
     """Return the cells in some rows and columns of the window around a block."""
     top, left = block.row - REACH_CELLS, block.col - REACH_CELLS
-    return Block(top + rows.start, left + cols.start, rows.stop - rows.start, cols.stop - cols.start)
+    return Block(
+        top + rows.start, left + cols.start, rows.stop - rows.start, cols.stop - cols.start
+    )
 
 
 def _without_specks(shape: Any, min_area: float) -> Any:

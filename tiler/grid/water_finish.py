@@ -40,8 +40,8 @@ DECK_EDGE_M = 4.0
 DRY_SHARE = 0.25
 """An island stays if the part of it clearly above the water has at least this share of ``island_m2``.
 
-Flat parts of an island become water in this step. The whole area of an island is known only after its shore is drawn
-(`tiler.grid.water_find`).
+Flat parts of an island become water in this step. The whole area of an island is known only
+after its shore is drawn (`tiler.grid.water_find`).
 """
 
 
@@ -75,7 +75,12 @@ class FinishWater(BlockWork):
 def finish_margin(work: FinishWater, size_m: float) -> int:
     """Return the width in coarse cells of the margin around a block that can change the water of the block."""
     base_margin = math.ceil(MAX_EXTENSION_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
-    return base_margin + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
+    return (
+        base_margin
+        + math.ceil(2 * work.river_width_m / size_m)
+        + 2
+        + _longest_island(work, size_m)
+    )
 
 
 def _longest_island(work: FinishWater, size_m: float) -> int:
@@ -95,13 +100,18 @@ def finish_water(store_url: str, work: FinishWater) -> SizesRecord:
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     margin = finish_margin(work, size_m)
     confidence = np.max(
-        [read_cells(store, name, spec, padded(block, margin)) for name in work.confidences], axis=0
+        [read_cells(store, name, spec, padded(block, margin)) for name in work.confidences],
+        axis=0,
     )
     water = confidence > 0
     if water.any():
-        rows, cols = box_around(water, math.ceil((MAX_EXTENSION_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
+        rows, cols = box_around(
+            water, math.ceil((MAX_EXTENSION_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS
+        )
         near = water[rows, cols]
-        window = Block(block.row - margin + rows.start, block.col - margin + cols.start, *near.shape)
+        window = Block(
+            block.row - margin + rows.start, block.col - margin + cols.start, *near.shape
+        )
         water[rows, cols] = _finished(store, work, near, window, size_m)
     inner = inner_window(block, margin)
     labels, sides = label_block(water[inner], corners=False)
@@ -124,7 +134,9 @@ def finish_water(store_url: str, work: FinishWater) -> SizesRecord:
     )
 
 
-def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float) -> Bools:
+def _finished(
+    store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float
+) -> Bools:
     """Extend the water of a window to its shores and under bridges, and remove narrow parts and small islands."""
     cells = read_search_cells(store, work.sources, work.spec, window, 1)
     smooth = cells.with_ground(smoothed(cells.ground))

@@ -22,7 +22,8 @@ from tiler.store import TileStore, coarse_cells, open_store, read_cells
 Floats = npt.NDArray[np.float64]
 
 NEAR_CELLS = 8
-"""A cell without returns is water if the nearest cell with returns is water and at most this far away, in cells."""
+"""A cell without returns is water if the nearest cell with returns is water and at most this
+far away, in cells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +50,9 @@ class GroundCells(BlockWork):
 def ground_cells(store_url: str, work: GroundCells) -> BlockRecord:
     """Write the mean height of each cell of a block in units of the CRS. This is a `tiler.schedule.task.Work`.
 
-    In cells that are water by the input, heights are those of the points of class water. In other cells, heights are
-    those of the terrain. Only whole counts are added, so that sums do not depend on the order of pixels or points.
+    In cells that are water by the input, heights are those of the points of class water. In
+    other cells, heights are those of the terrain. Only whole counts are added, so that sums do
+    not depend on the order of pixels or points.
 
     Returns
     -------
@@ -68,7 +70,9 @@ def ground_cells(store_url: str, work: GroundCells) -> BlockRecord:
         in_cols = (cols >= 0) & (cols < block.width)
         known = (heights != np.float32(NODATA)) & in_rows[:, None] & in_cols
         cell_indices = (rows[:, None] * block.width + cols)[known]
-        total += np.bincount(cell_indices, np.rint(heights[known].astype(np.float64) * COUNTS_PER_UNIT), size)
+        total += np.bincount(
+            cell_indices, np.rint(heights[known].astype(np.float64) * COUNTS_PER_UNIT), size
+        )
         number += np.bincount(cell_indices, minlength=size)
     mean = _means(total, number).reshape(block.height, block.width)
     if work.occupancy is not None:
@@ -76,7 +80,9 @@ def ground_cells(store_url: str, work: GroundCells) -> BlockRecord:
         mean = np.where(water == NODATA, mean, water)
     values = mean.astype(np.float32)
     store.write_block(work.name, block, values)
-    return BlockRecord(filled=int(np.count_nonzero(values != np.float32(NODATA))), checksum=checksum(values))
+    return BlockRecord(
+        filled=int(np.count_nonzero(values != np.float32(NODATA))), checksum=checksum(values)
+    )
 
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
@@ -89,7 +95,8 @@ def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
 def _water_class_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
     """Return the mean height of the points of class water for each cell that is water by the input, or `NODATA`.
 
-    A cell without returns is water if the nearest cell with returns is water and near. It gets the height of that cell.
+    A cell without returns is water if the nearest cell with returns is water and near. It gets
+    the height of that cell.
     """
     window = padded(work.block, NEAR_CELLS)
     returns = read_cells(store, occupancy, work.spec, window)

@@ -1,8 +1,8 @@
 """Level of a lake or river, from the terrain along its shore and from the heights of the water itself.
 
-The level is estimated from the returns of the water if their heights differ little. Otherwise it is a low percentile of
-the heights of the shore. A lake has one level. A river has a level at each position along its centreline
-(`tiler.grid.profile`).
+The level is estimated from the returns of the water if their heights differ little. Otherwise
+it is a low percentile of the heights of the shore. A lake has one level. A river has a level at
+each position along its centreline (`tiler.grid.profile`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,15 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.coarse import padded
-from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
+from tiler.grid.profile import (
+    MIN_PIXELS,
+    SMOOTH_M,
+    Profile,
+    Scale,
+    bank_level,
+    profile_along,
+    water_level,
+)
 from tiler.grid.records import LevelRecord
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
@@ -85,7 +93,8 @@ def level_water(store_url: str, work: LevelWater) -> LevelRecord:
     store, body = open_store(store_url), work.body
     frame = store.meta.frame
     scale = Scale(
-        COUNTS_PER_UNIT / float(frame.units.horizontal), COUNTS_PER_UNIT / float(frame.units.vertical)
+        COUNTS_PER_UNIT / float(frame.units.horizontal),
+        COUNTS_PER_UNIT / float(frame.units.vertical),
     )
     near_pixels, water = heights_of(store, work)
     shore = near_pixels.xyz[:, near_pixels.distance <= SHORE_PIXELS]
@@ -93,7 +102,9 @@ def level_water(store_url: str, work: LevelWater) -> LevelRecord:
     if max(shore.shape[1], water.shape[1]) >= MIN_PIXELS:
         profile = None
         if body.kind == RIVER:
-            profile = _profile(body, shore, water, float(STATION_PIXELS * work.spec.lattice.size), scale)
+            profile = _profile(
+                body, shore, water, float(STATION_PIXELS * work.spec.lattice.size), scale
+            )
         if profile is not None and len(profile.stations) > 1:
             levelled = replace(body, level=None, flow=profile.flow, stations=profile.stations)
         else:
@@ -104,18 +115,24 @@ def level_water(store_url: str, work: LevelWater) -> LevelRecord:
     if levelled is not None and work.joins_pockets:
         in_pocket = pockets(levelled, near_pixels, NOISE_M * scale.z)
         if in_pocket.any():
-            levelled = with_pixels(levelled, near_pixels.xyz[:2, in_pocket], float(work.spec.lattice.size))
+            levelled = with_pixels(
+                levelled, near_pixels.xyz[:2, in_pocket], float(work.spec.lattice.size)
+            )
             shore = near_pixels.xyz[:, (near_pixels.distance <= SHORE_PIXELS) & ~in_pocket]
     low, high = np.percentile(water[2], (25, 75)) if water.shape[1] else (0.0, 0.0)
     return LevelRecord(
         shore=shore.shape[1],
         body=None if levelled is None else levelled.to_json(),
         floating=_floating(levelled, shore, NOISE_M * scale.z),
-        uneven=levelled is not None and levelled.flow is None and bool(high - low > SMOOTH_M * scale.z),
+        uneven=levelled is not None
+        and levelled.flow is None
+        and bool(high - low > SMOOTH_M * scale.z),
     )
 
 
-def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:
+def _floating(
+    body: Water | None, shore: Counts, noise: float
+) -> tuple[float, list[int] | None]:
     """Return the share of the shore that lies more than ``noise`` counts below the level, and the deepest position.
 
     That is the position deepest below the level. It is None if the share is 0.
@@ -153,10 +170,14 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
         known[top : top + block.height, left : left + block.width] = True
         known &= heights != np.float32(NODATA)
         x, y = spec.centres(window)
-        xyz = np.stack((x, y, np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)))
+        xyz = np.stack(
+            (x, y, np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64))
+        )
         is_beside &= known
         rows_and_columns = np.argwhere(is_beside).T + np.array([[window.row], [window.col]])
-        beside_parts.append(np.concatenate((xyz[:, is_beside], rows_and_columns, distance[None, is_beside])))
+        beside_parts.append(
+            np.concatenate((xyz[:, is_beside], rows_and_columns, distance[None, is_beside]))
+        )
         water_parts.append(xyz[:, inside & known & _sample(spec, window, step)])
     if work.cells is None:
         water = np.concatenate(water_parts, axis=1)
@@ -170,11 +191,15 @@ def _sample(spec: RasterSpec, window: Block, step: int) -> npt.NDArray[np.bool_]
     """Return a mask of every ``step``-th pixel along rows and columns, on a lattice that is the same in all windows."""
     mask = np.zeros((window.height, window.width), np.bool_)
     # The rows and columns of these pixels in the lattice are multiples of ``step``.
-    mask[(spec.north - 1 - window.row) % step :: step, -(spec.west + window.col) % step :: step] = True
+    mask[
+        (spec.north - 1 - window.row) % step :: step, -(spec.west + window.col) % step :: step
+    ] = True
     return mask
 
 
-def _coarse_heights(store: TileStore, work: LevelWater, points: str, ground: str, crowns: str) -> Counts:
+def _coarse_heights(
+    store: TileStore, work: LevelWater, points: str, ground: str, crowns: str
+) -> Counts:
     """Return a sample of the coarse cells of the water in absolute counts x, y, z, int64 (3, n).
 
     The cells have returns, and are not at the shore, hidden beneath crowns or covered by reed.
@@ -209,7 +234,9 @@ def _padded(spec: RasterSpec, block: Block, margin: int) -> Block:
     return Block(top, left, bottom - top, right - left)
 
 
-def _profile(body: Water, shore: Counts, water: Counts, min_spacing: float, scale: Scale) -> Profile | None:
+def _profile(
+    body: Water, shore: Counts, water: Counts, min_spacing: float, scale: Scale
+) -> Profile | None:
     """Return the profile of a river, or None if the river is too small for a centreline."""
     shape = polygon_of(body.area)
     line = centreline(shape) if body.flow is None else body.flow[:, :2].astype(np.float64)

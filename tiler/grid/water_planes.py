@@ -1,10 +1,11 @@
 """Planes of water: level areas with any number of returns, surrounded by rising land.
 
-Water with waves, below weirs and at fords, has as many returns as land, and crowns over its banks hide its shore. But
-such water is level over tens of metres, unlike land. A plane is a connected area of level ground. A plane is water if
-the land around it rises (as around candidates, `tiler.grid.water_cells`) and if it is evident. In an evident plane,
-many cells have few returns, or some cells are water by the input. A plane that is not evident is water only near an
-evident plane of water, for example on the other side of a dam.
+Water with waves, below weirs and at fords, has as many returns as land, and crowns over its
+banks hide its shore. But such water is level over tens of metres, unlike land. A plane is a
+connected area of level ground. A plane is water if the land around it rises (as around
+candidates, `tiler.grid.water_cells`) and if it is evident. In an evident plane, many cells have
+few returns, or some cells are water by the input. A plane that is not evident is water only
+near an evident plane of water, for example on the other side of a dam.
 """
 
 from __future__ import annotations
@@ -85,7 +86,9 @@ class Plane(NamedTuple):
     @property
     def is_evident(self) -> bool:
         """Whether the plane may be water without evident planes near it."""
-        return self.sparse >= SPARSE_SHARE * self.cells or self.given >= GIVEN_SHARE * self.cells
+        return (
+            self.sparse >= SPARSE_SHARE * self.cells or self.given >= GIVEN_SHARE * self.cells
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,12 +137,16 @@ def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
     inner = inner_window(block, MARGIN)
-    labels, sides = label_block(plane_cells(smoothed(cells.ground), cells.domain)[inner], corners=False)
+    labels, sides = label_block(
+        plane_cells(smoothed(cells.ground), cells.domain)[inner], corners=False
+    )
     sparse = np.zeros_like(labels, np.bool_)
     if work.usual is not None:
         coarser = cells.merged(work.n_merged)
         coarse_sparse = sparse_cells(coarser, flat_cells(coarser), work.usual)
-        sparse = coarse_sparse.repeat(work.n_merged, axis=0).repeat(work.n_merged, axis=1)[inner]
+        sparse = coarse_sparse.repeat(work.n_merged, axis=0).repeat(work.n_merged, axis=1)[
+            inner
+        ]
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
@@ -148,7 +155,12 @@ def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
     boxes = []
     for rows, cols in scipy.ndimage.find_objects(labels):
         boxes.append(
-            [block.row + rows.start, block.col + cols.start, block.row + rows.stop, block.col + cols.stop]
+            [
+                block.row + rows.start,
+                block.col + cols.start,
+                block.row + rows.stop,
+                block.col + cols.stop,
+            ]
         )
     return SizesRecord(
         sides=sides,
@@ -182,11 +194,15 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> RimsRecord:
         numbers = areas.numbers[window]
         counted = areas.counted[window]
         plane_mask = numbers == number
-        water = extended_to_shore(cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS)
+        water = extended_to_shore(
+            cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS
+        )
         evident_water = is_evident[numbers] & ~water
         if name in evident:
             any_water = is_plane[numbers] & ~water
-            rims = [_rim(cells, water, not_land, counted) for not_land in (evident_water, any_water)]
+            rims = [
+                _rim(cells, water, not_land, counted) for not_land in (evident_water, any_water)
+            ]
         else:
             rims = [rim_of(cells, water, np.zeros_like(water), counted, evident_water)]
         if any(any(rim) for rim in rims):
@@ -199,7 +215,9 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> RimsRecord:
 
 def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Rim:
     """Count the land around a plane and its shore. Cells of ``not_land`` and their shores do not count as land."""
-    with_shores = scipy.ndimage.binary_dilation(not_land, AROUND, iterations=SHORE_CELLS) & ~water
+    with_shores = (
+        scipy.ndimage.binary_dilation(not_land, AROUND, iterations=SHORE_CELLS) & ~water
+    )
     return rim_of(cells, water, with_shores, counted)
 
 
@@ -219,7 +237,9 @@ def keep_planes(store_url: str, work: KeepPlanes) -> BlockRecord:
     for number, window in areas.windows(kept):
         cells, mask = areas.cells.cut(window), areas.numbers[window] == number
         water = extended_to_shore(cells, mask, water_heights(cells, mask), SHORE_CELLS)
-        confidence[window][water] = np.maximum(confidence[window][water], kept[areas.names[number - 1]])
+        confidence[window][water] = np.maximum(
+            confidence[window][water], kept[areas.names[number - 1]]
+        )
     values = areas.block_values(confidence)
     open_store(store_url).write_block(work.name, block, values)
     return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))

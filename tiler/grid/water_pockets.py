@@ -1,8 +1,9 @@
 """Search for pockets: low terrain next to a body of water that is water as well.
 
-The shore follows coarse cells. A cell with masonry or a steep bank counts as land, but its pixels next to the water may
-be water. Such a pixel is water if it lies below the level and higher terrain closes off the pocket around it. Low
-terrain that is not closed off within a few pixels stays terrain, and the run warns about it.
+The shore follows coarse cells. A cell with masonry or a steep bank counts as land, but its
+pixels next to the water may be water. Such a pixel is water if it lies below the level and
+higher terrain closes off the pocket around it. Low terrain that is not closed off within a few
+pixels stays terrain, and the run warns about it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ POCKET_PIXELS = 6
 OVERLAP = 0.9
 """Half the side of the square that is added to the water for a pixel, in pixels.
 
-The squares are larger than the pixels, because the shore may lie anywhere between the centres of two pixels.
+The squares are larger than the pixels, because the shore may lie anywhere between the centres
+of two pixels.
 """
 
 
@@ -62,7 +64,9 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
     is_pocket = np.zeros(len(x), np.bool_)
     if not len(low):
         return is_pocket
-    pairs = scipy.spatial.cKDTree(beside.pixels[:, low].T).query_pairs(1, p=np.inf, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(beside.pixels[:, low].T).query_pairs(
+        1, p=np.inf, output_type="ndarray"
+    )
     links = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(low), len(low)))
     count, label = scipy.sparse.csgraph.connected_components(links, directed=False)
     distance = beside.distance[low]

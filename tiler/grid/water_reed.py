@@ -1,9 +1,9 @@
 """Water in reed, through which no pulse reaches the water.
 
-Reed is low, stands in the water, and is connected with open water. The lowest points of reed may count as ground, so
-the water would end where reed begins. As beneath crowns, the slope of the bank behind the reed is continued, and the
-water ends where the continued bank reaches the level. Low plants stay land if the bank behind them is flat, or if they
-are far from water.
+Reed is low, stands in the water, and is connected with open water. The lowest points of reed
+may count as ground, so the water would end where reed begins. As beneath crowns, the slope of
+the bank behind the reed is continued, and the water ends where the continued bank reaches the
+level. Low plants stay land if the bank behind them is flat, or if they are far from water.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import CROWN_M, LOW_M, REED, connected, is_hidden
 
 BESIDE = 1.5
-"""Cells are next to each other if their centres are at most this far apart, in cells. Diagonal neighbours are, too."""
+"""Cells are next to each other if their centres are at most this far apart, in cells. Diagonal
+neighbours are, too."""
 MIN_REED_SLOPE = 0.05
 """The bank behind reed is steeper than this.
 
@@ -32,8 +33,8 @@ It is not known well where a flatter bank reaches the level.
 def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
     """Return a mask of the cells with reed that are water.
 
-    Reed that is connected with water is water up to the line at which the continued bank reaches the level. Parameters
-    are those of `tiler.grid.water_crowns.beneath_crowns`.
+    Reed that is connected with water is water up to the line at which the continued bank
+    reaches the level. Parameters are those of `tiler.grid.water_crowns.beneath_crowns`.
     """
     reach = math.ceil(CROWN_M / cells.size_m)
     is_reed, hidden, beside = crowns >= REED, is_hidden(crowns), within(wet, BESIDE)
@@ -42,11 +43,14 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
     reed = connected(reed & ~wet & cells.domain, wet, reach)
     bank = ~is_reed & ~hidden & ~wet & ~beside & (cells.returns > 0) & ~np.isnan(cells.ground)
     bank &= within(reed, CROWN_M / cells.size_m)
-    reed &= within(bank, CROWN_M / cells.size_m)  # Reed without a bank nearby cannot be decided.
+    # Reed without a bank nearby cannot be decided.
+    reed &= within(bank, CROWN_M / cells.size_m)
     if not reed.any() or not bank.any():
         return np.zeros_like(reed)
     above = (cells.ground - level)[bank]
-    height, slope = continued_bank(np.argwhere(reed), np.argwhere(bank), above, CROWN_M / cells.size_m)
+    height, slope = continued_bank(
+        np.argwhere(reed), np.argwhere(bank), above, CROWN_M / cells.size_m
+    )
     reed[reed] = (height <= LOW_M) & (slope > MIN_REED_SLOPE * cells.size_m)
     return connected(reed, wet, reach)
 
@@ -54,7 +58,8 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
 def has_no_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
     """Return a mask of the cells whose ground height is not that of the bank. It is valid only for cells of water.
 
-    In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes from plants.
+    In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes
+    from plants.
 
     Parameters
     ----------

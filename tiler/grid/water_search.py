@@ -1,7 +1,7 @@
 """Search for water in three steps: find candidates, count the land around them, keep the candidates that are water.
 
-A task of a step reads the rasters of earlier steps in a block and its margin, and writes the block. Between two steps,
-the areas of all blocks are joined (`tiler.grid.tasks.water_search`).
+A task of a step reads the rasters of earlier steps in a block and its margin, and writes the
+block. Between two steps, the areas of all blocks are joined (`tiler.grid.tasks.water_search`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ ALIGNED = 16
 At most this many cells are merged along a side.
 """
 BESIDE_M = RING_M[1] + 2
-"""Cells up to this distance from an area are read to count the land around the area, in metres."""
+"""Cells up to this distance from an area are read to count the land around the area, in
+metres."""
 SMOOTHING_CELLS = 8
 """Cells farther away than this, in cells, do not change the smoothed height of a cell."""
 Slices = tuple[slice, slice]
@@ -131,16 +132,22 @@ def find_areas(store_url: str, work: FindAreas) -> SizesRecord:
         Record of the block, with sizes as in `CellCounts`, and ``n_merged``.
     """
     store, block = open_store(store_url), work.block
-    cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.n_merged)
+    cells = read_search_cells(
+        store, work.sources, work.spec, padded(block, MARGIN), work.n_merged
+    )
     candidate_mask = (
-        water_candidates(cells, work.usual).repeat(work.n_merged, axis=0).repeat(work.n_merged, axis=1)
+        water_candidates(cells, work.usual)
+        .repeat(work.n_merged, axis=0)
+        .repeat(work.n_merged, axis=1)
     )
     fine = cells.finer(work.n_merged).cut(inner_window(block, MARGIN))
     labels, sides = label_block(candidate_mask[inner_window(block, MARGIN)], corners=False)
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
-    counts = [np.bincount(labels[mask], minlength=count + 1)[1:] for mask in (labels > 0, fine.given)]
+    counts = [
+        np.bincount(labels[mask], minlength=count + 1)[1:] for mask in (labels > 0, fine.given)
+    ]
     return SizesRecord(
         sides=sides,
         labels=count,
@@ -247,7 +254,8 @@ class AreasAround:
     def _common_part(self, origin: Block) -> Slices:
         """Return the rows and columns that window and block have in common.
 
-        They are relative to the first row and column of ``origin``, which is the window or the block.
+        They are relative to the first row and column of ``origin``, which is the window or the
+        block.
         """
         top = max(self.window.row, self.block.row)
         left = max(self.window.col, self.block.col)
@@ -275,7 +283,9 @@ class AreasAround:
             if self.names[number - 1] not in names:
                 continue
             if window is not None:
-                rows, cols = (slice(max(s.start - self.pad, 0), s.stop + self.pad) for s in window)
+                rows, cols = (
+                    slice(max(s.start - self.pad, 0), s.stop + self.pad) for s in window
+                )
                 if self.counted[rows, cols].any():
                     yield number, (rows, cols)
 
@@ -299,5 +309,7 @@ def areas_around(
     )
     numbers = numbers[rows, cols]
     window = Block(whole.row + rows.start, whole.col + cols.start, *numbers.shape)
-    cells = read_search_cells(store, work.sources, work.spec, window, work.n_merged).finer(work.n_merged)
+    cells = read_search_cells(store, work.sources, work.spec, window, work.n_merged).finer(
+        work.n_merged
+    )
     return AreasAround(cells, numbers, names, window, work.block, pad)

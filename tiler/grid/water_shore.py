@@ -14,15 +14,19 @@ from tiler.grid.reach import Floats
 from tiler.grid.water_cells import WaterCells
 
 REACH_CELLS = 40
-"""The level of the water in a block depends on cells up to this distance from the block, in cells."""
+"""The level of the water in a block depends on cells up to this distance from the block, in
+cells."""
 MAX_HEIGHT_M = 2.0
-"""Heights relative to the level are clipped to at most this, above and below the level, in metres."""
+"""Heights relative to the level are clipped to at most this, above and below the level, in
+metres."""
 MIN_HEIGHT_M = 0.02
-"""Heights relative to the level are clipped to at least this, above and below the level, in metres."""
+"""Heights relative to the level are clipped to at least this, above and below the level, in
+metres."""
 BANK_WIDTH_CELLS = 2
 """The outermost cells of the water may be bank: a border of this width, in cells.
 
-With cells of 2 m, gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
+With cells of 2 m, gravel that rises by 4 % has two cells below
+`tiler.grid.water_extent.LEVEL_M`.
 """
 UPRIGHT_M = 0.4
 """A bank is upright only if it is at least this high above the water, in metres.
@@ -32,9 +36,11 @@ The slope of lower banks is not known well.
 MAX_QUAY_SLOPE = 0.15
 """The land behind an upright bank is at most this steep."""
 CUT_SHARE = 0.5
-"""A cell at an upright bank is mostly water if it has less than this share of the returns of the land behind it."""
+"""A cell at an upright bank is mostly water if it has less than this share of the returns of
+the land behind it."""
 SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
-"""The four sides of a cell: axis and step with which `np.roll` moves the neighbour on this side onto the cell."""
+"""The four sides of a cell: axis and step with which `np.roll` moves the neighbour on this side
+onto the cell."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
@@ -75,7 +81,8 @@ def heights_above_water(
     field[beside] = np.clip(above[beside], MIN_HEIGHT_M, MAX_HEIGHT_M)
     beside_m, extrapolated_m = _extrapolated_bank(above, wet)
     outermost = ~np.isnan(extrapolated_m)
-    # A high bank that hardly falls towards the water is upright, so the shore lies halfway between the cells.
+    # A high bank that hardly falls towards the water is upright, so the shore lies halfway
+    # between the cells.
     is_upright = (extrapolated_m > beside_m / 2) & (beside_m > UPRIGHT_M)
     outer_heights = np.where(is_upright, -beside_m, extrapolated_m)
     field[outermost] = np.clip(outer_heights[outermost], -MAX_HEIGHT_M, -MIN_HEIGHT_M)
@@ -85,8 +92,9 @@ def heights_above_water(
 def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats]:
     """Return a mask of the outermost cells of the water that are bank, and the heights of the bank there.
 
-    In these cells, both the ground and the extrapolated bank are above the water. The ground alone is not enough: in a
-    cell on the shore, the mean height may be above the water although the height in the middle is not.
+    In these cells, both the ground and the extrapolated bank are above the water. The ground
+    alone is not enough: in a cell on the shore, the mean height may be above the water although
+    the height in the middle is not.
     """
     _, extrapolated_m = _extrapolated_bank(above, wet)
     with np.errstate(invalid="ignore"):
@@ -97,7 +105,8 @@ def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats
 def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     """Return a mask of the outermost cells of a high, level bank that are mostly water, as at a quay.
 
-    Water returns few pulses. So such a cell has few returns compared to the mean of the next two cells of the bank.
+    Water returns few pulses. So such a cell has few returns compared to the mean of the next
+    two cells of the bank.
     """
     land_returns = np.where(wet, 0.0, cells.returns)
     is_cut = np.zeros_like(wet)
@@ -116,10 +125,13 @@ def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
     return is_quay
 
 
-def _upright_sides(above: Floats, wet: Bools, size_m: float) -> Iterator[tuple[int, int, Bools]]:
+def _upright_sides(
+    above: Floats, wet: Bools, size_m: float
+) -> Iterator[tuple[int, int, Bools]]:
     """Yield axis and step of each side (`SIDES`), and a mask of the cells with an upright bank on that side.
 
-    The next two cells on that side are high, level bank. The next cell on the opposite side is water.
+    The next two cells on that side are high, level bank. The next cell on the opposite side is
+    water.
     """
     bank = np.where(wet, np.nan, above)
     for axis, step in SIDES:
@@ -133,14 +145,17 @@ def _upright_sides(above: Floats, wet: Bools, size_m: float) -> Iterator[tuple[i
 def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
     """Return two heights above the water for each of its outermost cells, NaN for all other cells.
 
-    The first is the height of the bank next to the cell. The second is the height in the cell itself, extrapolated from
-    the two next cells of the bank. Both are means over the sides with bank.
+    The first is the height of the bank next to the cell. The second is the height in the cell
+    itself, extrapolated from the two next cells of the bank. Both are means over the sides with
+    bank.
     """
     bank = np.where(wet, np.nan, above)
     totals = np.zeros((2, *wet.shape))
     number = np.zeros(wet.shape, np.int64)
     for axis, step in SIDES:
-        first, second = (np.clip(np.roll(bank, n * step, axis), MIN_HEIGHT_M, MAX_HEIGHT_M) for n in (1, 2))
+        first, second = (
+            np.clip(np.roll(bank, n * step, axis), MIN_HEIGHT_M, MAX_HEIGHT_M) for n in (1, 2)
+        )
         extrapolated = 2 * first - second
         here = wet & ~np.isnan(extrapolated)
         totals[0, here] += first[here]

@@ -1,8 +1,9 @@
 """Lower level of a lake that was scanned at two water levels, in different flight strips.
 
-The lake gets the lower level. At this level, the shore that was found is partly too high on the bank. So the bank is
-continued below the higher level, and the shore lies where the bank reaches the lower level. The lower level is used
-only if the shore at this level lies in the outermost cells of the water.
+The lake gets the lower level. At this level, the shore that was found is partly too high on the
+bank. So the bank is continued below the higher level, and the shore lies where the bank reaches
+the lower level. The lower level is used only if the shore at this level lies in the outermost
+cells of the water.
 """
 
 from __future__ import annotations

@@ -109,7 +109,9 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> AssembledRecord:
     return AssembledRecord(records)
 
 
-def _participating(block: PointBlock, keep: Sequence[int] | None, skip_flags: int) -> npt.NDArray[np.bool_]:
+def _participating(
+    block: PointBlock, keep: Sequence[int] | None, skip_flags: int
+) -> npt.NDArray[np.bool_]:
     if block.classification is None or block.flags is None:
         raise ValueError("fragments of the spool must have classes and flags")
     if keep is None:
@@ -127,8 +129,9 @@ def bucket_order(
 ) -> BucketOrder:
     """Find the order in which a bucket stores its points.
 
-    The candidate of a fine cell is the lowest participating point, or the one with the smallest x, then y, of equally
-    low points. The result depends only on the points and not on their order.
+    The candidate of a fine cell is the lowest participating point, or the one with the smallest
+    x, then y, of equally low points. The result depends only on the points and not on their
+    order.
     """
     origin = block.origin if block.origin is not None else np.arange(len(block), dtype=np.int64)
     keys, fine_of = _sort_keys(block.xyz, frame, bucket, fine, cell)
@@ -147,7 +150,9 @@ def bucket_order(
     chosen = ranked[first]
     rest = np.ones(len(order), dtype=np.bool_)
     rest[chosen] = False
-    return BucketOrder(np.concatenate((chosen, order[rest[order]])), len(chosen), within, between)
+    return BucketOrder(
+        np.concatenate((chosen, order[rest[order]])), len(chosen), within, between
+    )
 
 
 def _sort_keys(
@@ -155,8 +160,8 @@ def _sort_keys(
 ) -> tuple[list[npt.NDArray[np.uint64] | npt.NDArray[np.int64]], npt.NDArray[np.int64]]:
     """Return keys that sort by fine cell, z, x, y, major key first, and the points' fine cells.
 
-    If 64 bits suffice, the keys are packed into one key, which sorts faster. 64 bits nearly always suffice: x and y in
-    a bucket of 100 m take 34 bits, so 30 bits are left for z.
+    If 64 bits suffice, the keys are packed into one key, which sorts faster. 64 bits nearly
+    always suffice: x and y in a bucket of 100 m take 34 bits, so 30 bits are left for z.
     """
     bounds = bucket.bounds(cell)
     x = xyz[0].astype(np.int64) + (frame.origin[0] - bounds.x0)
@@ -199,7 +204,9 @@ def _by_origin(
     tied = is_repeat.copy()
     tied[:-1] |= is_repeat[1:]
     tied_positions = np.flatnonzero(tied)
-    sorted_places = tied_positions[np.lexsort((origin[order[tied_positions]], runs[tied_positions]))]
+    sorted_places = tied_positions[
+        np.lexsort((origin[order[tied_positions]], runs[tied_positions]))
+    ]
     result = order.copy()
     result[tied_positions] = order[sorted_places]
     return result

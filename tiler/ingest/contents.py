@@ -41,7 +41,8 @@ def read_files(store_url: str, work: ReadFiles) -> DigestsRecord:
 def _digest(path: Path, state: FileState) -> str:
     """Return the digest of all bytes of a file.
 
-    Raise InputError if the file cannot be read, or is not in ``state`` before and after reading.
+    Raise InputError if the file cannot be read, or is not in ``state`` before and after
+    reading.
     """
     validate_unchanged(path, state)
     try:
@@ -49,6 +50,8 @@ def _digest(path: Path, state: FileState) -> str:
     except OSError as error:
         validate_unchanged(path, state)
         reason = error.strerror or error
-        raise InputError(f"{path}: cannot be read ({reason}); check the disk and the permissions") from error
+        raise InputError(
+            f"{path}: cannot be read ({reason}); check the disk and the permissions"
+        ) from error
     validate_unchanged(path, state)
     return digest

@@ -26,7 +26,14 @@ from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import as_path
-from tiler.store import MAX_RECORD_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
+from tiler.store import (
+    MAX_RECORD_BYTES,
+    SPOOL_CHUNK,
+    RecordKeeper,
+    StoreMeta,
+    TileStore,
+    open_store,
+)
 
 NOT_FINITE = "not finite"
 BEYOND_FRAME = "beyond the frame"
@@ -118,7 +125,11 @@ def spool_piece(store_url: str, work: SpoolPiece) -> SpoolRecord:
             for start, count in ranges:
                 end = start + count
                 for first in range(start, end, STEP):
-                    read.append(_read_step(store.meta, reader, keeper, work, first, min(STEP, end - first)))
+                    read.append(
+                        _read_step(
+                            store.meta, reader, keeper, work, first, min(STEP, end - first)
+                        )
+                    )
         if keeper is not None:
             keeper.close()
     dropped = sum((Counter(step.dropped) for step in read), Counter[str]())
@@ -162,9 +173,15 @@ class _Step:
 def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
     """Return a keeper for the records of a piece, or None if they are not kept.
 
-    The records of ranges, of uncompressed sources, and records longer than `MAX_RECORD_BYTES` are not kept.
+    The records of ranges, of uncompressed sources, and records longer than `MAX_RECORD_BYTES`
+    are not kept.
     """
-    if not work.keep or work.ranges or header.laz is None or header.record_length > MAX_RECORD_BYTES:
+    if (
+        not work.keep
+        or work.ranges
+        or header.laz is None
+        or header.record_length > MAX_RECORD_BYTES
+    ):
         return None
     return store.keep_records(work.piece, work.identity, header.record_length)
 
@@ -208,7 +225,9 @@ def _flag_unselected(
     if not selection.options:
         return replace(block, flags=flags), {WITHHELD: withheld}
     angles = scan_angles(records, header.point_format)
-    masks = unselected(selection, block.returns, angles, records["point_source_id"], block.classification)
+    masks = unselected(
+        selection, block.returns, angles, records["point_source_id"], block.classification
+    )
     for left_out in masks.values():
         flags = flags | (left_out * np.uint8(UNSELECTED_FLAG))
     return replace(block, flags=flags), {**masks, WITHHELD: withheld}
@@ -316,7 +335,11 @@ def _of_buckets(
         return order, index, []
     ix, iy, numbers = np.array(index, np.int64).T
     kept = in_runs(wanted, ix, iy)
-    return order[np.repeat(kept, numbers)], list(compress(index, kept)), list(compress(index, ~kept))
+    return (
+        order[np.repeat(kept, numbers)],
+        list(compress(index, kept)),
+        list(compress(index, ~kept)),
+    )
 
 
 def extent(block: PointBlock, frame: CoordFrame) -> tuple[list[int] | None, list[int] | None]:

@@ -43,11 +43,12 @@ OWN_FAULTS = (
     "PermissionError",
     "FileNotFoundError",
 )
-"""Kinds of errors that are not caused by an input. A faulty input raises InputError, or ends its process."""
+"""Kinds of errors that are not caused by an input. A faulty input raises InputError, or ends
+its process."""
 
 MANY = 0.05
-"""Share of the points above which a note reports that a class is excluded from filtering, since producers may use the
-number of the class differently."""
+"""Share of the points above which a note reports that a class is excluded from filtering, since
+producers may use the number of the class differently."""
 
 
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
@@ -84,7 +85,10 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     for record in records:
         dropped.update(record.dropped)
         unselected.update(record.unselected)
-    read, stored = sum(record.read for record in records), sum(record.stored for record in records)
+    read, stored = (
+        sum(record.read for record in records),
+        sum(record.stored for record in records),
+    )
     rounding = max(record.largest_rounding for record in records)
     job.results.counts = PointCounts(
         read=read,
@@ -93,9 +97,12 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         unselected={key: count for key, count in unselected.items() if count},
         largest_rounding=rounding,
     )
-    stored_of = {name: sum(r.stored for r in pieces) for name, pieces in by_source(spooled).items()}
+    stored_of = {
+        name: sum(r.stored for r in pieces) for name, pieces in by_source(spooled).items()
+    }
     job.results.inputs = [
-        {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)} for s in sources
+        {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)}
+        for s in sources
     ]
     if any(is_url(s.info.path) for s in sources):
         points = sum(record.fetched for record in records)
@@ -141,12 +148,17 @@ def _keeps_records(job: Job) -> bool:
 def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, str]:
     """Return the reason for each misplaced source by its name.
 
-    The points of such a source lie beyond the frame, or so far outside its expected bounds that the raster would be
-    too large. Raise InputError if the run stops on errors, or no source is left.
+    The points of such a source lie beyond the frame, or so far outside its expected bounds that
+    the raster would be too large. Raise InputError if the run stops on errors, or no source is
+    left.
     """
     records = by_source(spooled)
-    sources = [s for s in sources if s.name in records]  # Sources without pieces have no part near the area.
-    held = {s.name: sum(r.stored + r.dropped.get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources}
+    # Sources without pieces have no part near the area.
+    sources = [s for s in sources if s.name in records]
+    held = {
+        s.name: sum(r.stored + r.dropped.get(OUTSIDE_AREA, 0) for r in records[s.name])
+        for s in sources
+    }
     if not any(held.values()):
         return {}
     reasons = {
@@ -155,20 +167,26 @@ def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, s
         if not held[s.name]
     }
     if job.plan.config.sheets is None:
-        reasons |= _far_away(job.plan, None if is_url(job.products) else Path(job.products), sources, spooled)
+        reasons |= _far_away(
+            job.plan, None if is_url(job.products) else Path(job.products), sources, spooled
+        )
     if reasons and (job.plan.config.on_error == "stop" or len(reasons) == len(sources)):
         source = next(s for s in sources if s.name in reasons)
         raise InputError(f"{source.info.path}: {reasons[source.name]}")
     return reasons
 
 
-def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
+def _far_away(
+    plan: Plan, out: Path | None, sources: list[Source], spooled: Commits
+) -> dict[str, str]:
     """Return a reason for each source with points far outside of the bounds in its header, by its name.
 
     The result is empty unless the raster of all points would be too large.
     """
     records, lattice = by_source(spooled), plan.buckets
-    expected = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
+    expected = {
+        s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources
+    }
     doubtful = [
         s
         for s in sources
@@ -181,7 +199,9 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
     extents: dict[str, Bounds] = {}
     for source in doubtful:
         source_strays = strays.get(source.number, Strays())
-        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets} - source_strays.alone
+        cells = {
+            Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets
+        } - source_strays.alone
         hull = lattice.hull(cells) if cells else expected[source.name]
         hull = hull if source_strays.extent is None else hull.intersection(source_strays.extent)
         if expected[source.name].union(hull) != expected[source.name]:
@@ -193,13 +213,17 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
     remedy = sparse_raster_remedy(wider, out) if extents else None
     if remedy is None:
         return {}
-    return dict.fromkeys(extents, f"holds points far outside of the bounds that its header gives: {remedy}")
+    return dict.fromkeys(
+        extents, f"holds points far outside of the bounds that its header gives: {remedy}"
+    )
 
 
 def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     """Assemble the points into buckets, and report duplicates, strays and excluded classes."""
     fragments = fragments_of(spooled)
-    tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
+    tasks = list(
+        assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled))
+    )
     done, stale = job.split_commits("assemble", tasks)
     _forget_labels(job, stale)
     job.invalidate("assemble", stale)
@@ -218,7 +242,9 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
         raise InputError(
             "no point of the clouds lies in the area, though some lie near it; give another area"
         )
-    job.store.publish_index({c: BucketInfo(r.n, r.n_candidates) for c, r in assembled.records.items()})
+    job.store.publish_index(
+        {c: BucketInfo(r.n, r.n_candidates) for c, r in assembled.records.items()}
+    )
     buckets = assembled.records.values()
     within = sum(bucket.duplicates["within"] for bucket in buckets)
     between = sum(bucket.duplicates["between"] for bucket in buckets)
@@ -234,7 +260,9 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     _report_unfiltered(job, assembled)
     _report_strays(job, sources, assembled)
     if within or between:
-        job.note(f"duplicate points are filtered once: {between:,} between files, {within:,} within a file")
+        job.note(
+            f"duplicate points are filtered once: {between:,} between files, {within:,} within a file"
+        )
     return assembled
 
 
@@ -252,7 +280,9 @@ def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
     points = sum(input_counts.values())
     for code, n in unfiltered_counts.items():
         if n > MANY * points:
-            other_classes = ",".join(str(c) for c in config.keep_classes if c != int(code)) or "none"
+            other_classes = (
+                ",".join(str(c) for c in config.keep_classes if c != int(code)) or "none"
+            )
             job.note(
                 f"{n / points:.1%} of the points ({n:,}) are of class {code} and are not filtered, so they keep it; if "
                 f"the class has another meaning in these clouds, use --keep-classes {other_classes} to filter them"
@@ -261,10 +291,17 @@ def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
 
 def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     """Decode again the pieces that buckets need and that `tiler clean` removed."""
-    needed = {piece for task in todo for bucket in task.arguments.buckets for piece, *_ in bucket.fragments}
+    needed = {
+        piece
+        for task in todo
+        for bucket in task.arguments.buckets
+        for piece, *_ in bucket.fragments
+    }
     gone = needed - job.store.pieces() if needed else set()
     if gone:
-        job.note(f"{len(gone)} parts of the decoded points are gone from the store; they are decoded again")
+        job.note(
+            f"{len(gone)} parts of the decoded points are gone from the store; they are decoded again"
+        )
         job.invalidate("spool", gone)
         run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
 
@@ -287,7 +324,9 @@ def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> 
 
 def _forget_labels(job: Job, stale: Commits) -> None:
     """Invalidate the tiles of rewritten buckets, since a bucket that is moved to other rows loses its labels."""
-    cells = {tuple(bucket.cell) for _, stored in stale.values() for bucket in buckets_in(stored)}
+    cells = {
+        tuple(bucket.cell) for _, stored in stale.values() for bucket in buckets_in(stored)
+    }
     for number in range(job.store.get_state("passes") or 0):
         stage = f"filter{number}"
         tiles = job.store.committed(stage) if cells else {}

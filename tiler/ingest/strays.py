@@ -1,8 +1,8 @@
 """Stray points: a few points far from the others of their file, or outside its header's bounds.
 
-A stray is not filtered and does not extend rasters. It keeps its class in the classified cloud. Each file is judged as
-a whole and separately, so the result does not depend on tiles. Whole files, and groups
-of more than a few points, are never strays, however far away they lie.
+A stray is not filtered and does not extend rasters. It keeps its class in the classified cloud.
+Each file is judged as a whole and separately, so the result does not depend on tiles. Whole
+files, and groups of more than a few points, are never strays, however far away they lie.
 """
 
 from __future__ import annotations
@@ -50,7 +50,9 @@ class Strays:
         return None if bounds.union(self.extent) == self.extent else self.extent
 
 
-def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int) -> Strays:
+def find_strays(
+    buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int
+) -> Strays:
     """Find the stray points of a source.
 
     Parameters
@@ -71,13 +73,16 @@ def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | 
     for part in parts:
         if part is not largest and can_be_strays(sum(buckets[c] for c in part), total):
             alone.update(part)
-    return Strays(frozenset(alone), extent if outside and can_be_strays(outside, total) else None)
+    return Strays(
+        frozenset(alone), extent if outside and can_be_strays(outside, total) else None
+    )
 
 
 def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
     """Group buckets into parts that are separated by empty cells of the size `FAR`.
 
-    If points are so sparse that a bucket is wider than `FAR`, the cells are as wide as a bucket.
+    If points are so sparse that a bucket is wider than `FAR`, the cells are as wide as a
+    bucket.
     """
     far = Lattice(max(Fraction(int(FAR * COUNTS_PER_UNIT)), lattice.size))
     wide: dict[tuple[int, int], list[Cell]] = {}
@@ -118,7 +123,9 @@ def stray_mask(
     return mask
 
 
-def places(block: PointBlock, strays: npt.NDArray[np.bool_], origin: tuple[int, int]) -> list[list[Any]]:
+def places(
+    block: PointBlock, strays: npt.NDArray[np.bool_], origin: tuple[int, int]
+) -> list[list[Any]]:
     """Return source, row, x, y, z of each stray, with coordinates in units of the CRS."""
     if block.origin is None or not strays.any():
         return []

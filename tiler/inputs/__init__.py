@@ -1,7 +1,7 @@
 """Inputs of a run: search for files, their headers, samples of their points, their common CRS.
 
-The plan uses `find_inputs`, `inspect` (in parallel for several files) and `resolve_common_crs`. The stage ingest
-divides files into `pieces`.
+The plan uses `find_inputs`, `inspect` (in parallel for several files) and `resolve_common_crs`.
+The stage ingest divides files into `pieces`.
 """
 
 from tiler.inputs.common_crs import CommonCrs, resolve_common_crs

@@ -39,12 +39,15 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     """
     notes: list[str] = []
     given = _given(config.crs)
-    members = [(i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points]
+    members = [
+        (i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points
+    ]
     _check_horizontal(members)
     _note_ignored_crs(members, config.crs, given, notes)
     units = _units(members, config.units, notes)
     texts = {g.wkt for _, g in members if g.wkt is not None}
-    # Equal definitions may have different texts. The choice does not depend on the order of the files.
+    # Equal definitions may have different texts. The choice does not depend on the order of the
+    # files.
     wkt = min(texts, key=lambda text: (-text.count("ID["), text), default=None)
     return CommonCrs(wkt, units, notes)
 
@@ -90,7 +93,9 @@ def _note_ignored_crs(
         )
 
 
-def _settled(path: Path, own: Georeference, given: Georeference | None, text: str | None) -> Georeference:
+def _settled(
+    path: Path, own: Georeference, given: Georeference | None, text: str | None
+) -> Georeference:
     """Return the CRS of a file, or that of ``--crs`` if the file does not have one.
 
     Raise InputError if the CRS is missing or has angles instead of lengths.
@@ -147,10 +152,13 @@ def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
             )
 
 
-def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes: list[str]) -> Units:
+def _units(
+    members: Sequence[tuple[Path, Georeference]], text: str | None, notes: list[str]
+) -> Units:
     """Return the horizontal and the vertical unit.
 
-    Raise InputError if heights of files have different units, or ConfigError if ``--units`` cannot be used.
+    Raise InputError if heights of files have different units, or ConfigError if ``--units``
+    cannot be used.
     """
     horizontal = next((g.horizontal for _, g in members if g.horizontal is not None), None)
     if horizontal is None:

@@ -19,7 +19,8 @@ from tiler.io.las.octree import Octree
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
 
 _PLACES = 32
-"""Maximum number of positions in the file at which a sample is read. A small file with one chunk has one position."""
+"""Maximum number of positions in the file at which a sample is read. A small file with one
+chunk has one position."""
 _SAMPLE = 1024
 """Number of points read at each position."""
 _LEAST = 8192
@@ -29,7 +30,8 @@ _SCAN = 1 << 19
 _BLOCK_BYTES = 1 << 19
 """Bytes of an object that are read at a time, about the size of a chunk's coordinates."""
 _WIDEST = 1e6
-"""Longest credible extent in units of the CRS. Within it, the distance of any two positions fits int32 counts."""
+"""Longest credible extent in units of the CRS. Within it, the distance of any two positions
+fits int32 counts."""
 
 FEW = 10
 """Maximum number of strays of a file."""
@@ -83,10 +85,11 @@ def can_be_strays(number: int, total: int) -> bool:
 def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     """Find the bounds of a file from its header and a sample of its points.
 
-    The bounds of the header are used if they are credible and contain the sample. A few strays may lie outside if the
-    rest of the sample fills the bounds. Otherwise all points are read. Bounds that extend very far beyond the sample
-    are cut to it, since they contain strays or an empty area that the plan must not count. The sample of an octree is
-    its root, whose points span the whole file.
+    The bounds of the header are used if they are credible and contain the sample. A few strays
+    may lie outside if the rest of the sample fills the bounds. Otherwise all points are read.
+    Bounds that extend very far beyond the sample are cut to it, since they contain strays or an
+    empty area that the plan must not count. The sample of an octree is its root, whose points
+    span the whole file.
 
     Raises
     ------
@@ -95,16 +98,24 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     """
     if header.point_count == 0:
         return Extent(None, False)
-    root = None if octree is None else octree.root(header, rows_at_once(header.record_length, _SCAN))
+    root = (
+        None
+        if octree is None
+        else octree.root(header, rows_at_once(header.record_length, _SCAN))
+    )
     with PointReader(header, EVERYTHING, _BLOCK_BYTES, [root] if root else None) as reader:
         if root is not None:
             sample = [reader.read(*root)]
         else:
             last = header.point_count - 1
-            starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
+            starts = sorted(
+                {_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)}
+            )
             length = max(_SAMPLE, _LEAST // len(starts))
             sample = [reader.read(s, min(length, header.point_count - s)) for s in starts]
-        most = max(int(returns(records, header.point_format)[1].max(initial=0)) for records in sample)
+        most = max(
+            int(returns(records, header.point_format)[1].max(initial=0)) for records in sample
+        )
         told = evidence(np.concatenate(sample), header.point_format)
         near = _BoundingBox.around(header, sample)
         claim = _BoundingBox(np.array(header.mins), np.array(header.maxs))
@@ -113,10 +124,14 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
         claimed = credible and claim.holds(near, header.scales)
         if credible and not claimed and _few_outside(header, sample, claim):
             claimed = True
-            near = _BoundingBox(np.maximum(near.low, claim.low), np.minimum(near.high, claim.high))
+            near = _BoundingBox(
+                np.maximum(near.low, claim.low), np.minimum(near.high, claim.high)
+            )
         if not claimed:
             claim = _BoundingBox.around(header, reader.pieces(_SCAN))
-            note = "its points lie outside the bounds that its header gives: read from the points"
+            note = (
+                "its points lie outside the bounds that its header gives: read from the points"
+            )
     if not np.all(np.isfinite(claim.low)):
         raise InputError(
             f"{header.path}: none of its {header.point_count} points has finite coordinates; get the file again"
@@ -129,7 +144,9 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     runs = [_plan_view(header, block) for block in sample]
     if octree is not None and header.laz is not None:
         everywhere = np.concatenate(runs, axis=1)
-        patches = _patches_of(octree, header.laz.counts.tolist(), everywhere, (*low[:2], *high[:2]))
+        patches = _patches_of(
+            octree, header.laz.counts.tolist(), everywhere, (*low[:2], *high[:2])
+        )
     else:
         patches = find_patches(runs, header.point_count, (*low[:2], *high[:2]))
     return Extent((*low, *high), claimed, note, patches, most, told)
@@ -140,7 +157,10 @@ def _patches_of(
 ) -> tuple[DensityPatch, ...]:
     """Return a patch for each square of an octree with points, clipped to the bounds."""
     patches = []
-    level = max(*(key[0] for key in octree.keys), math.isqrt(sample.shape[1] // IN_CELL).bit_length() - 1)
+    level = max(
+        *(key[0] for key in octree.keys),
+        math.isqrt(sample.shape[1] // IN_CELL).bit_length() - 1,
+    )
     for key, points in octree.spread(counts, sample, min(level, _LEVELS)).items():
         x0, y0, x1, y1 = octree.box(key)
         patch = DensityPatch(
@@ -209,7 +229,9 @@ class _BoundingBox:
 
     def holds(self, other: _BoundingBox, tolerance: Sequence[float]) -> bool:
         """Return whether this box contains another one, apart from rounding."""
-        inside = np.all(other.low >= self.low - tolerance) and np.all(other.high <= self.high + tolerance)
+        inside = np.all(other.low >= self.low - tolerance) and np.all(
+            other.high <= self.high + tolerance
+        )
         return bool(inside)
 
     def trimmed(self, near: _BoundingBox) -> _BoundingBox | None:
@@ -224,7 +246,9 @@ class _BoundingBox:
         west[2] = east[2] = False
         if not (west.any() or east.any()):
             return None
-        return _BoundingBox(np.where(west, near.low, self.low), np.where(east, near.high, self.high))
+        return _BoundingBox(
+            np.where(west, near.low, self.low), np.where(east, near.high, self.high)
+        )
 
 
 def _chunk_start(header: LasHeader, point: int) -> int:

@@ -60,7 +60,9 @@ def crs_of_keys(directory: bytes) -> KeyedCrs:
     if horizontal is None and keys.get(_PROJECTED) is None:
         horizontal = _of_code(keys.get(_GEODETIC), notes)
     if keys.get(_PROJECTED) == _USER_DEFINED:
-        notes.append("its GeoTIFF keys describe a user-defined CRS, but only EPSG codes are read")
+        notes.append(
+            "its GeoTIFF keys describe a user-defined CRS, but only EPSG codes are read"
+        )
     unit = _UNITS.get(keys.get(_LINEAR_UNIT, 0))
     if horizontal is not None and horizontal.is_projected and unit is not None:
         metres_per_unit = horizontal.axis_info[0].unit_conversion_factor
@@ -115,8 +117,8 @@ class Georeference:
 def georeference(header: LasHeader) -> Georeference:
     """Return the CRS and the units of a file.
 
-    The global encoding of the header decides whether the WKT record or the GeoTIFF keys are read first. The other
-    source is used if the first is missing or cannot be read.
+    The global encoding of the header decides whether the WKT record or the GeoTIFF keys are
+    read first. The other source is used if the first is missing or cannot be read.
     """
     notes: list[str] = []
     readers = [_from_wkt, _from_keys] if header.prefers_wkt else [_from_keys, _from_wkt]
@@ -127,14 +129,18 @@ def georeference(header: LasHeader) -> Georeference:
     return Georeference("missing", notes=tuple(notes))
 
 
-def describe(crs: CRS, notes: Sequence[str] = (), vertical_unit: Fraction | None = None) -> Georeference:
+def describe(
+    crs: CRS, notes: Sequence[str] = (), vertical_unit: Fraction | None = None
+) -> Georeference:
     """Return the kind and the units of a CRS.
 
     ``vertical_unit`` is used if the CRS does not define the unit of heights.
     """
     horizontal, vertical = split(crs)
     if horizontal is None:
-        return Georeference("missing", crs.name, notes=(*notes, f"its CRS {crs.name} is vertical only"))
+        return Georeference(
+            "missing", crs.name, notes=(*notes, f"its CRS {crs.name} is vertical only")
+        )
     kind = _kind(horizontal)
     if kind in ("geographic", "geocentric"):
         return Georeference(kind, horizontal.name, crs.to_wkt(), notes=tuple(notes))
@@ -160,7 +166,12 @@ def _from_wkt(header: LasHeader, notes: list[str]) -> Georeference | None:
     for record in (*header.vlrs, *header.evlrs):
         if record.user_id != PROJECTION_USER or record.record_id != _WKT_RECORD:
             continue
-        text = read_payload(header.path, record).split(b"\0")[0].decode("utf-8-sig", "replace").strip()
+        text = (
+            read_payload(header.path, record)
+            .split(b"\0")[0]
+            .decode("utf-8-sig", "replace")
+            .strip()
+        )
         if not text:
             notes.append("its WKT record is empty")
             continue
@@ -174,7 +185,8 @@ def _from_wkt(header: LasHeader, notes: list[str]) -> Georeference | None:
 
 @lru_cache(maxsize=64)
 def _described(wkt: str) -> Georeference:
-    # The files of a delivery share one text, and parsing it takes as long as reading a sample of a file.
+    # The files of a delivery share one text, and parsing it takes as long as reading a sample
+    # of a file.
     return describe(CRS.from_wkt(wkt))
 
 
@@ -189,11 +201,13 @@ def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:
         if keyed.vertical is None:
             return describe(keyed.horizontal, notes, keyed.vertical_unit)
         both = CompoundCRS(
-            f"{keyed.horizontal.name} + {keyed.vertical.name}", [keyed.horizontal, keyed.vertical]
+            f"{keyed.horizontal.name} + {keyed.vertical.name}",
+            [keyed.horizontal, keyed.vertical],
         )
         compound = describe(both, notes)
         if keyed.vertical_unit not in (None, compound.vertical):
-            # The key takes precedence over the EPSG entry: heights may be in feet, their datum in metres.
+            # The key takes precedence over the EPSG entry: heights may be in feet, their datum
+            # in metres.
             return describe(keyed.horizontal, notes, keyed.vertical_unit)
         return compound
     return None

@@ -16,10 +16,13 @@ LIST_BYTES = 1 << 28
 MAX_CLOUDS = 1 << 18
 """Maximum number of clouds in a list. A URL takes 1.4 kB of memory before any cloud is read."""
 LIST_SECONDS = 300.0
-"""Maximum time in seconds for reading a whole ``.vpc`` or hierarchy, however slow its server is."""
+"""Maximum time in seconds for reading a whole ``.vpc`` or hierarchy, however slow its server
+is."""
 
 
-def read_list(text: str, function: Callable[..., Read], *arguments: Any, in_process: bool = False) -> Read:
+def read_list(
+    text: str, function: Callable[..., Read], *arguments: Any, in_process: bool = False
+) -> Read:
     """Call ``function(*arguments)`` in a child process and return its result.
 
     Parameters

@@ -1,7 +1,8 @@
 """Estimates of the distribution and density of a file's points, from runs of successive points.
 
-The mean density over a file's bounds is wrong if flight strips run diagonally, or cross. A run of successive points
-gives the density at its position or, if the order of the file is random, the density of the whole file.
+The mean density over a file's bounds is wrong if flight strips run diagonally, or cross. A run
+of successive points gives the density at its position or, if the order of the file is random,
+the density of the whole file.
 """
 
 from __future__ import annotations
@@ -14,23 +15,27 @@ import numpy as np
 import numpy.typing as npt
 
 _PER_CELL = 4.0
-"""Mean number of points per occupied cell for which `local_density` chooses the size of its cells."""
+"""Mean number of points per occupied cell for which `local_density` chooses the size of its
+cells."""
 _ROUNDS = 6
 
 # A long run is divided if its rectangle is mostly empty.
 _FAR = 10_000.0
 """Minimum length of a long run in units of the CRS."""
 _FAR_VOID = 1000.0
-"""Ratio of the area of its rectangle to the area that its points fill, above which it is divided."""
+"""Ratio of the area of its rectangle to the area that its points fill, above which it is
+divided."""
 
 # A run of many points is divided if its rectangle is partly empty.
 _MANY = 512
 _VOID = 2.0
-"""Ratio of the area of its rectangle to the area of all points that the run represents, above which it is divided."""
+"""Ratio of the area of its rectangle to the area of all points that the run represents, above
+which it is divided."""
 
 # If the order of the file is random, patches are cells of the bounds.
 _SPANS = 0.7
-"""Share of both sides of the bounds that each run must span for the order to count as random."""
+"""Share of both sides of the bounds that each run must span for the order to count as
+random."""
 _CELLS = 16
 """Maximum number of cells along a side."""
 IN_CELL = 8
@@ -53,8 +58,8 @@ def find_patches(
 ) -> tuple[DensityPatch, ...]:
     """Estimate the patches of a file: one or more per run, or one per cell if its order is random.
 
-    Together they contain all points. The rectangle of a run is widened until, at the density of the run, it contains
-    all points up to the next run.
+    Together they contain all points. The rectangle of a run is widened until, at the density of
+    the run, it contains all points up to the next run.
 
     Parameters
     ----------
@@ -67,16 +72,23 @@ def find_patches(
     """
     low = np.array(bounds[:2])
     high = np.array(bounds[2:])
-    inside = [run[:, np.all((run >= low[:, None]) & (run <= high[:, None]), axis=0)] for run in runs]
+    inside = [
+        run[:, np.all((run >= low[:, None]) & (run <= high[:, None]), axis=0)] for run in runs
+    ]
     inside = [run for run in inside if run.shape[1]]
     if not inside:
-        return (DensityPatch(bounds[0], bounds[1], bounds[2], bounds[3], points),) if points else ()
+        return (
+            (DensityPatch(bounds[0], bounds[1], bounds[2], bounds[3], points),)
+            if points
+            else ()
+        )
     if all(np.all(np.ptp(run, axis=1) >= _SPANS * (high - low)) for run in inside):
         return _cells(np.concatenate(inside, axis=1), points, low, high)
     share = points / len(inside)
     divided = [_divide(run, share) for run in inside]
     if any(len(parts) > 1 for parts in divided):
-        # The runs of a small file overlap. So some are left out, until they have about as many points as the file.
+        # The runs of a small file overlap. So some are left out, until they have about as many
+        # points as the file.
         step = max(round(sum(run.shape[1] for run in inside) / points), 1)
         divided = divided[::step]
         share = points / len(divided)
@@ -97,7 +109,9 @@ def _cells(
     total = sample.shape[1]
     across = min(max(math.isqrt(total // IN_CELL), 1), _CELLS)
     side = (high - low) / across
-    indices = np.floor((sample - low[:, None]) / np.where(side > 0, side, 1.0)[:, None]).astype(np.int64)
+    indices = np.floor((sample - low[:, None]) / np.where(side > 0, side, 1.0)[:, None]).astype(
+        np.int64
+    )
     cells, held = np.unique(np.minimum(indices, across - 1), axis=1, return_counts=True)
     corners = (low + cells.T * side).tolist()
     return tuple(
@@ -124,7 +138,10 @@ def _divide(run: npt.NDArray[np.float64], points: float) -> list[npt.NDArray[np.
 
 
 def _patch(
-    run: npt.NDArray[np.float64], points: float, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
+    run: npt.NDArray[np.float64],
+    points: float,
+    low: npt.NDArray[np.float64],
+    high: npt.NDArray[np.float64],
 ) -> DensityPatch:
     first, last = run.min(axis=1), run.max(axis=1)
     wide, tall = (last - first).tolist()
@@ -132,22 +149,27 @@ def _patch(
     # The margin m solves (wide + 2 m) (tall + 2 m) = area.
     margin = (math.sqrt((wide - tall) ** 2 + 4 * area) - wide - tall) / 4
     first, last = first - max(margin, 0.0), last + max(margin, 0.0)
-    # A patch that extends beyond the bounds is moved inside instead of clipped, so that it keeps its area.
+    # A patch that extends beyond the bounds is moved inside instead of clipped, so that it
+    # keeps its area.
     shift = np.maximum(low - first, 0) - np.maximum(last - high, 0)
     first, last = np.maximum(first + shift, low), np.minimum(last + shift, high)
     last = np.maximum(last, first)
-    return DensityPatch(float(first[0]), float(first[1]), float(last[0]), float(last[1]), points)
+    return DensityPatch(
+        float(first[0]), float(first[1]), float(last[0]), float(last[1]), points
+    )
 
 
 def local_density(run: npt.NDArray[np.float64]) -> float:
     """Return the points per square unit of the occupied cells, with about `_PER_CELL` points per cell.
 
-    The error is at most a factor of two for points distributed over a plane. For a single scan line the density is too
-    low by a factor of two to four.
+    The error is at most a factor of two for points distributed over a plane. For a single scan
+    line the density is too low by a factor of two to four.
     """
     n = run.shape[1]
     first, sides = run.min(axis=1), np.ptp(run, axis=1)
-    cell = math.sqrt(_PER_CELL * max(float(sides[0] * sides[1]), float(sides.max()) ** 2 / n**2, 1e-12) / n)
+    cell = math.sqrt(
+        _PER_CELL * max(float(sides[0] * sides[1]), float(sides.max()) ** 2 / n**2, 1e-12) / n
+    )
     density = 0.0
     for _ in range(_ROUNDS):
         column, row = np.floor((run - first[:, None]) / cell).astype(np.int64)

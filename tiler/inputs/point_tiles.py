@@ -22,7 +22,8 @@ DATA_FOLDER = "ept-data"
 _MAX_WKT_BYTES = 1 << 20
 _DEEPEST = 30
 _FARTHEST = 1e12
-"""Largest coordinate in units of the CRS, more than any CRS has. Larger ones would make the side of a box inexact."""
+"""Largest coordinate in units of the CRS, more than any CRS has. Larger ones would make the
+side of a box inexact."""
 _NOT_LOADED = -1
 """Number in a page of the hierarchy if another page contains the number of points."""
 
@@ -139,7 +140,11 @@ def _schema(found: Mapping[str, Any]) -> tuple[tuple[float, ...] | None, bool | 
     schema = found.get("schema")
     if not isinstance(schema, list):
         return None, None
-    named = {str(entry.get("name")): entry.get("scale") for entry in schema if isinstance(entry, dict)}
+    named = {
+        str(entry.get("name")): entry.get("scale")
+        for entry in schema
+        if isinstance(entry, dict)
+    }
     has_rgb = named.keys() >= {"Red", "Green", "Blue"}
     scales = tuple(float(scale) for scale in map(named.get, "XYZ") if _is_coordinate(scale))
     if len(scales) != len("XYZ"):
@@ -164,7 +169,10 @@ def node_files(tiles: EptDataset, touches: Touches | None = None) -> dict[str, i
         A page of the hierarchy is damaged or missing, or no node has points although there is no predicate.
     """
     counts = sorted(node_counts(tiles, touches).items())
-    return {tiles.place(DATA_FOLDER, f"{'-'.join(map(str, key))}.laz"): count for key, count in counts}
+    return {
+        tiles.place(DATA_FOLDER, f"{'-'.join(map(str, key))}.laz"): count
+        for key, count in counts
+    }
 
 
 def key_of(path: Path) -> tuple[int, ...] | None:
@@ -172,7 +180,9 @@ def key_of(path: Path) -> tuple[int, ...] | None:
     return _key(path.name.rpartition(".")[0])
 
 
-def node_counts(tiles: EptDataset, touches: Touches | None = None) -> dict[tuple[int, ...], int]:
+def node_counts(
+    tiles: EptDataset, touches: Touches | None = None
+) -> dict[tuple[int, ...], int]:
     """Return the number of points of each node by its key: level, column, row and layer.
 
     `node_files` describes the parameters and errors.
@@ -181,7 +191,10 @@ def node_counts(tiles: EptDataset, touches: Touches | None = None) -> dict[tuple
     for key, count in _nodes(tiles, touches):
         if counts.setdefault(key, count) != count or len(counts) > MAX_CLOUDS:
             name = "-".join(map(str, key))
-            _refuse(tiles.text, f"its hierarchy names the node {name} twice, or more than {MAX_CLOUDS} nodes")
+            _refuse(
+                tiles.text,
+                f"its hierarchy names the node {name} twice, or more than {MAX_CLOUDS} nodes",
+            )
     if not any(counts.values()) and touches is None:
         _refuse(tiles.text, "its hierarchy names no points")
     return {key: count for key, count in counts.items() if count}
@@ -194,14 +207,24 @@ def _nodes(tiles: EptDataset, touches: Touches | None) -> Iterator[tuple[tuple[i
     while pages:
         page = pages.pop()
         if page in seen:
-            _refuse(tiles.text, f"its hierarchy leads to the page {'-'.join(map(str, page))} twice")
+            _refuse(
+                tiles.text, f"its hierarchy leads to the page {'-'.join(map(str, page))} twice"
+            )
         seen.add(page)
         name = "-".join(map(str, page))
         entries = _read(tiles.text, tiles.place("ept-hierarchy", f"{name}.json"))
         for text, count in entries.items():
             key = _key(text)
-            if key is None or isinstance(count, bool) or not isinstance(count, int) or count < _NOT_LOADED:
-                _refuse(tiles.text, f"the page {name} of its hierarchy says {excerpt(f'{text}: {count}')}")
+            if (
+                key is None
+                or isinstance(count, bool)
+                or not isinstance(count, int)
+                or count < _NOT_LOADED
+            ):
+                _refuse(
+                    tiles.text,
+                    f"the page {name} of its hierarchy says {excerpt(f'{text}: {count}')}",
+                )
             if touches is not None and not touches(tiles.box(key)):
                 continue
             if count != _NOT_LOADED:
@@ -214,7 +237,9 @@ def _nodes(tiles: EptDataset, touches: Touches | None) -> Iterator[tuple[tuple[i
 
 def _key(text: str) -> tuple[int, int, int, int] | None:
     parts = text.split("-")
-    if len(parts) != 4 or not all(part.isascii() and part.isdigit() and len(part) < 11 for part in parts):
+    if len(parts) != 4 or not all(
+        part.isascii() and part.isdigit() and len(part) < 11 for part in parts
+    ):
         return None
     level, x, y, z = map(int, parts)
     if level > _DEEPEST or max(x, y, z) >= 1 << level:
@@ -239,7 +264,8 @@ def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
             continue
         try:
             return str(CRS.from_user_input(definition).to_wkt())
-        except (CRSError, UnicodeEncodeError):  # JSON may contain a lone surrogate, which cannot be encoded.
+        # JSON may contain a lone surrogate, which cannot be encoded.
+        except (CRSError, UnicodeEncodeError):
             continue
     return None
 

@@ -42,8 +42,9 @@ class AxisCounts:
 def decimal_terms(scale: float, offset: float) -> tuple[int, int, int] | None:
     """Return integers ``(a, c, d)`` such that a record's integer X is ``(X*a + c) / d`` counts.
 
-    The doubles of the header are taken as the decimal numbers that they print as, for example 0.01 as 1/100. The result
-    is None if some int32 X would overflow int64, for example with scales of seventeen digits.
+    The doubles of the header are taken as the decimal numbers that they print as, for example
+    0.01 as 1/100. The result is None if some int32 X would overflow int64, for example with
+    scales of seventeen digits.
     """
     a = Fraction(repr(float(scale))) * COUNTS_PER_UNIT
     c = Fraction(repr(float(offset))) * COUNTS_PER_UNIT

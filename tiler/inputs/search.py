@@ -40,8 +40,8 @@ def find_inputs(
 ) -> list[Path]:
     """Find LAS and LAZ files in files, folders (recursively), globs, virtual point clouds and EPT.
 
-    Clouds that a run of tiler wrote are found only if their own folder or a file in it is given. They are not found
-    through a folder or a glob above it.
+    Clouds that a run of tiler wrote are found only if their own folder or a file in it is
+    given. They are not found through a folder or a glob above it.
 
     Parameters
     ----------
@@ -86,7 +86,9 @@ def find_inputs(
                 clouds.setdefault(_real(path), path)
             continue
         root, candidates = _expanded(text, report)
-        reads_results = results and not is_url(text) and not any(path.parent == root for path in candidates)
+        reads_results = (
+            results and not is_url(text) and not any(path.parent == root for path in candidates)
+        )
         made = _Made(root, root / CLASSIFIED if reads_results else None, out, report)
         for path in made.without(candidates):
             known = clouds.setdefault(_real(path), path)
@@ -115,7 +117,9 @@ def _globbed_lists(text: str) -> list[str]:
 
 
 def _is_there_as_list(text: str) -> bool:
-    return is_list(text) and (is_url(text) or (os.path.lexists(text) and not Path(text).is_dir()))
+    return is_list(text) and (
+        is_url(text) or (os.path.lexists(text) and not Path(text).is_dir())
+    )
 
 
 def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list[Path]:
@@ -126,7 +130,9 @@ def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list
     tiles = read_list(text, read_point_tiles, text, in_process=in_process)
     node_counts = read_list(text, node_files, tiles, wanted(tiles), in_process=in_process)
     if not node_counts:
-        raise ConfigError(f"{text}: has no points near the requested area; check --bounds or --aoi")
+        raise ConfigError(
+            f"{text}: has no points near the requested area; check --bounds or --aoi"
+        )
     counts = {as_path(location): count for location, count in node_counts.items()}
     listed(tiles, counts)
     return list(counts)
@@ -134,7 +140,8 @@ def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list
 
 def _real(path: Path) -> Path:
     """Return the path of a file with all links resolved."""
-    # `Path.resolve` fails for circular links. They must not fail here, because reading reports them.
+    # `Path.resolve` fails for circular links. They must not fail here, because reading reports
+    # them.
     return path if is_url(path) else Path(os.path.realpath(path))
 
 
@@ -144,7 +151,9 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
         fixed = text[: _glob_base(text)].rpartition("/")[0] if glob.has_magic(text) else text
         return as_path(fixed if is_url(fixed) else text), list_inputs(text, SUFFIXES)
     if not text:
-        raise ConfigError("an input has no name at all; give LAS or LAZ files, folders, globs or .vpc files")
+        raise ConfigError(
+            "an input has no name at all; give LAS or LAZ files, folders, globs or .vpc files"
+        )
     path = Path(text)
     try:
         is_folder, is_there = path.is_dir(), path.exists() or path.is_symlink()
@@ -189,7 +198,9 @@ def _walk(folder: Path, note: Tell) -> Iterator[Path]:
         folders[:] = sorted(name for name in folders if not name.startswith(SCRATCH_PREFIX))
         for name in folders:
             if (here / name).is_symlink():
-                note(f"{here / name}: is a link to a folder, not followed; give it as an input to read it")
+                note(
+                    f"{here / name}: is a link to a folder, not followed; give it as an input to read it"
+                )
         for name in sorted(names):
             if Path(name).suffix.lower() in SUFFIXES:
                 yield here / name
@@ -227,7 +238,9 @@ class _Made:
                 yield path
             elif folder not in self._reported:
                 self._reported.add(folder)
-                self._note(f"{folder}: is the result of a run, left out; give it as an input to read it")
+                self._note(
+                    f"{folder}: is the result of a run, left out; give it as an input to read it"
+                )
 
     def _folder_of(self, path: Path) -> Path | None:
         """Return the folder of results below the root that contains a path, or None."""

@@ -30,10 +30,12 @@ Read = TypeVar("Read")
 INSPECTION_SECONDS = 60.0
 """Maximum time of an inspection in seconds. Large files may take longer."""
 BYTES_PER_SECOND = 1e6
-"""Lowest speed of an inspection that reads all points of a file. Every disk and decoder is faster."""
+"""Lowest speed of an inspection that reads all points of a file. Every disk and decoder is
+faster."""
 
 _MAX_CHUNK = 4_000_000
-"""Maximum number of points of an undivided chunk. Damaged files may claim chunks that do not fit into memory."""
+"""Maximum number of points of an undivided chunk. Damaged files may claim chunks that do not
+fit into memory."""
 
 
 @dataclass(frozen=True)
@@ -198,10 +200,13 @@ def inspect_in_child(guard: ChildProcess, path: Path, salvage: bool = False) -> 
     return read_in_child(guard, inspect, path, salvage)
 
 
-def read_in_child(guard: ChildProcess, function: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+def read_in_child(
+    guard: ChildProcess, function: Callable[..., Read], path: Path, *arguments: Any
+) -> Read:
     """Call ``function(path, ...)`` in a child process and return its result.
 
-    Raise InputError if the child crashes, hangs or needs too much memory, or ProcessingError if it cannot start.
+    Raise InputError if the child crashes, hangs or needs too much memory, or ProcessingError if
+    it cannot start.
     """
     try:
         seconds = INSPECTION_SECONDS + stat_location(path).st_size / BYTES_PER_SECOND
@@ -215,7 +220,9 @@ def read_in_child(guard: ChildProcess, function: Callable[..., Read], path: Path
             f"{path}: the process that reads it {error}; end other programs, then run again"
         ) from error
     except ChildDiedError as died:
-        raise InputError(f"{path}: the process that reads it {died}; get the file again") from died
+        raise InputError(
+            f"{path}: the process that reads it {died}; get the file again"
+        ) from died
 
 
 def header_bounds(info: SourceInfo) -> Bounds | None:
@@ -237,8 +244,8 @@ def header_bounds(info: SourceInfo) -> Bounds | None:
 def pieces(info: SourceInfo, size: int = 1_000_000) -> list[tuple[int, int]]:
     """Return ranges (start, count) of about ``size`` points that together form a source.
 
-    They consist of whole chunks of a LAZ file, so that no chunk is decoded twice. Only extremely large chunks are
-    divided.
+    They consist of whole chunks of a LAZ file, so that no chunk is decoded twice. Only
+    extremely large chunks are divided.
     """
     if info.points == 0:
         return []

@@ -46,10 +46,16 @@ def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
         if not isinstance(href, str) or not href or "\0" in href:
             _refuse(text, f"its feature {number} names no cloud")
         if not href.partition("?")[0].lower().endswith(suffixes):
-            _refuse(text, f"its feature {number} names {excerpt(href)}, no file of {', '.join(suffixes)}")
+            _refuse(
+                text,
+                f"its feature {number} names {excerpt(href)}, no file of {', '.join(suffixes)}",
+            )
         location = _resolved(text, href)
         if not _is_name(location):
-            _refuse(text, f"its feature {number} names {excerpt(href)}, which holds half of a character")
+            _refuse(
+                text,
+                f"its feature {number} names {excerpt(href)}, which holds half of a character",
+            )
         locations.setdefault(location)
     if not locations:
         _refuse(text, "names no cloud at all")
@@ -100,7 +106,8 @@ def _features(text: str) -> list[Any]:
 def _resolved(text: str, href: str) -> str:
     """Return the path or URL of a cloud in a virtual point cloud.
 
-    A virtual point cloud at a URL must not make this machine read its own files or open chained file systems.
+    A virtual point cloud at a URL must not make this machine read its own files or open chained
+    file systems.
     """
     scheme = urlsplit(href).scheme.lower() if is_url(href) else ""
     if scheme:

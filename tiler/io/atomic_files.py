@@ -18,7 +18,8 @@ MAX_NAME_LENGTH = 255
 IN_USE = (5, 32)
 """Numbers of the Windows errors for a file that another process has open."""
 IN_USE_SECONDS = 5.0
-"""Time for retries after an error of `IN_USE`, since virus scanners open each new file for a moment."""
+"""Time for retries after an error of `IN_USE`, since virus scanners open each new file for a
+moment."""
 
 SCRATCH_PREFIX = ".tiler-"
 """Prefix of the names of temporary files and folders outside of a store."""
@@ -61,7 +62,8 @@ def atomic_path(target: Path) -> Iterator[Path]:
 def replace_file(source: str | Path, target: str | Path) -> None:
     """Rename a file, in place of a file with the new name. Raise OSError if this fails.
 
-    Windows refuses this while a process has one of the files open, so it is retried for `IN_USE_SECONDS` there.
+    Windows refuses this while a process has one of the files open, so it is retried for
+    `IN_USE_SECONDS` there.
     """
     began = time.monotonic()
     while True:
@@ -79,8 +81,9 @@ def replace_file(source: str | Path, target: str | Path) -> None:
 def cause_of(partial: Path, error: BaseException) -> Exception:
     """Return the reason why GDAL could not write a file.
 
-    GDAL does not report that a disk is full or that a file may not grow, so one more write shows the system's error. If
-    this write succeeds, the reason is the first error in the chain, which is GDAL's own.
+    GDAL does not report that a disk is full or that a file may not grow, so one more write
+    shows the system's error. If this write succeeds, the reason is the first error in the
+    chain, which is GDAL's own.
     """
     try:
         if is_scratch(partial.name) and partial.exists():

@@ -13,7 +13,8 @@ from tiler.io.locations import is_url, storage_errors
 BLOCK_BYTES = 1 << 22
 """Bytes per request to a URL, which contain several chunks of points."""
 KEPT_BLOCKS = 8
-"""Number of blocks of an object that are kept while it is read: blocks of its header, table and points."""
+"""Number of blocks of an object that are kept while it is read: blocks of its header, table and
+points."""
 
 _fetched = [0]
 
@@ -28,8 +29,8 @@ def open_location(
 ) -> BinaryIO:
     """Open a file for random reading. Raise OSError if it cannot be opened.
 
-    A URL is read in blocks of ``block_bytes``. Its ``parts`` (first and end byte of each) are read immediately, each
-    with one request.
+    A URL is read in blocks of ``block_bytes``. Its ``parts`` (first and end byte of each) are
+    read immediately, each with one request.
     """
     if not is_url(path):
         return open(path, "rb")
@@ -39,9 +40,12 @@ def open_location(
     with storage_errors():
         opened = cast(Any, path).open("rb", block_size=block_bytes)
         if isinstance(opened, AbstractBufferedFile):
-            # A decoder jumps between header, points and the table at the end. The cache requests each block once. It
-            # is not set by options of `open`, since some file systems do not accept them.
-            opened.cache = BlockCache(block_bytes, _counted(opened._fetch_range), opened.size, KEPT_BLOCKS)
+            # A decoder jumps between header, points and the table at the end. The cache
+            # requests each block once. It is not set by options of `open`, since some file
+            # systems do not accept them.
+            opened.cache = BlockCache(
+                block_bytes, _counted(opened._fetch_range), opened.size, KEPT_BLOCKS
+            )
         return cast(BinaryIO, _Guarded(opened, _read_parts(opened, cast(Any, path), parts)))
 
 
@@ -54,14 +58,20 @@ def _counted(fetch: Callable[[int, int], bytes]) -> Callable[[int, int], bytes]:
     return counting
 
 
-def _read_parts(opened: Any, path: Any, parts: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
+def _read_parts(
+    opened: Any, path: Any, parts: Sequence[tuple[int, int]]
+) -> list[tuple[int, bytes]]:
     """Return first byte and content of each part. The requests overlap."""
     if not parts:
         return []
     starts, ends = zip(*parts, strict=True)
-    contents = opened.fs.cat_ranges([path.path] * len(parts), list(starts), list(ends), on_error="raise")
+    contents = opened.fs.cat_ranges(
+        [path.path] * len(parts), list(starts), list(ends), on_error="raise"
+    )
     _fetched[0] += sum(map(len, contents))
-    if any(len(data) != end - start for data, (start, end) in zip(contents, parts, strict=True)):
+    if any(
+        len(data) != end - start for data, (start, end) in zip(contents, parts, strict=True)
+    ):
         raise OSError("its server does not support range requests; download it")
     return list(zip(starts, contents, strict=True))
 
@@ -126,7 +136,9 @@ class _Guarded(io.RawIOBase):
             except ValueError as error:
                 if "http" not in self.shared.fs.protocol:
                     raise
-                raise OSError("its server does not support range requests; download it") from error
+                raise OSError(
+                    "its server does not support range requests; download it"
+                ) from error
         target[: len(data)] = data
         self._place += len(data)
         return len(data)

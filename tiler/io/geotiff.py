@@ -78,8 +78,19 @@ class PlainWriter:
 
 def tiled_profile(height: int, width: int, transform: Sequence[float]) -> dict[str, Any]:
     """Return rasterio's options, except bands and CRS, for a tiled GeoTIFF (BigTIFF if it may exceed 4 GB)."""
-    blocks = {"tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "BIGTIFF": "IF_SAFER"}
-    return {"driver": "GTiff", "height": height, "width": width, "transform": Affine(*transform), **blocks}
+    blocks = {
+        "tiled": True,
+        "blockxsize": BLOCK_PIXELS,
+        "blockysize": BLOCK_PIXELS,
+        "BIGTIFF": "IF_SAFER",
+    }
+    return {
+        "driver": "GTiff",
+        "height": height,
+        "width": width,
+        "transform": Affine(*transform),
+        **blocks,
+    }
 
 
 @contextmanager
@@ -111,14 +122,22 @@ def plain_geotiff(
         The file cannot be written.
     """
     crs = None if look.crs is None else CRS.from_user_input(look.crs)
-    profile = {"count": 1, "dtype": look.dtype, "nodata": look.nodata, "crs": crs, "SPARSE_OK": True}
+    profile = {
+        "count": 1,
+        "dtype": look.dtype,
+        "nodata": look.nodata,
+        "crs": crs,
+        "SPARSE_OK": True,
+    }
     if look.colours:
         profile["photometric"] = "palette"
     with (
         any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
         raster_errors(path),
-        rasterio.open(path, "w", **tiled_profile(height, width, transform), **profile) as raster,
+        rasterio.open(
+            path, "w", **tiled_profile(height, width, transform), **profile
+        ) as raster,
     ):
         raster.update_tags(AREA_OR_POINT="Area", **look.tags)
         if look.colours:  # GDAL accepts colours only before the first pixel.

@@ -86,7 +86,9 @@ def _options(url: str) -> dict[str, Any]:
     from aiohttp import ClientTimeout
     from fsspec.config import conf
 
-    wait = ClientTimeout(total=REQUEST_SECONDS, sock_connect=QUIET_SECONDS, sock_read=QUIET_SECONDS)
+    wait = ClientTimeout(
+        total=REQUEST_SECONDS, sock_connect=QUIET_SECONDS, sock_read=QUIET_SECONDS
+    )
     configured = {**conf.get("http", {}), **conf.get("https", {})}.get("client_kwargs", {})
     return {"client_kwargs": {"timeout": wait, **configured}}
 
@@ -177,7 +179,11 @@ def state_of(path: Path) -> FileState:
         info = status.as_info()
         if info.get("size") is None:
             raise OSError("its server does not report its size; download it")
-        tag = next((str(info[name]) for name in TAGS if info.get(name)), "").removeprefix("W/").strip('"')
+        tag = (
+            next((str(info[name]) for name in TAGS if info.get(name)), "")
+            .removeprefix("W/")
+            .strip('"')
+        )
         return FileState(int(status.st_size), int(status.st_mtime_ns), tag)
 
 
@@ -195,18 +201,29 @@ def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
     try:
         with storage_errors():
             system, system_path = _system(url)
-            if path.lower().endswith(suffixes) and not has_magic(path) and _is_object(system, system_path):
+            if (
+                path.lower().endswith(suffixes)
+                and not has_magic(path)
+                and _is_object(system, system_path)
+            ):
                 # Listing the file would read all of it on some servers.
                 return [as_path(url)]
-            listed = system.glob(system_path) if has_magic(system_path) else system.find(system_path)
+            listed = (
+                system.glob(system_path) if has_magic(system_path) else system.find(system_path)
+            )
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{url}: cannot be listed ({error}); check the URL and its credentials") from error
+        raise ConfigError(
+            f"{url}: cannot be listed ({error}); check the URL and its credentials"
+        ) from error
     if not listed:
         raise ConfigError(f"{url}: nothing there; give LAS or LAZ objects, folders or globs")
     if listed == [system_path]:
         return [as_path(url)]
     names = sorted(name for name in listed if name.lower().endswith(suffixes))
-    return [as_path(_url_of(name, url, system_path) or system.unstrip_protocol(name)) for name in names]
+    return [
+        as_path(_url_of(name, url, system_path) or system.unstrip_protocol(name))
+        for name in names
+    ]
 
 
 def _is_object(system: Any, place: str) -> bool:
@@ -243,7 +260,9 @@ def names_in(place: str) -> list[str]:
             return sorted(os.listdir(place))
         with storage_errors():
             system, path = _system(place)
-            return sorted(name.rstrip("/").rpartition("/")[2] for name in system.ls(path, detail=False))
+            return sorted(
+                name.rstrip("/").rpartition("/")[2] for name in system.ls(path, detail=False)
+            )
     except (FileNotFoundError, NotADirectoryError):
         return []
 

@@ -1,7 +1,7 @@
 """Checks that no output overwrites an input, even if it has another name.
 
-Every command that reads files calls `check_targets` with the output files that the user gives, before it writes any of
-them.
+Every command that reads files calls `check_targets` with the output files that the user gives,
+before it writes any of them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ class Target:
 def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> None:
     """Raise ConfigError if a target is a file that the command reads, or its name is too long or has a wrong suffix.
 
-    Files are compared, not names, so links, hard links and other spellings of a path are recognised.
+    Files are compared, not names, so links, hard links and other spellings of a path are
+    recognised.
 
     Parameters
     ----------

@@ -13,7 +13,8 @@ from tiler.io.atomic_files import atomic_path
 from tiler.io.geotiff import any_place, raster_errors
 
 DEFLATE_LEVEL = 4
-"""Compression level of PNGs, with a third of the time of the usual level 6 and files a few percent larger."""
+"""Compression level of PNGs, with a third of the time of the usual level 6 and files a few
+percent larger."""
 
 
 def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
@@ -21,7 +22,9 @@ def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
     return _encoded(np.moveaxis(rgba, -1, 0), None)
 
 
-def palette_png_bytes(values: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int]]) -> bytes:
+def palette_png_bytes(
+    values: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int]]
+) -> bytes:
     """Return the bytes of a PNG with a palette, for a picture of few colours.
 
     Parameters
@@ -35,9 +38,17 @@ def palette_png_bytes(values: npt.NDArray[np.uint8], colours: Mapping[int, tuple
     return _encoded(values[None], {**table, 0: (0, 0, 0, 0)})
 
 
-def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int, int]] | None) -> bytes:
+def _encoded(
+    bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int, int]] | None
+) -> bytes:
     count, height, width = bands.shape
-    profile = {"driver": "PNG", "height": height, "width": width, "count": count, "dtype": "uint8"}
+    profile = {
+        "driver": "PNG",
+        "height": height,
+        "width": width,
+        "count": count,
+        "dtype": "uint8",
+    }
     profile["ZLEVEL"] = DEFLATE_LEVEL
     with any_place(), MemoryFile() as memory:
         with memory.open(**profile) as picture:

@@ -1,7 +1,8 @@
 """Folder of a run's results (OUT): names of its files, and the files that earlier runs wrote.
 
-An earlier run wrote a file if ``run.json`` lists it, provided that tiler wrote this ``run.json``. A run lists its files
-before it writes the first of them, so the files of a killed run are known as well.
+An earlier run wrote a file if ``run.json`` lists it, provided that tiler wrote this
+``run.json``. A run lists its files before it writes the first of them, so the files of a killed
+run are known as well.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ BRIDGES = "bridges.gpkg"
 SHEETS = "sheets.gpkg"
 """Outlines of the sheets, if products are cut into sheets."""
 LEGEND = ".aux.xml"
-"""Suffix, after the name of a raster, of the file in which GDAL expects the names of the raster's classes."""
+"""Suffix, after the name of a raster, of the file in which GDAL expects the names of the
+raster's classes."""
 
 CLASSIFIED = "classified"
 """Folder of the classified clouds."""
@@ -184,7 +186,11 @@ def foreign_files(
         names.append(f"{product}/{start or product}.")
         for name in names_in(joined(products, product)):
             path = f"{product}/{name}"
-            if name.startswith(start) and name.endswith((".tif", ".json")) and path not in earlier_files:
+            if (
+                name.startswith(start)
+                and name.endswith((".tif", ".json"))
+                and path not in earlier_files
+            ):
                 names.append(path)
     foreign = _existing(products, names)
     for place in dict.fromkeys((str(out), products)):
@@ -201,7 +207,11 @@ def _existing(place: str, names: list[str]) -> list[str]:
     existing = []
     for name in names:
         folders = [str(f) for f in reversed(Path(name).parents) if str(f) != "."]
-        blocked = [f for f in folders if os.path.lexists(Path(place, f)) and not Path(place, f).is_dir()]
+        blocked = [
+            f
+            for f in folders
+            if os.path.lexists(Path(place, f)) and not Path(place, f).is_dir()
+        ]
         if blocked:
             existing.append(blocked[0])
         elif os.path.lexists(Path(place, name)):

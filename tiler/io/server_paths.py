@@ -1,6 +1,7 @@
 """Paths on servers (FTP, SSH, SMB) whose text contains host and user, which universal-pathlib leaves out.
 
-This module is imported only if such a URL is used, since universal-pathlib need not be installed.
+This module is imported only if such a URL is used, since universal-pathlib need not be
+installed.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ def _url(path: Any, text: str) -> str:
 class FtpSystem(FTPFileSystem):  # type: ignore[misc]  # fsspec has no types
     """File system on an FTP server, with connections that are closed at a known time.
 
-    fsspec leaves a connection that it replaces, and a connection with a refused login, to the garbage collector. The
-    collector may also delete a socket before the file system that closes it.
+    fsspec leaves a connection that it replaces, and a connection with a refused login, to the
+    garbage collector. The collector may also delete a socket before the file system that closes
+    it.
     """
 
     _close: weakref.finalize[Any, FtpSystem] | None = None

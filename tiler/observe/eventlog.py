@@ -16,8 +16,8 @@ from tiler.observe.events import Event
 class EventLog:
     """Listener that appends each event to a file, and context manager that closes the file.
 
-    Each line is written immediately, so that users can follow the file and it contains everything before a crash. An
-    incomplete line of a killed run is ended before the next line.
+    Each line is written immediately, so that users can follow the file and it contains
+    everything before a crash. An incomplete line of a killed run is ended before the next line.
 
     Parameters
     ----------
@@ -62,6 +62,9 @@ class EventLog:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()

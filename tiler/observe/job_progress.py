@@ -16,10 +16,12 @@ from tiler.observe.events import (
 )
 
 OWN_SHARE = 0.03
-"""Share of the job from which only the pace of this run counts. Before, the expected pace counts as well."""
+"""Share of the job from which only the pace of this run counts. Before, the expected pace
+counts as well."""
 
 MIN_SHARE_LEFT = 0.1
-"""Minimum share of a stage's remaining time that is shown while one of its tasks takes longer than expected."""
+"""Minimum share of a stage's remaining time that is shown while one of its tasks takes longer
+than expected."""
 
 
 @dataclass
@@ -114,10 +116,11 @@ class StageProgress:
 class JobProgress:
     """Listener that estimates the progress of a job.
 
-    The weight of a stage is its expected time in seconds, from the rates of earlier runs. The time left is the expected
-    time, multiplied by the ratio of measured to expected time of the work that is done. Once `OWN_SHARE` of the job
-    is done, only this run determines that ratio, since the rates of a busy machine may be wrong by a factor of six.
-    Between the ends of tasks the done share grows with time.
+    The weight of a stage is its expected time in seconds, from the rates of earlier runs. The
+    time left is the expected time, multiplied by the ratio of measured to expected time of the
+    work that is done. Once `OWN_SHARE` of the job is done, only this run determines that ratio,
+    since the rates of a busy machine may be wrong by a factor of six. Between the ends of tasks
+    the done share grows with time.
 
     Parameters
     ----------
@@ -159,7 +162,8 @@ class JobProgress:
             case StageStarted():
                 self.stage = StageProgress.at_start(event, self._clock())
                 keys = list(self._expected)
-                if self.stage.key in self._expected:  # Earlier stages that did not run are not needed.
+                # Earlier stages that did not run are not needed.
+                if self.stage.key in self._expected:
                     self._ended.update(keys[: keys.index(self.stage.key)])
             case TaskDone() if self.stage is not None and self.stage.key == event.stage:
                 self.stage.count(event, self._clock())
@@ -221,7 +225,11 @@ class JobProgress:
         """Return the ratio of measured to expected time."""
         seconds = self._seen_seconds
         expected = self._seen_expected
-        if self.stage is not None and self._expected_of(self.stage) > 0 and self.stage.fraction > 0:
+        if (
+            self.stage is not None
+            and self._expected_of(self.stage) > 0
+            and self.stage.fraction > 0
+        ):
             seconds += self.stage.spent
             expected += self._expected_of(self.stage) * self.stage.fraction
         if expected <= 0:

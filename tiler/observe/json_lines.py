@@ -41,7 +41,10 @@ class Progress(TypedDict):
 
 
 def progress_record(
-    message: str | None = None, level: str = "info", job: JobProgress | None = None, now: float = 0.0
+    message: str | None = None,
+    level: str = "info",
+    job: JobProgress | None = None,
+    now: float = 0.0,
 ) -> Progress:
     """Return the progress of a job.
 
@@ -126,7 +129,8 @@ class ProgressRecords:
             case StageStarted():
                 self._record()
             case StageFinished() if at_work is not None:
-                ended, self._job.stage = self._job.stage, at_work  # The last record is for the ended stage.
+                # The last record is for the ended stage.
+                ended, self._job.stage = self._job.stage, at_work
                 self._record()
                 self._job.stage = ended
             case TaskDone() if self._clock() - self._last >= MIN_SECONDS:
@@ -150,4 +154,6 @@ class JsonLines(ProgressRecords):
     """
 
     def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(lambda record: print(json.dumps(record), file=stream, flush=True), clock)
+        super().__init__(
+            lambda record: print(json.dumps(record), file=stream, flush=True), clock
+        )

@@ -49,7 +49,11 @@ def set_up_logging(verbosity: int, as_json: bool = False) -> None:
     """
     level = _LEVELS.get(max(verbosity, -1), logging.DEBUG)
     handler = _JsonHandler() if as_json else _StderrHandler()
-    form = "%(levelname)s %(name)s: %(message)s" if verbosity >= 2 else "%(levelname)s: %(message)s"
+    form = (
+        "%(levelname)s %(name)s: %(message)s"
+        if verbosity >= 2
+        else "%(levelname)s: %(message)s"
+    )
     handler.setFormatter(logging.Formatter(form))
     root = logging.getLogger()
     for old in [h for h in root.handlers if isinstance(h, _StderrHandler)]:

@@ -26,7 +26,8 @@ _LINE_INTERVAL_SECONDS = 15.0
 _MIN_SECONDS = 1.0
 """Duration below which a stage has no line."""
 _START_LINE_SECONDS = 5.0
-"""Duration from which a stage also has a line about its beginning, so that a log shows the running stage."""
+"""Duration from which a stage also has a line about its beginning, so that a log shows the
+running stage."""
 ALMOST = 0.999
 """Maximum of the bar before the run is finished."""
 TROUBLE = (Warned, TaskFailed)
@@ -77,8 +78,8 @@ def duration_text(seconds: float) -> str:
 class PlainLines:
     """Listener for logs and CI that writes a line per stage, and more lines during a long stage.
 
-    A stage of less than a second has no line, and a stage of less than five seconds has one line, so that the log of a
-    small run is short.
+    A stage of less than a second has no line, and a stage of less than five seconds has one
+    line, so that the log of a small run is short.
     """
 
     def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
@@ -202,7 +203,11 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
             match event:
                 case StageStarted() if stage is not None:
                     bars.reset(
-                        part, description=shown(stage.title), visible=True, clock=not job.known, rate=""
+                        part,
+                        description=shown(stage.title),
+                        visible=True,
+                        clock=not job.known,
+                        rate="",
                     )
                     bars.update(part, completed=stage.fraction)
                 case TaskDone() if stage is not None:
@@ -221,7 +226,9 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 
 
 @contextmanager
-def open_progress(stream: IO[str], quiet: bool = False, form: str = "auto") -> Iterator[Listener]:
+def open_progress(
+    stream: IO[str], quiet: bool = False, form: str = "auto"
+) -> Iterator[Listener]:
     """Yield the listener for a stream: bars on a terminal, lines elsewhere.
 
     Parameters

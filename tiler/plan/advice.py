@@ -21,7 +21,11 @@ FOR_SCANNERS = ("classic", "chen2023", "ridge2016")
 
 
 def preflight_warnings(
-    config: RunConfig, finding: Finding | None, density: float, halo_m: float | None, unit: Fraction = METRE
+    config: RunConfig,
+    finding: Finding | None,
+    density: float,
+    halo_m: float | None,
+    unit: Fraction = METRE,
 ) -> Iterator[str]:
     """Yield the warnings that follow from the headers and a sample of the points.
 

@@ -40,7 +40,9 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
         The file cannot be used because of its format, its CRS, or missing polygons.
     """
     if config.bounds is not None and config.aoi is not None:
-        raise ConfigError("--bounds and --aoi: both select a part of the survey; give only one of them")
+        raise ConfigError(
+            "--bounds and --aoi: both select a part of the survey; give only one of them"
+        )
     if config.bounds is not None:
         bounds = bounds_in_counts(config.bounds)
         if bounds.empty:
@@ -73,7 +75,9 @@ def part_of(plan: Plan) -> Plan:
     if area is None:
         return plan
     option = "--bounds" if plan.config.aoi is None else f"--aoi {plan.config.aoi}"
-    near = [s for s in inputs.sources if s.points and area.touches(bounds_of(s).pad(plan.margin))]
+    near = [
+        s for s in inputs.sources if s.points and area.touches(bounds_of(s).pad(plan.margin))
+    ]
     near, damaged = _without_damaged(plan, near, option)
     near = [s for s in near if chunks_of(plan, s) != []]  # None stands for all chunks.
     if not near or not area.touches(inputs.extent):
@@ -150,7 +154,11 @@ def _without_damaged(
 ) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
     """Return the files without a damaged octree, and path and reason of each file with one."""
     remedy = f"get the file again, or run without {option.split()[0]}"
-    damaged = [(str(s.path), f"{s.path}: {s.octree_damage}; {remedy}") for s in sources if s.octree_damage]
+    damaged = [
+        (str(s.path), f"{s.path}: {s.octree_damage}; {remedy}")
+        for s in sources
+        if s.octree_damage
+    ]
     if damaged and (plan.config.on_error == "stop" or len(damaged) == len(sources)):
         raise InputError(damaged[0][1])
     return [s for s in sources if not s.octree_damage], damaged

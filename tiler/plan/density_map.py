@@ -15,7 +15,8 @@ CELL_M = 64.0
 MAX_CELLS = 1_000_000
 """Approximate maximum number of cells of the map. Larger surveys get larger cells."""
 PARTS = 8
-"""Number of parts along the side of a cell. Each of the 64 parts has a bit, which is set if points cover the part."""
+"""Number of parts along the side of a cell. Each of the 64 parts has a bit, which is set if
+points cover the part."""
 _BATCH = 4096
 """Number of rectangles processed together, which limits the memory."""
 
@@ -37,7 +38,10 @@ class DensityMap:
     """
 
     def __init__(self, patches: Iterable[DensityPatch], metres: float) -> None:
-        rectangles = [(p.x0 * metres, p.y0 * metres, p.x1 * metres, p.y1 * metres, p.points) for p in patches]
+        rectangles = [
+            (p.x0 * metres, p.y0 * metres, p.x1 * metres, p.y1 * metres, p.points)
+            for p in patches
+        ]
         boxes = np.array(rectangles, np.float64).reshape(-1, 5)
         width = boxes[:, 2] - boxes[:, 0]
         height = boxes[:, 3] - boxes[:, 1]
@@ -52,11 +56,14 @@ class DensityMap:
         cells, points, bits = (np.concatenate(columns) for columns in zip(*shares, strict=True))
         self._cells, self._points_of_cell = _summed(cells, points)
         self.covered_m2 = _covered(cells, bits) * (self._cell / PARTS) ** 2
-        # The results are cached, because a plan and each write of run.json ask for the same few sides again.
+        # The results are cached, because a plan and each write of run.json ask for the same few
+        # sides again.
         self.max_points = cache(self._max_points)
         self.squares = cache(self._squares)
 
-    def _squares(self, side_m: float, low: tuple[float, float], high: tuple[float, float]) -> float:
+    def _squares(
+        self, side_m: float, low: tuple[float, float], high: tuple[float, float]
+    ) -> float:
         """Estimate the number of squares of side ``side_m`` with points, between two corners in metres.
 
         The lattice of the squares starts at 0.
@@ -65,7 +72,8 @@ class DensityMap:
         inside &= np.all(self._cells * self._cell < high, axis=1)
         cells, points = self._cells[inside], self._points_of_cell[inside]
         if side_m <= self._cell:
-            # A point occupies one square, and a cell with many points has at most all its squares occupied.
+            # A point occupies one square, and a cell with many points has at most all its
+            # squares occupied.
             return float(np.minimum(points, (self._cell / side_m) ** 2).sum())
         # A cell occupies the squares in which its four corners lie, up to four.
         corners = ((0, 0), (0, 0.99), (0.99, 0), (0.99, 0.99))
@@ -77,12 +85,15 @@ class DensityMap:
         """Estimate the number of points in the densest square of a side in metres."""
         if side_m <= self._cell:
             return float(self._points_of_cell.max(initial=0.0)) * (side_m / self._cell) ** 2
-        # Points are counted in squares of whole cells, on four lattices shifted by half a square, and scaled by area.
+        # Points are counted in squares of whole cells, on four lattices shifted by half a
+        # square, and scaled by area.
         count = int(side_m // self._cell)
         most = 0.0
         for east in {0, count // 2}:
             for north in {0, count // 2}:
-                _, points = _summed((self._cells + (east, north)) // count, self._points_of_cell)
+                _, points = _summed(
+                    (self._cells + (east, north)) // count, self._points_of_cell
+                )
                 most = max(most, float(points.max(initial=0.0)))
         return min(most * (side_m / (count * self._cell)) ** 2, self._points)
 
@@ -140,11 +151,14 @@ def _shares(
     box_area = np.bincount(box, area, minlength=len(boxes))
     points = area / box_area[box] * boxes[box, 4]
     columns_covered, rows_covered = _parts(low - west_south, high - west_south, cell).T
-    # A product with the lowest bits of the covered rows copies the bits of the covered columns into each of these rows.
+    # A product with the lowest bits of the covered rows copies the bits of the covered columns
+    # into each of these rows.
     return cells, points, columns_covered * _row_starts(rows_covered)
 
 
-def _enumerated(counts: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _enumerated(
+    counts: npt.NDArray[np.int64],
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return the owner of each item, and its position among the items of the owner.
 
     ``counts`` are the numbers of items per owner. (2, 3) gives 0 0 1 1 1 and 0 1 0 1 2.
@@ -161,7 +175,9 @@ def _parts(
 
     Partly covered parts count.
     """
-    first, last = (np.floor(v / cell * PARTS).clip(0, PARTS - 1).astype(np.uint64) for v in (low, high))
+    first, last = (
+        np.floor(v / cell * PARTS).clip(0, PARTS - 1).astype(np.uint64) for v in (low, high)
+    )
     one = np.uint64(1)
     return np.asarray((one << (last + one)) - (one << first), np.uint64)
 

@@ -22,7 +22,8 @@ COLUMN_BYTES = 14
 LABEL_BYTES = 0.3
 """Bytes per point for each further pass that keeps labels."""
 RECORD_BYTES = 12
-"""Bytes per point for the records kept until the classified clouds are written (9.5 on Autzen)."""
+"""Bytes per point for the records kept until the classified clouds are written (9.5 on
+Autzen)."""
 STORED_PIXEL_BYTES = 2.2
 """Bytes per pixel of the store's rasters, compressed (measured on a terrain model)."""
 EMPTY_PIXEL_BYTES = 0.03
@@ -30,12 +31,13 @@ EMPTY_PIXEL_BYTES = 0.03
 DRAWN_PIXEL_BYTES = 5
 """Bytes of contours per pixel of terrain (measured with 90 levels and unsmoothed heights)."""
 COPIES = 2
-"""Number of copies of a raster while its COG is made: the plain file and the COG. A cloud that becomes COPC also needs
-two copies of its records."""
+"""Number of copies of a raster while its COG is made: the plain file and the COG. A cloud that
+becomes COPC also needs two copies of its records."""
 CLASSIFIED_SHARE = 1.2
 """Ratio of the size of a classified file to that of its LAZ input. LAS inputs shrink."""
 MAX_PIXELS = 2e10
-"""Maximum number of pixels of a mostly empty file. GDAL writes some 5e7 empty pixels per second."""
+"""Maximum number of pixels of a mostly empty file. GDAL writes some 5e7 empty pixels per
+second."""
 MANY_PIXELS = 1e9
 """Number of pixels below which files are written without a warning, however empty they are."""
 MOSTLY_EMPTY = 0.99
@@ -66,23 +68,28 @@ def pixels_of(plan: Plan) -> Pixels:
         return Pixels(filled, whole - filled, whole)
     side = float(plan.config.sheets)
     in_sheets = in_squares_with_points(side)
-    return Pixels(min(filled, in_sheets), max(in_sheets - filled, 0.0), (side / resolution) ** 2)
+    return Pixels(
+        min(filled, in_sheets), max(in_sheets - filled, 0.0), (side / resolution) ** 2
+    )
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:
     """Estimate the bytes of the store, of the products and of temporary files.
 
-    The keys are ``store``, ``rasters``, ``drawn`` (vector products), ``classified`` (clouds) and ``scratch``. Every
-    pixel of a block near points counts as filled.
+    The keys are ``store``, ``rasters``, ``drawn`` (vector products), ``classified`` (clouds)
+    and ``scratch``. Every pixel of a block near points counts as filled.
     """
     pixels = pixels_of(plan)
     names = {"dtm", *plan.config.exported}
     sizes = [np.dtype(PRODUCTS[name].dtype).itemsize for name in names]
     return {
         "store": int(
-            plan.inputs.points * _stored_bytes(plan) + STORED_PIXEL_BYTES * pixels.filled * len(names)
+            plan.inputs.points * _stored_bytes(plan)
+            + STORED_PIXEL_BYTES * pixels.filled * len(names)
         ),
-        "rasters": int(pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)),
+        "rasters": int(
+            pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)
+        ),
         "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn)),
         "classified": _classified_bytes(plan),
         "scratch": int(COPIES * (_raster_scratch(plan, pixels, sizes) + _copc_scratch(plan))),
@@ -125,7 +132,9 @@ def _copc_scratch(plan: Plan) -> int:
     """Return the bytes of the records of the largest clouds that become COPC at the same time."""
     if not plan.writes_clouds or plan.config.classified != "copc":
         return 0
-    sizes = sorted(s.points * newer_bytes(s.point_format, s.record_length) for s in plan.inputs.sources)
+    sizes = sorted(
+        s.points * newer_bytes(s.point_format, s.record_length) for s in plan.inputs.sources
+    )
     return sum(sizes[-plan.resources.workers :])
 
 
@@ -168,7 +177,11 @@ def sparse_raster_warning(plan: Plan) -> str | None:
     """Return a warning about a large and mostly empty raster, or None."""
     pixels = pixels_of(plan)
     whole = pixels.filled + pixels.empty
-    if plan.config.sheets is not None or whole < MANY_PIXELS or pixels.empty < MOSTLY_EMPTY * whole:
+    if (
+        plan.config.sheets is not None
+        or whole < MANY_PIXELS
+        or pixels.empty < MOSTLY_EMPTY * whole
+    ):
         return None
     return (
         f"the files lie far apart: of the {whole:.2g} pixels of a raster, only {100 * pixels.filled / whole:.2g} % are "

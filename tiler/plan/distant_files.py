@@ -1,8 +1,9 @@
 """Search for files so far from the others that one run, or one raster, cannot contain them.
 
-Coordinates alone cannot distinguish wrong coordinates from a second site. So all files are kept as long as one run can
-contain them. If one run cannot contain them, the part with most files is kept. Other files are left out if they are
-few, or if only the kept part lies in the area of use of its CRS. Otherwise the run is refused, with a remedy.
+Coordinates alone cannot distinguish wrong coordinates from a second site. So all files are kept
+as long as one run can contain them. If one run cannot contain them, the part with most files is
+kept. Other files are left out if they are few, or if only the kept part lies in the area of use
+of its CRS. Otherwise the run is refused, with a remedy.
 """
 
 from __future__ import annotations
@@ -25,15 +26,19 @@ from tiler.inputs import SourceInfo
 from tiler.plan.sizes import bounds_of, union_bounds
 
 FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
-"""Widest extent in counts that fits the frame with room for a halo. The frame's origin is near its middle."""
+"""Widest extent in counts that fits the frame with room for a halo. The frame's origin is near
+its middle."""
 PARTS = 16
-"""Number of cells along the longer side of the whole extent, on which groups of files are separated."""
+"""Number of cells along the longer side of the whole extent, on which groups of files are
+separated."""
 FILES_PER_OUTLIER = 4
-"""Minimum ratio of all files to the outlying files, if these are left out because they are few."""
+"""Minimum ratio of all files to the outlying files, if these are left out because they are
+few."""
 MAX_DISTANCE_M = 5e7
 """Largest coordinate of any CRS in metres, more than the circumference of the Earth."""
 TOLERANCE_DEG = 5.0
-"""Tolerance in degrees around the area of use of a CRS, since CRSs are used somewhat beyond it."""
+"""Tolerance in degrees around the area of use of a CRS, since CRSs are used somewhat beyond
+it."""
 
 LeftOut = list[tuple[SourceInfo, str]]
 
@@ -84,15 +89,22 @@ def _far_from_area(sources: Sequence[SourceInfo], area: Area | None, metres: flo
     near = [s for s in sources if bounds_of(s).overlaps(area.bounds.pad(FRAME // PARTS))]
     if not near:
         return []
-    return [(s, _reason(s, near, metres, "not near the requested area")) for s in sources if s not in near]
+    return [
+        (s, _reason(s, near, metres, "not near the requested area"))
+        for s in sources
+        if s not in near
+    ]
 
 
-def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
+def outlying_files(
+    sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str
+) -> LeftOut:
     """Return the files that lie apart from most others, each with a reason that ends with ``remedy``.
 
-    These are the files outside the largest part, if only that part lies in the area of use of the CRS. They are also
-    left out if they are few, unless only they lie in that area. Otherwise files that are each wider than half of the
-    whole extent are left out if they are few.
+    These are the files outside the largest part, if only that part lies in the area of use of
+    the CRS. They are also left out if they are few, unless only they lie in that area.
+    Otherwise files that are each wider than half of the whole extent are left out if they are
+    few.
 
     Raises
     ------
@@ -113,7 +125,10 @@ def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float
     span = _span(union_bounds(sources))
     wide = [s for s in sources if 2 * _span(bounds_of(s)) > span]
     if wide and FILES_PER_OUTLIER * len(wide) <= len(sources):
-        return [(s, f"its points lie up to {_km(bounds_of(s), metres)} apart: {remedy}") for s in wide]
+        return [
+            (s, f"its points lie up to {_km(bounds_of(s), metres)} apart: {remedy}")
+            for s in wide
+        ]
     if wide:
         subject = f"{wide[0].path}: its points lie"
     else:
@@ -121,7 +136,9 @@ def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float
         def north_east(source: SourceInfo) -> int:
             return sum(bounds_of(source).to_json())
 
-        subject = f"{min(sources, key=north_east).path} and {max(sources, key=north_east).path} lie"
+        subject = (
+            f"{min(sources, key=north_east).path} and {max(sources, key=north_east).path} lie"
+        )
     raise ConfigError(f"{subject} up to {_km(union_bounds(sources), metres)} apart: {remedy}")
 
 
@@ -130,13 +147,9 @@ def _why_impossible(source: SourceInfo, metres: float) -> str | None:
     bounds = bounds_of(source)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
     if not _fits(bounds):
-        return (
-            f"its points are up to {_km(bounds, metres)} apart, too far for one survey; check its coordinates"
-        )
+        return f"its points are up to {_km(bounds, metres)} apart, too far for one survey; check its coordinates"
     if max(map(abs, bounds.to_json())) / COUNTS_PER_UNIT * metres > MAX_DISTANCE_M:
-        return (
-            f"lies at x {x:.6g}, y {y:.6g}, outside the coordinates of any CRS; check its offsets and scales"
-        )
+        return f"lies at x {x:.6g}, y {y:.6g}, outside the coordinates of any CRS; check its offsets and scales"
     return None
 
 
@@ -157,7 +170,9 @@ def _without(sources: Iterable[SourceInfo], far: LeftOut) -> list[SourceInfo]:
     return [s for s in sources if s.path not in far_paths]
 
 
-def _reason(source: SourceInfo, others: Sequence[SourceInfo], metres: float, remedy: str) -> str:
+def _reason(
+    source: SourceInfo, others: Sequence[SourceInfo], metres: float, remedy: str
+) -> str:
     bounds, hull = bounds_of(source), union_bounds(others)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
     dx = max(hull.x0 - bounds.x1, bounds.x0 - hull.x1, 0)

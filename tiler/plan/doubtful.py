@@ -13,17 +13,18 @@ from tiler.plan.model import Plan
 MAX_RELIEF_M = 9000
 """Largest height difference that terrain can have."""
 MIN_SIDE_M = 100
-"""Side in metres below which clouds may be higher than wide, such as single buildings or trees."""
+"""Side in metres below which clouds may be higher than wide, such as single buildings or
+trees."""
 WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Ratio of the side of a tile to its halo at which halos double the work."""
 
 MUCH_OVERLAP = 3.0
-"""Ratio of a tile's padded area to its core area, as a mean of all passes, above which a warning recommends larger
-tiles."""
+"""Ratio of a tile's padded area to its core area, as a mean of all passes, above which a
+warning recommends larger tiles."""
 
 STRETCHED = 1.05
-"""Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning recommends reprojection.
-Projections for surveys stay within 1.03."""
+"""Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning
+recommends reprojection. Projections for surveys stay within 1.03."""
 
 
 def warnings_of(plan: Plan) -> list[str]:
@@ -34,7 +35,9 @@ def warnings_of(plan: Plan) -> list[str]:
 def _too_high(plan: Plan) -> list[str]:
     """Warn about heights that terrain cannot have."""
     units = plan.frame.units
-    boxes = [(s.path, s.bounds) for s in plan.inputs.sources if s.points and s.bounds is not None]
+    boxes = [
+        (s.path, s.bounds) for s in plan.inputs.sources if s.points and s.bounds is not None
+    ]
     warnings = []
     relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
     if relief > MAX_RELIEF_M:

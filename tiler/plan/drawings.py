@@ -14,7 +14,15 @@ from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.water import Water
 from tiler.errors import ConfigError, InputError
-from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kind, read_in_crs, warn_outside
+from tiler.io.vector import (
+    LINES_AND_POLYGONS,
+    POLYGONS,
+    Feature,
+    Features,
+    Kind,
+    read_in_crs,
+    warn_outside,
+)
 from tiler.io.vector.areas import area_in_counts
 from tiler.plan.model import Plan
 from tiler.plan.waters import DRAWN_WATER, waters_of
@@ -47,10 +55,14 @@ def with_user_features(plan: Plan) -> Plan:
     edits: tuple[Edit, ...] = ()
     if config.edits is not None:
         drawing = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
-        edits = tuple(_edit(number, feature) for number, feature in enumerate(drawing.features, start=1))
+        edits = tuple(
+            _edit(number, feature) for number, feature in enumerate(drawing.features, start=1)
+        )
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:
-        drawing = _read(plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, all_layers=True)
+        drawing = _read(
+            plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, all_layers=True
+        )
         waters = tuple(waters_of(drawing.features, plan.inputs.extent))
     inputs = replace(plan.inputs, lines=tuple(lines), edits=edits, waters=waters)
     return replace(plan, inputs=inputs, notes=tuple(notes), warnings=tuple(warnings))
@@ -102,7 +114,9 @@ def _read(
     if plan.config.in_process:
         features = read_in_crs(path, kind, wkt, all_layers, needs_z)
     else:
-        features = call_isolated(read_in_crs, path, kind, wkt, all_layers, needs_z, paths=(path,))
+        features = call_isolated(
+            read_in_crs, path, kind, wkt, all_layers, needs_z, paths=(path,)
+        )
     notes += features.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
     warnings += warn_outside(path, features, (x0, y0, x1, y1))
@@ -146,7 +160,9 @@ def _edit(number: int, feature: Feature) -> Edit:
     action: Any = feature.attributes.get("action")
     if not isinstance(action, str) or action.strip().lower() not in ACTIONS:
         fault = "has no `action`" if action is None else f"its action is {action!r}"
-        raise InputError(f"{feature.place}: {fault}; give one of {', '.join(ACTIONS)} in the column `action`")
+        raise InputError(
+            f"{feature.place}: {fault}; give one of {', '.join(ACTIONS)} in the column `action`"
+        )
     action = action.strip().lower()
     height = feature.height() if action == FLAT else None
     if action == FLAT and (height is None or abs(height) * COUNTS_PER_UNIT > INT32_LIMIT):

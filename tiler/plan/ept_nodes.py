@@ -1,6 +1,7 @@
 """Inputs that are Entwine Point Tiles (EPT): nodes that a run may need, and their CRS.
 
-If ``ept.json`` contradicts the files of its nodes, the values in the files are used and a note reports it.
+If ``ept.json`` contradicts the files of its nodes, the values in the files are used and a note
+reports it.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from tiler.plan.area import area_of
 from tiler.plan.model import Plan
 
 _TOLERANCE = 1.0
-"""Distance, in units of the CRS, by which points may lie outside their node: some writers round inaccurately."""
+"""Distance, in units of the CRS, by which points may lie outside their node: some writers round
+inaccurately."""
 
 Contradiction = str | None
 """Text about a contradiction, or None if there is none."""
@@ -84,7 +86,9 @@ class EptInputs:
         all_nodes = self._config.bounds is None and self._config.aoi is None
         known: dict[Path, Georeference] = {}
         for tiles, counts in self._selected:
-            notes += contradictions(tiles, counts, [s for s in sources if s.path in counts], all_nodes)
+            notes += contradictions(
+                tiles, counts, [s for s in sources if s.path in counts], all_nodes
+            )
             if tiles.wkt is not None:
                 known |= dict.fromkeys(counts, describe(CRS.from_wkt(tiles.wkt)))
         sources_with_crs = []
@@ -112,7 +116,10 @@ def _margin_m(config: RunConfig) -> Fraction:
 
 
 def contradictions(
-    tiles: EptDataset, counts: Mapping[Path, int], sources: Sequence[SourceInfo], all_nodes: bool
+    tiles: EptDataset,
+    counts: Mapping[Path, int],
+    sources: Sequence[SourceInfo],
+    all_nodes: bool,
 ) -> Iterator[str]:
     """Yield a line per kind of contradiction, with the first file that shows it.
 
@@ -169,7 +176,9 @@ def _check_bounds(tiles: EptDataset, source: SourceInfo) -> Contradiction:
     )
 
 
-def _check_crs(tiles: EptDataset, source: SourceInfo, same_crs: dict[str, bool]) -> Contradiction:
+def _check_crs(
+    tiles: EptDataset, source: SourceInfo, same_crs: dict[str, bool]
+) -> Contradiction:
     """Compare the CRS of a file with that of ``ept.json``. ``same_crs`` keeps the results by the WKT of files."""
     wkt = source.georeference.wkt
     if tiles.wkt is None or wkt is None:
@@ -177,10 +186,14 @@ def _check_crs(tiles: EptDataset, source: SourceInfo, same_crs: dict[str, bool])
     if wkt not in same_crs:
         file_crs, _ = split(CRS.from_wkt(wkt))
         ept_crs, _ = split(CRS.from_wkt(tiles.wkt))
-        same_crs[wkt] = file_crs is None or ept_crs is None or same_horizontal(ept_crs, file_crs)
+        same_crs[wkt] = (
+            file_crs is None or ept_crs is None or same_horizontal(ept_crs, file_crs)
+        )
     if same_crs[wkt]:
         return None
-    return f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
+    return (
+        f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
+    )
 
 
 def _check_scales(tiles: EptDataset, source: SourceInfo) -> Contradiction:

@@ -9,4 +9,5 @@ EQUIVALENTS = {
     "ptd": "progressive TIN densification is --method classic; ",
     "mcc": "curvature filtering is not among the methods, but ridge2016 tests seeds against curved surfaces; ",
 }
-"""Beginning of the message about a filter of other programs, by the name of the filter in small letters."""
+"""Beginning of the message about a filter of other programs, by the name of the filter in small
+letters."""

@@ -17,8 +17,8 @@ VERTICAL_SETTINGS = ("contour_interval", "sigma", "spike")
 def with_survey_feet(config: RunConfig, units: Units) -> RunConfig:
     """Return the settings, with lengths in ``ft`` read as US survey feet if the CRS uses this foot.
 
-    The US survey foot is 2 millionths longer than the international foot. With pixels of 3 international feet, a sheet
-    of 1500 units of the CRS would not be a whole number of pixels.
+    The US survey foot is 2 millionths longer than the international foot. With pixels of 3
+    international feet, a sheet of 1500 units of the CRS would not be a whole number of pixels.
     """
     lengths = {}
     for name, value, unit in _lengths(config, units):
@@ -45,4 +45,8 @@ def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, F
     for spec in fields(config):
         value = getattr(config, spec.name)
         if spec.metadata["kind"] == "length" and value is not None:
-            yield spec.name, value, units.vertical if spec.name in VERTICAL_SETTINGS else units.horizontal
+            yield (
+                spec.name,
+                value,
+                units.vertical if spec.name in VERTICAL_SETTINGS else units.horizontal,
+            )

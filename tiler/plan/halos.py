@@ -18,11 +18,15 @@ Length = TypeVar("Length", int, float)
 def widest_halo(step: PlannedPass, halo: Length, fits: Callable[[Length], bool]) -> Length:
     """Return the widest halo that a tile of a pass may get.
 
-    The first ``halo`` is doubled while it fits, up to `MAX_HALO_FACTOR` times its width. A pass with a fixed radius
-    keeps its halo.
+    The first ``halo`` is doubled while it fits, up to `MAX_HALO_FACTOR` times its width. A pass
+    with a fixed radius keeps its halo.
     """
     widest = halo
-    while step.pass_.influence_radius_m is None and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):
+    while (
+        step.pass_.influence_radius_m is None
+        and 0 < widest < MAX_HALO_FACTOR * halo
+        and fits(2 * widest)
+    ):
         widest *= 2
     return widest
 
@@ -31,7 +35,11 @@ def default_halo_m(params: Any) -> float | None:
     """Return the widest default halo of a method in metres, or None if no pass has a variable halo."""
     if params is None:
         return None
-    halos = [_first_halo_m(params, pass_) for pass_ in params.passes if pass_.influence_radius_m is None]
+    halos = [
+        _first_halo_m(params, pass_)
+        for pass_ in params.passes
+        if pass_.influence_radius_m is None
+    ]
     return max(halos, default=None)
 
 
@@ -47,7 +55,8 @@ def planned_passes(
 ) -> tuple[PlannedPass, ...]:
     """Return the passes of a method with the first halos of their tiles.
 
-    A note lists the passes that ``--halo`` cannot change. ``kind`` is the source of the cloud; None if it is unknown.
+    A note lists the passes that ``--halo`` cannot change. ``kind`` is the source of the cloud;
+    None if it is unknown.
     """
 
     def halo(pass_: Pass) -> float:
@@ -61,7 +70,8 @@ def planned_passes(
     fixed = [
         f"{pass_.name} {pass_.influence_radius_m:g} m"
         for pass_ in params.passes
-        if pass_.influence_radius_m is not None and (pass_.kind is None or kind in (None, pass_.kind))
+        if pass_.influence_radius_m is not None
+        and (pass_.kind is None or kind in (None, pass_.kind))
     ]
     if config.halo is not None and fixed:
         notes.append(f"--halo has no effect on passes with a fixed radius: {', '.join(fixed)}")

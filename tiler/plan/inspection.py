@@ -23,10 +23,11 @@ from tiler.plan.made_by import evidence_of
 from tiler.schedule import FORKS, ChildPool
 
 FILES_PER_READER = 2 if FORKS else 16
-"""Number of inputs per reading process. Starting a process takes as long as inspecting this many inputs."""
+"""Number of inputs per reading process. Starting a process takes as long as inspecting this
+many inputs."""
 MAX_URL_READERS = 8
-"""Maximum number of processes that inspect objects at URLs. There may be more of them than cores, because they mostly
-wait for responses."""
+"""Maximum number of processes that inspect objects at URLs. There may be more of them than
+cores, because they mostly wait for responses."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,14 +113,17 @@ def inspect_all(
                     raise
                 left_out.append((str(path), str(error)))
     if not sources:
-        raise InputError(f"none of {len(paths)} inputs can be read; the first error: {left_out[0][1]}")
+        raise InputError(
+            f"none of {len(paths)} inputs can be read; the first error: {left_out[0][1]}"
+        )
     return sources, left_out
 
 
 def reading_processes(paths: Sequence[Path], config: RunConfig) -> int:
     """Return the number of processes that inspect the inputs.
 
-    Each process except the last has at least `FILES_PER_READER` inputs, because starting a process takes time.
+    Each process except the last has at least `FILES_PER_READER` inputs, because starting a
+    process takes time.
     """
     n_urls = sum(is_url(path) for path in paths)
     workers = config.workers or machine.default_workers()
@@ -147,7 +151,8 @@ def output_names(
     for source in sources:
         name = Path(source.path.name)
         for folder in folders:
-            # A URL among the folders may be the source itself, whose path relative to it would be empty.
+            # A URL among the folders may be the source itself, whose path relative to it would
+            # be empty.
             same_kind = type(folder) is type(source.path)
             if same_kind and folder != source.path and source.path.is_relative_to(folder):
                 name = Path(str(source.path.relative_to(folder)))

@@ -15,8 +15,8 @@ MIN_BYTES = 512 << 20
 MAX_BYTES = 4 << 30
 """Largest default memory of a worker. More does not make runs faster."""
 SHARE = 2
-"""Ratio of the memory of the machine to the default memory of all workers together. The rest is for the system and its
-cache."""
+"""Ratio of the memory of the machine to the default memory of all workers together. The rest is
+for the system and its cache."""
 CGROUPS = Path("/sys/fs/cgroup")
 """Folder with the limits of control groups."""
 GROUPS = Path("/proc/self/cgroup")
@@ -45,7 +45,8 @@ def memory_bytes() -> int:
 def fair_share(workers: int) -> int:
     """Return the default memory per worker in bytes.
 
-    The memory is divided by the number of cores, or of workers if there are more workers than cores.
+    The memory is divided by the number of cores, or of workers if there are more workers than
+    cores.
     """
     return min(max(memory_bytes() // (SHARE * max(workers, cores())), MIN_BYTES), MAX_BYTES)
 
@@ -54,7 +55,8 @@ def _container_limits() -> Iterator[int]:
     """Yield the memory limits of the control groups of this process, in bytes."""
     for group, is_version_2 in _control_groups("memory"):
         name = "memory.max" if is_version_2 else "memory.limit_in_bytes"
-        # The text is "max" if there is no limit. The folder of the group may not exist in a container.
+        # The text is "max" if there is no limit. The folder of the group may not exist in a
+        # container.
         with suppress(OSError, ValueError):
             yield int((group / name).read_text("ascii"))
 
@@ -64,7 +66,9 @@ def _container_cores() -> Iterator[int]:
     for group, is_version_2 in _control_groups("cpu"):
         names = ("cpu.max",) if is_version_2 else ("cpu.cfs_quota_us", "cpu.cfs_period_us")
         with suppress(OSError, ValueError):
-            quota, period = " ".join((group / name).read_text("ascii") for name in names).split()
+            quota, period = " ".join(
+                (group / name).read_text("ascii") for name in names
+            ).split()
             if int(quota) > 0:  # Without a limit, the quota is -1.
                 yield math.ceil(int(quota) / int(period))
 

@@ -26,13 +26,16 @@ def evidence_of(sources: Sequence[SourceInfo]) -> Evidence:
 def validate_single_kind(sources: Sequence[SourceInfo], config: RunConfig) -> None:
     """Raise ConfigError if a run without `--kind` mixes LiDAR and photogrammetric clouds.
 
-    Files of one writer are judged together, because a small piece of a survey may lack the evidence.
+    Files of one writer are judged together, because a small piece of a survey may lack the
+    evidence.
     """
     if config.source_kind is not None:
         return
     writers: dict[tuple[object, ...], list[SourceInfo]] = defaultdict(list)
     for source in sources:
-        writers[source.version, source.point_format, source.record_length, source.scales].append(source)
+        writers[
+            source.version, source.point_format, source.record_length, source.scales
+        ].append(source)
     whole = sum(map(_area, sources))
     findings: dict[str, tuple[Finding, SourceInfo]] = {}
     for files in writers.values():

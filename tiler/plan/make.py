@@ -98,18 +98,25 @@ def make_plan(
     for source in sources:
         notes += [f"{source.path}: {text}" for text in source.notes]
     if not filled_sources(sources):
-        raise InputError(f"{_names(sources)}: no points to make a terrain from; give clouds with points")
+        raise InputError(
+            f"{_names(sources)}: no points to make a terrain from; give clouds with points"
+        )
     area = area_of(config, crs.wkt, notes)
     inspected = InspectedInputs(
         given=inputs, sources=sources, left_out=left_out, crs=crs, area=area, notes=notes
     )
     metres = float(crs.units.horizontal)
-    inspected = inspected.without(files_beyond_frame(inspected.filled, area, crs.wkt, metres), config)
+    inspected = inspected.without(
+        files_beyond_frame(inspected.filled, area, crs.wkt, metres), config
+    )
     plan = _plan_for(inspected, config, params)
-    validate_resolution(plan)  # Otherwise a pixel of impossible size could be reported as a large raster.
+    # Otherwise a pixel of impossible size could be reported as a large raster.
+    validate_resolution(plan)
     validate_pixel_count(plan, folder)
     while remedy := sparse_raster_remedy(plan, folder):
-        inspected = inspected.without(outlying_files(plan.inputs.filled, crs.wkt, metres, remedy), config)
+        inspected = inspected.without(
+            outlying_files(plan.inputs.filled, crs.wkt, metres, remedy), config
+        )
         plan = _plan_for(inspected, config, params)
     validate_distances(plan, inputs)
     plan = with_user_features(plan)
@@ -117,7 +124,9 @@ def make_plan(
     def replan(**values: Any) -> Plan:
         other = _plan_for(inspected, config.updated(**values), params)
         drawn = plan.inputs
-        features = replace(other.inputs, edits=drawn.edits, lines=drawn.lines, waters=drawn.waters)
+        features = replace(
+            other.inputs, edits=drawn.edits, lines=drawn.lines, waters=drawn.waters
+        )
         return replace(other, inputs=features)
 
     validate(plan, folder, replan)
@@ -135,7 +144,9 @@ def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Pla
     frame = CoordFrame(units, sizes.origin_of(inputs.extent), inspected.crs.wkt)
     meta = _store_meta(inputs, frame, config, resources.memory, params)
     method = _method_plan(inputs, meta, resources, config, params, notes)
-    resolution = sizes.resolution_of(config, inputs.density, method.kind, units.horizontal, notes)
+    resolution = sizes.resolution_of(
+        config, inputs.density, method.kind, units.horizontal, notes
+    )
     plan = Plan(
         config=config,
         inputs=inputs,
@@ -148,7 +159,9 @@ def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Pla
     if method.statistics is None and method.depends_on_kind:
         validate_single_kind(inputs.filled, config)
     finding, halo_m = decided_by(inputs.evidence), default_halo_m(params)
-    advised = advice.preflight_warnings(config, finding, inputs.density, halo_m, units.horizontal)
+    advised = advice.preflight_warnings(
+        config, finding, inputs.density, halo_m, units.horizontal
+    )
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
     text = sparse_raster_warning(plan)
     warnings = plan.warnings if text is None else (*plan.warnings, text)
@@ -169,7 +182,9 @@ def _resources(config: RunConfig, notes: list[str]) -> Resources:
     return Resources(memory=config.memory or machine.fair_share(workers), workers=workers)
 
 
-def _store_meta(inputs: Inputs, frame: CoordFrame, config: RunConfig, memory: int, params: Any) -> StoreMeta:
+def _store_meta(
+    inputs: Inputs, frame: CoordFrame, config: RunConfig, memory: int, params: Any
+) -> StoreMeta:
     """Return the properties of a new store. Raise ConfigError if the method needs colours and no input has them."""
     filled = inputs.filled
     bucket = sizes.bucket_m(inputs.density, inputs.density_map, memory)
@@ -190,7 +205,12 @@ def _store_meta(inputs: Inputs, frame: CoordFrame, config: RunConfig, memory: in
 
 
 def _method_plan(
-    inputs: Inputs, meta: StoreMeta, resources: Resources, config: RunConfig, params: Any, notes: list[str]
+    inputs: Inputs,
+    meta: StoreMeta,
+    resources: Resources,
+    config: RunConfig,
+    params: Any,
+    notes: list[str],
 ) -> MethodPlan:
     """Return the method with the kind of the clouds, as far as it is known, and its passes and tiles."""
     parameters = {} if params is None else to_json(params)
@@ -222,7 +242,9 @@ def _params_of(config: RunConfig) -> Any:
     """Return the parameters of the method, or None for `keep`."""
     if config.method == KEEP:
         if config.parameters:
-            raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters; leave it out")
+            raise ConfigError(
+                f"--set {config.parameters[0][0]}: method keep has no parameters; leave it out"
+            )
         if not config.ground_classes:
             raise ConfigError(
                 "--ground-classes none: method keep needs the classes of the ground; give at least one, such as 2"
@@ -230,7 +252,9 @@ def _params_of(config: RunConfig) -> Any:
         return None
     if config.method not in METHODS:
         known = EQUIVALENTS.get(config.method.lower(), "does not exist; ")
-        raise ConfigError(f"--method {config.method}: {known}use one of {', '.join([*METHODS, KEEP])}")
+        raise ConfigError(
+            f"--method {config.method}: {known}use one of {', '.join([*METHODS, KEEP])}"
+        )
     try:
         return make_params(config.method, dict(config.parameters))
     except ValueError as error:

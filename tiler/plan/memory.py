@@ -1,7 +1,7 @@
 """Memory that a worker needs, in bytes by stage and window, as a function of numbers of points.
 
-The factors are measured ratios of the peak resident memory of workers to the points of their windows
-(docs/decisions.md, "The plan").
+The factors are measured ratios of the peak resident memory of workers to the points of their
+windows (docs/decisions.md, "The plan").
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy.typing as npt
 from ptd.passes import Pass
 
 FINE_CELL_M = Fraction(1, 2)
-"""Side in metres of the store's cells with one candidate each, if the method's cells do not divide a bucket evenly."""
+"""Side in metres of the store's cells with one candidate each, if the method's cells do not
+divide a bucket evenly."""
 BASE_BYTES = 260 << 20
 """Bytes of a worker before the first point: the interpreter and the libraries."""
 READ_BYTES = 60
@@ -25,37 +26,43 @@ READ_BYTES = 60
 VERTEX_BYTES = 200
 """Bytes per candidate that may become a vertex: its columns while it is tested, and its share of the TIN.
 
-The same number of bytes is assumed per cell of a raster. 35 bytes per cell were measured while large objects are found,
-and 180 while the surface is made.
+The same number of bytes is assumed per cell of a raster. 35 bytes per cell were measured while
+large objects are found, and 180 while the surface is made.
 """
 BUCKET_POINT_BYTES = 200
 """Bytes per point while its bucket is labelled."""
 HELD_BYTES = 64 << 20
 """Maximum bytes of decoded buckets that a worker keeps to label their neighbours."""
 HELD_SHARE = 16
-"""Ratio of the memory above `BASE_BYTES` to the bytes of these buckets, if the result is below `HELD_BYTES`."""
+"""Ratio of the memory above `BASE_BYTES` to the bytes of these buckets, if the result is below
+`HELD_BYTES`."""
 ASSEMBLY_POINT_BYTES = 800
 """Bytes per point while its bucket is assembled: fragments, keys and their order."""
 SPOOL_POINT_BYTES = 160
 """Bytes per point while a part of a file is decoded and sorted."""
 GROUND_BYTES = 200
-"""Bytes per ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
+"""Bytes per ground point in a block's window: coordinates and the TIN (123 measured on a
+city)."""
 PIECE_BYTES = 160
-"""Bytes per piece of a breakline, for all breaklines of the run. Pieces are half a pixel long or longer."""
+"""Bytes per piece of a breakline, for all breaklines of the run. Pieces are half a pixel long
+or longer."""
 NEAR_PIECE_BYTES = 650
-"""Further bytes per piece of a breakline in a block's window, which is a vertex of the TIN (460 measured)."""
+"""Further bytes per piece of a breakline in a block's window, which is a vertex of the TIN (460
+measured)."""
 JOINED_BYTES = 1 << 30
 """Maximum memory of a worker for a joined tile, in bytes. A tile of 1.4 km of dense LiDAR with a halo of 229 m fits.
 
-Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415 in 12), and smaller tiles are
-distributed more evenly among workers.
+Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415 in 12), and
+smaller tiles are distributed more evenly among workers.
 """
 TIN_BYTES = 3 << 29
 """Maximum bytes of a TIN that blocks of the terrain share."""
 EXPORT_BYTES = 128 << 20
-"""Bytes of a worker that writes a file: GDAL's blocks, or the current records of a classified cloud."""
+"""Bytes of a worker that writes a file: GDAL's blocks, or the current records of a classified
+cloud."""
 EXPORT_POINTS = 1 << 27
-"""Maximum number of points of a classified cloud whose labels are in memory, one byte per point."""
+"""Maximum number of points of a classified cloud whose labels are in memory, one byte per
+point."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +116,14 @@ def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window
     stop = np.concatenate([line[1:, :2] for line in lines]).astype(np.float64)
     pieces = np.maximum(2 * np.hypot(*(stop - start).T) / pixel, 1)
     squares = np.floor((start + stop) / 2 / window)
-    return int(PIECE_BYTES * pieces.sum() + NEAR_PIECE_BYTES * _most_in_a_window(squares, pieces))
+    return int(
+        PIECE_BYTES * pieces.sum() + NEAR_PIECE_BYTES * _most_in_a_window(squares, pieces)
+    )
 
 
-def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]) -> float:
+def _most_in_a_window(
+    squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]
+) -> float:
     """Return the largest number of pieces in 2 x 2 neighbouring squares, since no window intersects more squares."""
     occupied, square_index = np.unique(squares, axis=0, return_inverse=True)
     counts = np.bincount(square_index.ravel(), pieces)
@@ -126,8 +137,8 @@ def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.f
 def fine_cell_m(cell_m: float, bucket_m: Fraction) -> Fraction:
     """Return the side of the cells with one candidate each, in metres.
 
-    It is the cell of the method (``cell_m``, 0 if it has none) if the side of a bucket is a whole number of cells, or
-    else `FINE_CELL_M`.
+    It is the cell of the method (``cell_m``, 0 if it has none) if the side of a bucket is a
+    whole number of cells, or else `FINE_CELL_M`.
     """
     method_cell_m = Fraction(repr(float(cell_m)))
     if method_cell_m > 0 and (bucket_m / method_cell_m).denominator == 1:
@@ -140,11 +151,13 @@ def nested(cell_m: float, fine_m: Fraction) -> bool:
     return cell_m > 0 and (Fraction(repr(float(cell_m))) / fine_m).denominator == 1
 
 
-def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass, fine_m: Fraction) -> float:
+def filter_bytes(
+    points: float, area_m2: float, cell_m: float, step: PlannedPass, fine_m: Fraction
+) -> float:
     """Return the bytes that a window of a pass needs above `BASE_BYTES`.
 
-    The number of elected points is not known yet, so the maximum is assumed: one point per thinning cell. A raster has
-    all cells of the window, including cells without points.
+    The number of elected points is not known yet, so the maximum is assumed: one point per
+    thinning cell. A raster has all cells of the window, including cells without points.
 
     Parameters
     ----------
@@ -186,4 +199,6 @@ def bucket_bytes(points: float) -> int:
 
 def ingest_bytes(piece_points: int, bucket_points: float) -> int:
     """Return the peak bytes of a worker that decodes pieces and assembles buckets."""
-    return int(BASE_BYTES + max(piece_points * SPOOL_POINT_BYTES, bucket_points * ASSEMBLY_POINT_BYTES))
+    return int(
+        BASE_BYTES + max(piece_points * SPOOL_POINT_BYTES, bucket_points * ASSEMBLY_POINT_BYTES)
+    )

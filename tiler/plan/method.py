@@ -18,11 +18,13 @@ KEEP = "keep"
 """Name of the method that keeps the classes of the input."""
 
 MIN_CANDIDATES = 500_000
-"""Minimum mean number of candidates of joined tiles. Smaller tiles are made only if the memory requires it."""
+"""Minimum mean number of candidates of joined tiles. Smaller tiles are made only if the memory
+requires it."""
 
 MIN_MATCHED_M2 = 0.5
-"""Density in points per square metre below which clouds of unknown kind are planned as LiDAR clouds. From positions
-alone, `auto` classifies clouds as photogrammetric only if they have at least twice this density."""
+"""Density in points per square metre below which clouds of unknown kind are planned as LiDAR
+clouds. From positions alone, `auto` classifies clouds as photogrammetric only if they have at
+least twice this density."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,8 +109,8 @@ def known_kind(
 ) -> str | None:
     """Return the kind of the clouds, or None if it is not known yet.
 
-    With ``statistics`` of an earlier run, it is the kind in them. Otherwise it is the kind that the user gives, or
-    else the kind that the fields of the points decide.
+    With ``statistics`` of an earlier run, it is the kind in them. Otherwise it is the kind that
+    the user gives, or else the kind that the fields of the points decide.
     """
     if statistics is None:
         return run_facts(None, config.source_kind, evidence).kind
@@ -129,8 +131,8 @@ def expected_passes(
 ) -> tuple[PlannedPass, ...]:
     """Return the passes for which the plan reserves memory.
 
-    They are the passes that the cloud may need. If the kind is unknown and the density is below `MIN_MATCHED_M2`,
-    passes for photogrammetric clouds are left out.
+    They are the passes that the cloud may need. If the kind is unknown and the density is below
+    `MIN_MATCHED_M2`, passes for photogrammetric clouds are left out.
     """
     steps = steps_of(passes, kind)
     if kind is None and density < MIN_MATCHED_M2:

@@ -25,18 +25,20 @@ from tiler.plan.method import KEEP, MethodPlan
 from tiler.store import StoreMeta
 
 BRIDGE_REACH_M = 300
-"""Distance around an area within which points are read for bridges across the border of the area. It is the length of
-the longest bridge."""
+"""Distance around an area within which points are read for bridges across the border of the
+area. It is the length of the longest bridge."""
 
 PIECE_POINTS = 1_000_000
 """Number of points that a worker decodes at a time."""
 MAX_GROUND = 4_000_000
-"""Maximum number of points in the window of a part of a block. The surface of denser clouds is thinned to one point per
-cell of a quarter pixel."""
+"""Maximum number of points in the window of a part of a block. The surface of denser clouds is
+thinned to one point per cell of a quarter pixel."""
 PERCENTILE_CELLS = 2
-"""Number of cells along a pixel's side if the surface is a percentile of the heights. Each cell gives one point."""
+"""Number of cells along a pixel's side if the surface is a percentile of the heights. Each cell
+gives one point."""
 THINNING_CELLS = 4
-"""Number of cells along a pixel's side if ground points are thinned to save memory. Each cell gives one point."""
+"""Number of cells along a pixel's side if ground points are thinned to save memory. Each cell
+gives one point."""
 PART = 128
 """Side, in pixels, of the parts into which a block with many points is divided."""
 
@@ -124,8 +126,8 @@ class Plan:
     def finding(self) -> Finding | None:
         """Source of the clouds with confidence and reasons, if the fields of the points decide it.
 
-        None if they do not decide it, if the method treats all kinds alike, or if the user or an earlier run gives the
-        kind.
+        None if they do not decide it, if the method treats all kinds alike, or if the user or
+        an earlier run gives the kind.
         """
         if not self.method.depends_on_kind or self.method.kind is None:
             return None
@@ -161,10 +163,13 @@ class Plan:
     def margin(self) -> int:
         """Distance around the area within which points are read, in counts.
 
-        It is the largest of three distances: the halos with which passes start, the distance over which labels and
-        bridges are decided, and the halo of a block of the terrain.
+        It is the largest of three distances: the halos with which passes start, the distance
+        over which labels and bridges are decided, and the halo of a block of the terrain.
         """
-        labels = max((Fraction(step.pass_.label_margin_m) for step in self.method.steps), default=Fraction(0))
+        labels = max(
+            (Fraction(step.pass_.label_margin_m) for step in self.method.steps),
+            default=Fraction(0),
+        )
         if self.config.bridges == "remove":
             labels += BRIDGE_REACH_M
         margin_m = max(Fraction(self.method.halo_m), self.grid.halo_m, labels)
@@ -174,8 +179,9 @@ class Plan:
     def thin_ground(self) -> bool:
         """Whether the surface is made of one ground point per cell of a quarter of a pixel's side.
 
-        The first run on a store decides it, and later runs do the same. It is true if a part of a block would have more
-        than `MAX_GROUND` points with the mean density, or if the smallest part would have more in the densest place.
+        The first run on a store decides it, and later runs do the same. It is true if a part of
+        a block would have more than `MAX_GROUND` points with the mean density, or if the
+        smallest part would have more in the densest place.
         """
         if self.grid.thin is not None:
             return self.grid.thin
@@ -207,7 +213,10 @@ class Plan:
     @property
     def block_points(self) -> int:
         """Maximum number of points in the window of a block that is not divided into parts."""
-        return max((self.resources.memory - BASE_BYTES - self.line_bytes) // GROUND_BYTES, MAX_GROUND // 8)
+        return max(
+            (self.resources.memory - BASE_BYTES - self.line_bytes) // GROUND_BYTES,
+            MAX_GROUND // 8,
+        )
 
     @property
     def tiles(self) -> int:

@@ -74,7 +74,11 @@ def plan_lines(plan: Plan) -> list[str]:
         *_drawn_in_words(plan),
         f"tiles       about {plan.tiles} of {length_text(method.tile, unit)} with {_halo_in_words(plan)}, "
         f"about {plan.max_window_points():,} points in the fullest window"
-        + ("; larger tiles for passes on one point per cell" if any(map(plan.joins, method.steps)) else ""),
+        + (
+            "; larger tiles for passes on one point per cell"
+            if any(map(plan.joins, method.steps))
+            else ""
+        ),
         *_resources_in_words(plan),
     ]
     lines += [f"note        {text}" for text in plan.notes]
@@ -97,7 +101,11 @@ def _resources_in_words(plan: Plan) -> list[str]:
         f"disk        about {sum(disk.values()) / 1e9:.2f} GB: "
         + ", ".join(f"{name} {size / 1e9:.2f}" for name, size in disk.items() if size),
         f"time        about {seconds:,.0f} s, plus start-up"
-        + ("" if measured else " (with rates of another machine for stages without an earlier run here)"),
+        + (
+            ""
+            if measured
+            else " (with rates of another machine for stages without an earlier run here)"
+        ),
     ]
 
 
@@ -116,7 +124,11 @@ def wrapped(line: str) -> list[str]:
 def _drawn_in_words(plan: Plan) -> list[str]:
     """Return the line on edits, breaklines and water drawn by the user, if there are any."""
     inputs = plan.inputs
-    counts = {"edit": len(inputs.edits), "breakline": len(inputs.lines), "water polygon": len(inputs.waters)}
+    counts = {
+        "edit": len(inputs.edits),
+        "breakline": len(inputs.lines),
+        "water polygon": len(inputs.waters),
+    }
     parts = [f"{n:,} {name}{'' if n == 1 else 's'}" for name, n in counts.items() if n]
     return [f"drawn       {', '.join(parts)}"] if parts else []
 

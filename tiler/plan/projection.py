@@ -23,7 +23,10 @@ from tiler.plan.model import PIECE_POINTS, Plan
 
 def projected_memory(plan: Plan) -> dict[str, int]:
     """Estimate the peak bytes of a worker by stage."""
-    ground = int(min(plan.inputs.points, max(plan.block_points, plan.max_part_points))) * GROUND_BYTES
+    ground = (
+        int(min(plan.inputs.points, max(plan.block_points, plan.max_part_points)))
+        * GROUND_BYTES
+    )
     largest = min(max(source.points for source in plan.inputs.sources), EXPORT_POINTS)
     expected = expected_passes(plan.method.passes, plan.method.kind, plan.inputs.density)
     return {
@@ -37,9 +40,10 @@ def projected_memory(plan: Plan) -> dict[str, int]:
 def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     """Estimate the peak bytes of a worker in a pass.
 
-    It is the peak of a tile of mean density with the widest halo, or of the densest tile with the first halo if that is
-    higher. A tile that does not fit into the memory is divided, down to single buckets. So the peak is at most that
-    memory, or the peak of the densest bucket if that is higher.
+    It is the peak of a tile of mean density with the widest halo, or of the densest tile with
+    the first halo if that is higher. A tile that does not fit into the memory is divided, down
+    to single buckets. So the peak is at most that memory, or the peak of the densest bucket if
+    that is higher.
     """
     if plan.joins(step):
         side = math.sqrt(plan.inputs.covered_m2)
@@ -52,7 +56,9 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     return min(max(mean_tile, densest_tile), max(plan.tile_memory_of(step), densest_bucket))
 
 
-def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, densest: bool = False) -> int:
+def filter_peak(
+    plan: Plan, step: PlannedPass, side_m: float, halo_m: float, densest: bool = False
+) -> int:
     """Estimate the peak bytes of a worker with a tile of a side and halo, in metres.
 
     The tile has the mean density, or with ``densest`` it lies in the densest place.
@@ -77,7 +83,9 @@ def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, den
 def widest_halo_m(plan: Plan, step: PlannedPass) -> float:
     """Return the widest halo, in metres, of a tile with mean density and uncertified labels."""
     side, memory = float(plan.method.tile), plan.method.tile_memory
-    return widest_halo(step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory)
+    return widest_halo(
+        step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory
+    )
 
 
 def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:

@@ -25,10 +25,12 @@ TYPICAL = {
     "grid": 0.1,
     "export": 1.2,
 }
-"""Worker seconds per million points of stages without an earlier run, measured on a city. Other machines differ."""
+"""Worker seconds per million points of stages without an earlier run, measured on a city. Other
+machines differ."""
 
 MIN_POINTS = 1_000_000
-"""Minimum number of points of a run that is recorded, since the time of smaller runs is mostly start-up."""
+"""Minimum number of points of a run that is recorded, since the time of smaller runs is mostly
+start-up."""
 
 _NEWEST = 0.5
 """Weight of the newest run in the recorded rates."""
@@ -60,7 +62,8 @@ def remember(plan: Plan, stages: Mapping[str, StageResult]) -> None:
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_text(
-            json.dumps({"version": __version__, "seconds_per_million": known}, indent=1), "utf-8"
+            json.dumps({"version": __version__, "seconds_per_million": known}, indent=1),
+            "utf-8",
         )
         replace_file(partial, path)
 
@@ -73,7 +76,9 @@ def projected_seconds(plan: Plan) -> tuple[float, bool]:
     return sum(stages.values()), all(_name(plan, stage) in known for stage in stages)
 
 
-def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> dict[str, float]:
+def stage_seconds(
+    plan: Plan, rasters: Iterable[str], until: str = "export"
+) -> dict[str, float]:
     """Estimate the seconds of the stages of a job, in their order.
 
     Parameters
@@ -86,19 +91,37 @@ def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> 
     """
     known = _read()
     steps, kinds = plan.method.steps, plan.method.kinds
-    filters = {f"filter{number}": step for number, step in enumerate(plan.method.passes) if step in steps}
-    # Some passes are skipped for some clouds. Once earlier runs did some of these passes, the others are not expected.
-    did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
+    filters = {
+        f"filter{number}": step
+        for number, step in enumerate(plan.method.passes)
+        if step in steps
+    }
+    # Some passes are skipped for some clouds. Once earlier runs did some of these passes, the
+    # others are not expected.
+    did = [
+        stage
+        for stage, step in filters.items()
+        if step.sometimes and _name(plan, stage) in known
+    ]
     if did:
-        filters = {stage: step for stage, step in filters.items() if stage in did or not step.sometimes}
+        filters = {
+            stage: step for stage, step in filters.items() if stage in did or not step.sometimes
+        }
     if kinds:  # The kind is not known yet, so the passes of the slowest kind count.
         costs = dict.fromkeys(kinds, 0.0)
         for stage, step in filters.items():
             if step.kind in costs:
                 costs[step.kind] += _rate(plan, known, stage)
         slowest = max(costs, key=lambda kind: costs[kind])
-        filters = {stage: step for stage, step in filters.items() if step.kind in (None, slowest)}
-    parts = {"ingest": ["spool", "assemble"], "filter": filters, "grid": rasters, "export": ["export"]}
+        filters = {
+            stage: step for stage, step in filters.items() if step.kind in (None, slowest)
+        }
+    parts = {
+        "ingest": ["spool", "assemble"],
+        "filter": filters,
+        "grid": rasters,
+        "export": ["export"],
+    }
     names = list(parts)
     stages = chain.from_iterable(parts[name] for name in names[: names.index(until) + 1])
     points, workers = plan.inputs.points, plan.resources.workers

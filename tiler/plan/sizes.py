@@ -24,11 +24,13 @@ BUCKET_POINTS = 100_000
 BUCKETS_M = (8, 16, 32, 64, 128, 256, 512, 1024)
 """Possible sides of a bucket, in metres."""
 FETCHED_BUCKET_M = 32
-"""Largest bucket in metres if only a part of a file at a URL is fetched. Buckets at the edge are fetched completely."""
+"""Largest bucket in metres if only a part of a file at a URL is fetched. Buckets at the edge
+are fetched completely."""
 TILE_M = 512
 """Largest side of a tile in metres, unless the cloud is sparse."""
 TILE_POINTS = 500_000
-"""Approximate number of points in a tile of a sparse cloud. Fewer points are not worth a task."""
+"""Approximate number of points in a tile of a sparse cloud. Fewer points are not worth a
+task."""
 SPARSE_TILE_M = 4096
 """Largest side of a tile of a sparse cloud, in metres."""
 
@@ -37,13 +39,15 @@ FINE_PIXELS_M = (Fraction(1, 10), Fraction(1, 4), Fraction(1, 2))
 PIXELS_FT = (Fraction(1, 10), Fraction(1, 5), Fraction(1, 2), *map(Fraction, (1, 2, 5, 10)))
 """Default pixels in a CRS with another unit than the metre, in that unit."""
 USUAL_FT = Fraction(2)
-"""Pixel, in the unit of the CRS, that replaces the pixel of 1 m if that unit is not the metre."""
+"""Pixel, in the unit of the CRS, that replaces the pixel of 1 m if that unit is not the
+metre."""
 MATCHED_POINTS = 9.0
-"""Minimum mean number of points per pixel of a photogrammetric cloud. The mean of several heights is more accurate than
-a single height, and smaller pixels would not show more relief."""
+"""Minimum mean number of points per pixel of a photogrammetric cloud. The mean of several
+heights is more accurate than a single height, and smaller pixels would not show more relief."""
 MOSTLY_VOID = 0.5
-"""Minimum share of the files' bounds that a sample of the points covers if the area of the bounds is used. Below it,
-the area that the sample covers is used, although it is only approximate."""
+"""Minimum share of the files' bounds that a sample of the points covers if the area of the
+bounds is used. Below it, the area that the sample covers is used, although it is only
+approximate."""
 
 
 def covered_m2(
@@ -55,7 +59,8 @@ def covered_m2(
 ) -> float:
     """Return the area in m2 that the points cover.
 
-    It is the area of the bounds of the files or, if these are mostly void, of a sample. Overlaps count once.
+    It is the area of the bounds of the files or, if these are mostly void, of a sample.
+    Overlaps count once.
 
     Parameters
     ----------
@@ -69,7 +74,9 @@ def covered_m2(
     notes : list of str
         List to which a note on the decision is appended.
     """
-    whole = _area_of_union([(b[0], b[1], max(b[3], b[0] + 1), max(b[4], b[1] + 1)) for b in bounds])
+    whole = _area_of_union(
+        [(b[0], b[1], max(b[3], b[0] + 1), max(b[4], b[1] + 1)) for b in bounds]
+    )
     whole *= metres**2
     sample = density_map.covered_m2
     if not 0 < sample < MOSTLY_VOID * whole:
@@ -108,18 +115,23 @@ def bounds_of(source: SourceInfo) -> Bounds:
 def origin_of(extent: Bounds) -> tuple[int, int]:
     """Return the rounded middle of the extent, from which int32 counts extend equally far to all sides."""
     step = 1000 * COUNTS_PER_UNIT
-    return (extent.x0 + extent.x1) // 2 // step * step, (extent.y0 + extent.y1) // 2 // step * step
+    return (extent.x0 + extent.x1) // 2 // step * step, (
+        extent.y0 + extent.y1
+    ) // 2 // step * step
 
 
 def bucket_m(density: float, density_map: DensityMap, memory: int) -> int:
     """Return the side of a bucket in metres.
 
-    A bucket has about `BUCKET_POINTS` points on average, and in the densest place no more points than fit into memory.
+    A bucket has about `BUCKET_POINTS` points on average, and in the densest place no more
+    points than fit into memory.
     """
     side = math.sqrt(BUCKET_POINTS / density)
     preferred_m = min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
     max_points = (memory - BASE_BYTES) / ASSEMBLY_POINT_BYTES
-    fitting = [b for b in BUCKETS_M if b <= preferred_m and density_map.max_points(b) <= max_points]
+    fitting = [
+        b for b in BUCKETS_M if b <= preferred_m and density_map.max_points(b) <= max_points
+    ]
     return max(fitting, default=BUCKETS_M[0])
 
 
@@ -128,9 +140,10 @@ def tile_m(
 ) -> Fraction:
     """Return the side in metres of the largest tile that fits into three quarters of the memory.
 
-    The side is at most `TILE_M`, or in sparse clouds the side of a tile of `TILE_POINTS`. Passes that read every point
-    are ignored if there are other passes: their halos are small, so their tiles can be divided if they do not fit.
-    Other passes have halos of hundreds of metres, so small tiles would multiply their work.
+    The side is at most `TILE_M`, or in sparse clouds the side of a tile of `TILE_POINTS`.
+    Passes that read every point are ignored if there are other passes: their halos are small,
+    so their tiles can be divided if they do not fit. Other passes have halos of hundreds of
+    metres, so small tiles would multiply their work.
     """
     passes = tuple(passes)
     passes = tuple(step for step in passes if not step.pass_.every_point) or passes
@@ -152,11 +165,12 @@ def resolution_of(
 ) -> Fraction:
     """Return the side of a pixel in metres, as given by the user, or else a default.
 
-    The default is 1 m, or about the mean spacing of the points if that is coarser, up to ``--max-edge``. For
-    photogrammetric clouds it is the finest of `FINE_PIXELS_M` with at least `MATCHED_POINTS` points.
+    The default is 1 m, or about the mean spacing of the points if that is coarser, up to
+    ``--max-edge``. For photogrammetric clouds it is the finest of `FINE_PIXELS_M` with at least
+    `MATCHED_POINTS` points.
 
-    If the unit of the CRS is not the metre, the default is one of `PIXELS_FT` in that unit, and 2 ft replace 1 m. Then
-    sheets of round numbers of feet have whole numbers of pixels.
+    If the unit of the CRS is not the metre, the default is one of `PIXELS_FT` in that unit, and
+    2 ft replace 1 m. Then sheets of round numbers of feet have whole numbers of pixels.
 
     Parameters
     ----------
@@ -193,7 +207,9 @@ def resolution_of(
     resolution = Fraction(math.ceil(2 * spacing), 2)
     if unit != 1:
         multiple_of_10 = math.ceil(spacing / unit / 10) * 10 * unit
-        resolution = next((side * unit for side in PIXELS_FT if side * unit >= spacing), multiple_of_10)
+        resolution = next(
+            (side * unit for side in PIXELS_FT if side * unit >= spacing), multiple_of_10
+        )
     notes.append(
         f"decided: pixels of {length_text(resolution, unit)}, because the points are "
         f"{length_text(round(spacing, 2), unit)} apart (--resolution)"
@@ -206,5 +222,9 @@ def _finest_pixel(density: float, unit: Fraction) -> Fraction | None:
 
     None if the points are too few for a fine pixel.
     """
-    sides = FINE_PIXELS_M if unit == 1 else tuple(side * unit for side in PIXELS_FT if side <= USUAL_FT)
+    sides = (
+        FINE_PIXELS_M
+        if unit == 1
+        else tuple(side * unit for side in PIXELS_FT if side <= USUAL_FT)
+    )
     return next((side for side in sides if density * float(side) ** 2 >= MATCHED_POINTS), None)

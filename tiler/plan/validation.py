@@ -50,7 +50,8 @@ Replan = Callable[..., Plan]
 """Function that makes a plan with other values of settings, given by name."""
 
 MAX_DENOMINATOR = 511
-"""Maximum denominator of a pixel's side, which is a fraction of counts, with which gridding is exact in int64."""
+"""Maximum denominator of a pixel's side, which is a fraction of counts, with which gridding is
+exact in int64."""
 MAX_PIXEL = 1 << 26
 """Side of a pixel in counts below which gridding is exact in int64."""
 
@@ -58,8 +59,21 @@ MAX_LISTED = 5
 """Maximum number of files listed in an error. The others are counted."""
 
 
-FILE_SUFFIXES = (".tif", ".tiff", ".vrt", ".las", ".laz", ".gpkg", ".asc", ".img", ".png", ".html", ".json")
-"""Endings of file names. A user who gives an OUT with such an ending probably means the terrain model."""
+FILE_SUFFIXES = (
+    ".tif",
+    ".tiff",
+    ".vrt",
+    ".las",
+    ".laz",
+    ".gpkg",
+    ".asc",
+    ".img",
+    ".png",
+    ".html",
+    ".json",
+)
+"""Endings of file names. A user who gives an OUT with such an ending probably means the terrain
+model."""
 
 
 def other_inputs(config: RunConfig) -> list[str]:
@@ -201,7 +215,11 @@ def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
             f"--sheets {float(sheets):g} m: is not a whole number of pixels of {float(plan.grid.resolution):g} m; "
             f"use --sheets {_option(plan, whole)} or another --resolution",
         )
-    if sheets is not None and len(plan.config.exported) > 1 and "{name" not in plan.config.sheet_name:
+    if (
+        sheets is not None
+        and len(plan.config.exported) > 1
+        and "{name" not in plan.config.sheet_name
+    ):
         raise ConfigError(
             f"--sheet-name {plan.config.sheet_name}: several products would have the same name; add {{name}} to it"
         )
@@ -246,7 +264,8 @@ def _validate_memory(plan: Plan, replan: Replan) -> None:
 def enough_memory(plan: Plan, replan: Replan) -> int:
     """Return the bytes of memory that suffice for a worker, a whole number of MiB.
 
-    With more memory, tiles become larger and then need more memory. So the search is repeated until it suffices.
+    With more memory, tiles become larger and then need more memory. So the search is repeated
+    until it suffices.
     """
     required_bytes = max(projected_memory(plan).values())
     while True:
@@ -299,13 +318,18 @@ def _validate_disk(plan: Plan, out: Path) -> None:
     if not existing.is_dir():
         raise ConfigError(f"-o {out}: {existing} is a file; give a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise ConfigError(f"-o {out}: {existing} cannot be written; give a folder that can be written")
+        raise ConfigError(
+            f"-o {out}: {existing} cannot be written; give a folder that can be written"
+        )
     need, free = needed_bytes(plan), free_bytes(out)
     if need > free:
         remedy = "free some space, or use --store on another disk or fewer --products"
         usual = _usual_pixel(plan)
         if usual is not None and needed_bytes(usual) <= free:
-            coarser, present = _option(plan, usual.grid.resolution), _option(plan, plan.grid.resolution)
+            coarser, present = (
+                _option(plan, usual.grid.resolution),
+                _option(plan, plan.grid.resolution),
+            )
             remedy = f"use --resolution {coarser} instead of {present}, or free some space"
         raise ConfigError(
             f"{out}: needs about {need / 1e6:,.0f} MB, but {free / 1e6:,.0f} MB are free; {remedy}"

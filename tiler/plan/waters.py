@@ -23,8 +23,8 @@ DRAWN_WATER = replace(
 """Features read from a file of water: polygons, lines, and the points of the layer ``reaches``. The layer
 ``breaklines``, which a run writes for other programs, is left out."""
 LEVEL = "level"
-"""Name of the column with the height of the water, in the unit of the heights. If it is missing or empty, the other
-height columns are used."""
+"""Name of the column with the height of the water, in the unit of the heights. If it is missing
+or empty, the other height columns are used."""
 SAME_COUNTS = 2
 """Maximum height difference in counts with which a station and a line agree."""
 
@@ -32,7 +32,8 @@ SAME_COUNTS = 2
 def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
     """Return the bodies of water of a file, with heights if it has them.
 
-    Adjacent polygons of one kind without a level form one body, because the borders of map sheets may divide a lake.
+    Adjacent polygons of one kind without a level form one body, because the borders of map
+    sheets may divide a lake.
 
     Parameters
     ----------
@@ -81,7 +82,9 @@ def _joined_polygons(features_by_kind: dict[str, list[Feature]]) -> list[tuple[s
         whole = shapely.union_all([feature.geometry for feature in features])
         for part in shapely.get_parts(whole):
             if part.geom_type == "Polygon" and part.area > 0:
-                kinds_and_areas.append((kind, area_in_counts(features[0].place, [Feature("", part, {})])))
+                kinds_and_areas.append(
+                    (kind, area_in_counts(features[0].place, [Feature("", part, {})]))
+                )
     return kinds_and_areas
 
 
@@ -94,7 +97,11 @@ def _kind(feature: Feature, lines: Sequence[Any]) -> str:
 
     value = feature.attributes.get("kind")
     if value is None or value == "":
-        return RIVER if any(shapely.intersection(line, feature.geometry).length for line in lines) else LAKE
+        return (
+            RIVER
+            if any(shapely.intersection(line, feature.geometry).length for line in lines)
+            else LAKE
+        )
     kind = KINDS.get(value.strip().lower()) if isinstance(value, str) else None
     if kind is None:
         raise InputError(
@@ -130,8 +137,13 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
     sloping_lines: list[Any] = []
     for feature in features:
         for line in shapely.get_parts(feature.geometry):
-            z = shapely.get_coordinates(line, include_z=True)[:, 2] if line.has_z else np.array([np.nan])
-            if not np.isfinite(z).all() or not z.any():  # Formats without 2D lines write heights of 0.
+            z = (
+                shapely.get_coordinates(line, include_z=True)[:, 2]
+                if line.has_z
+                else np.array([np.nan])
+            )
+            # Formats without 2D lines write heights of 0.
+            if not np.isfinite(z).all() or not z.any():
                 flat.append(shapely.force_2d(line))
                 continue
             if ((np.diff(z) < 0).any() and (np.diff(z) > 0).any()) or np.abs(z).max() > 1e6:
@@ -142,7 +154,10 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
             sloping_lines.append(shapely.reverse(line) if z[-1] > z[0] else line)
     if not flat:
         return sloping_lines
-    return [*sloping_lines, *shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat)))]
+    return [
+        *sloping_lines,
+        *shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat))),
+    ]
 
 
 def _with_line(body: Water, lines: Sequence[Any]) -> Water:
@@ -155,8 +170,12 @@ def _with_line(body: Water, lines: Sequence[Any]) -> Water:
     inside = [line for line in lines if shapely.intersection(line, shape).length]
     if not inside:
         return body
-    longest = max(inside, key=lambda line: (bool(line.has_z), shapely.intersection(line, shape).length))
-    vertices: npt.NDArray[np.float64] = shapely.get_coordinates(longest, include_z=bool(longest.has_z))
+    longest = max(
+        inside, key=lambda line: (bool(line.has_z), shapely.intersection(line, shape).length)
+    )
+    vertices: npt.NDArray[np.float64] = shapely.get_coordinates(
+        longest, include_z=bool(longest.has_z)
+    )
     flow = np.rint(vertices * COUNTS_PER_UNIT).astype(np.int64)
     return Water(body.number, RIVER, body.area, None, flow)
 
@@ -164,7 +183,9 @@ def _with_line(body: Water, lines: Sequence[Any]) -> Water:
 def _polygon(rings: Sequence[npt.NDArray[np.int64]]) -> Any:
     import shapely
 
-    return shapely.Polygon(rings[0] / COUNTS_PER_UNIT, [ring / COUNTS_PER_UNIT for ring in rings[1:]])
+    return shapely.Polygon(
+        rings[0] / COUNTS_PER_UNIT, [ring / COUNTS_PER_UNIT for ring in rings[1:]]
+    )
 
 
 def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Water]:
@@ -184,22 +205,31 @@ def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Wat
         stations_by_river.setdefault(nearest, []).append(station)
     new_bodies = list(bodies)
     for nearest, river_stations in stations_by_river.items():
-        new_bodies[rivers[nearest]] = _at_stations(bodies[rivers[nearest]], lines[nearest], river_stations)
+        new_bodies[rivers[nearest]] = _at_stations(
+            bodies[rivers[nearest]], lines[nearest], river_stations
+        )
     return new_bodies
 
 
 def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
     """Return a river whose line has the levels of its stations.
 
-    Between stations the change of the heights is interpolated, so steps in the heights of the line remain.
+    Between stations the change of the heights is interpolated, so steps in the heights of the
+    line remain.
     """
     import shapely
 
     levels = [_level(station) for station in stations]
-    known = [(station, level) for station, level in zip(stations, levels, strict=True) if level is not None]
+    known = [
+        (station, level)
+        for station, level in zip(stations, levels, strict=True)
+        if level is not None
+    ]
     if not known:
         return body
-    along = np.array([shapely.line_locate_point(line, s.geometry) * COUNTS_PER_UNIT for s, _ in known])
+    along = np.array(
+        [shapely.line_locate_point(line, s.geometry) * COUNTS_PER_UNIT for s, _ in known]
+    )
     station_levels = np.array([level for _, level in known], np.float64)
     order = np.argsort(along, kind="stable")
     along, station_levels = along[order], station_levels[order]
@@ -223,7 +253,10 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
 
 
 def _changed_heights(
-    lengths: npt.NDArray[Any], z: npt.NDArray[Any], along: npt.NDArray[Any], change: npt.NDArray[Any]
+    lengths: npt.NDArray[Any],
+    z: npt.NDArray[Any],
+    along: npt.NDArray[Any],
+    change: npt.NDArray[Any],
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return positions along a line in counts, and its heights there with the interpolated changes."""
     positions = np.unique(np.concatenate((lengths, along)))

@@ -58,7 +58,9 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
 def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
     """Write measurements to the file that `read_measured` reads, or raise ProcessingError."""
     try:
-        (out / name).write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
+        (out / name).write_text(
+            json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8"
+        )
     except OSError as error:
         raise write_error(str(out / name), error, out) from error
 
@@ -70,7 +72,9 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
         if "unreadable" in measured:
             content.append(el("p", measured["unreadable"], class_="warning"))
         elif measured.get("older"):
-            text = f"{name} is older than the DTM, so it may describe another DTM; measure again."
+            text = (
+                f"{name} is older than the DTM, so it may describe another DTM; measure again."
+            )
             content.append(el("p", text, class_="warning"))
     if check.get("accuracy"):
         content += _checkpoints(check["accuracy"])
@@ -94,7 +98,11 @@ def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
     number_keys = ("x", "y", "difference")
     return {
         "checkpoints": [
-            [shown(str(p["name"])), *(_finite(p[key]) for key in number_keys), bool(p["outlier"])]
+            [
+                shown(str(p["name"])),
+                *(_finite(p[key]) for key in number_keys),
+                bool(p["outlier"]),
+            ]
             for p in accuracy.get("differences", ())
         ],
         "checkpoint_unit": str(accuracy.get("unit", "")),
@@ -122,9 +130,13 @@ def _percent(share: float | None) -> str:
 
 
 def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
-    groups = {name.upper(): found[name] for name in ("nva", "vva", "all") if found[name]["points"]}
+    groups = {
+        name.upper(): found[name] for name in ("nva", "vva", "all") if found[name]["points"]
+    }
     groups |= found["land_cover"]
-    rows = [(name, *(_number(values[key]) for key in FIGURES)) for name, values in groups.items()]
+    rows = [
+        (name, *(_number(values[key]) for key in FIGURES)) for name, values in groups.items()
+    ]
     asprs = found["asprs"]
     statement = asprs["statement"] or (
         f"No accuracy statement by the ASPRS standards: {found['nva']['points']} NVA checkpoints, "
@@ -151,10 +163,17 @@ def _seams(found: Mapping[str, Any]) -> Node:
 
 def _requirements(found: list[Mapping[str, Any]]) -> Node:
     rows = [
-        (r["name"], f"{r['limit']:g}", _number(r["value"], 4), el("strong", "met" if r["met"] else "NOT met"))
+        (
+            r["name"],
+            f"{r['limit']:g}",
+            _number(r["value"], 4),
+            el("strong", "met" if r["met"] else "NOT met"),
+        )
         for r in found
     ]
-    return el("div", el("h3", "Required"), table(("figure", "limit", "measured", ""), rows, (1, 2)))
+    return el(
+        "div", el("h3", "Required"), table(("figure", "limit", "measured", ""), rows, (1, 2))
+    )
 
 
 def _classes(found: Mapping[str, Any]) -> Node:
@@ -169,9 +188,17 @@ def _classes(found: Mapping[str, Any]) -> Node:
 
 def _true_dtm(found: Mapping[str, Any]) -> Node:
     unit = found["unit"]
-    keys = {"rmse": "RMSE", "bias": "mean", "median": "median", "nmad": "NMAD", "p95_abs": "95 % within"}
+    keys = {
+        "rmse": "RMSE",
+        "bias": "mean",
+        "median": "median",
+        "nmad": "NMAD",
+        "p95_abs": "95 % within",
+    }
     pairs: dict[str, Content] = {
-        text: f"{_number(found[key])} {unit}" for key, text in keys.items() if found.get(key) is not None
+        text: f"{_number(found[key])} {unit}"
+        for key, text in keys.items()
+        if found.get(key) is not None
     }
     pairs["pixels"] = _number(found["pixels"])
     return el("div", el("h3", "DTM against the reference"), facts(pairs))

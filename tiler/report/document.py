@@ -1,7 +1,8 @@
 """A self-contained HTML file: elements, and the page around them.
 
-Elements are from `xml.etree.ElementTree`, whose serializer escapes every text and attribute, so that file names and
-messages cannot become markup. A content security policy forbids the page to load anything or to run other scripts.
+Elements are from `xml.etree.ElementTree`, whose serializer escapes every text and attribute, so
+that file names and messages cannot become markup. A content security policy forbids the page to
+load anything or to run other scripts.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
 
     The attribute ``class_`` becomes ``class``, and ``data_x`` becomes ``data-x``.
     """
-    names = {name.rstrip("_").replace("_", "-"): shown(str(value)) for name, value in attributes.items()}
+    names = {
+        name.rstrip("_").replace("_", "-"): shown(str(value))
+        for name, value in attributes.items()
+    }
     node = Node(tag, names)
     for child in children:
         if isinstance(child, Node):
@@ -37,24 +41,39 @@ def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
     return node
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: Sequence[int] = ()) -> Node:
+def table(
+    headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: Sequence[int] = ()
+) -> Node:
     """Return a table whose columns ``numbers`` are aligned right, in a box that scrolls if the table is too wide."""
     classes = [{"class_": "number"} if i in numbers else {} for i in range(len(headings))]
-    head = el("tr", *(el("th", h, scope="col", **c) for h, c in zip(headings, classes, strict=True)))
-    body = [el("tr", *(el("td", cell, **c) for cell, c in zip(row, classes, strict=True))) for row in rows]
-    return el("div", el("table", el("thead", head), el("tbody", *body)), class_="wide", tabindex=0)
+    head = el(
+        "tr", *(el("th", h, scope="col", **c) for h, c in zip(headings, classes, strict=True))
+    )
+    body = [
+        el("tr", *(el("td", cell, **c) for cell, c in zip(row, classes, strict=True)))
+        for row in rows
+    ]
+    return el(
+        "div", el("table", el("thead", head), el("tbody", *body)), class_="wide", tabindex=0
+    )
 
 
 def facts(pairs: Mapping[str, Content]) -> Node:
     """Return a list of names and values, without values that are None."""
     shown = [(name, value) for name, value in pairs.items() if value is not None]
-    return el("dl", *(node for name, value in shown for node in (el("dt", name), el("dd", value))))
+    return el(
+        "dl", *(node for name, value in shown for node in (el("dt", name), el("dd", value)))
+    )
 
 
 def section(name: str, title: str, *children: Content) -> Node:
     """Return a section of the page, to which the list of contents links."""
     return el(
-        "section", el("h2", title, id=f"{name}-title"), *children, id=name, aria_labelledby=f"{name}-title"
+        "section",
+        el("h2", title, id=f"{name}-title"),
+        *children,
+        id=name,
+        aria_labelledby=f"{name}-title",
     )
 
 

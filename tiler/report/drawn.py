@@ -14,7 +14,9 @@ from tiler.report.profiles import profile
 
 def drawn(run: Run) -> list[Node]:
     """Return the section as the only item of a list, or an empty list if it would be empty."""
-    lines, edits, water, contours = (run.get(name) for name in ("breaklines", "edits", "water", "contours"))
+    lines, edits, water, contours = (
+        run.get(name) for name in ("breaklines", "edits", "water", "contours")
+    )
     wide = run.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
     high = run.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
     unit = short_unit(high)
@@ -23,7 +25,12 @@ def drawn(run: Run) -> list[Node]:
         content += _bridges(run["bridges"], wide)
     if edits:
         rows = [
-            (str(e["number"]), e["action"], ", ".join(f"{v:,.1f}" for v in e["bounds"]), changed_text(e))
+            (
+                str(e["number"]),
+                e["action"],
+                ", ".join(f"{v:,.1f}" for v in e["bounds"]),
+                changed_text(e),
+            )
             for e in edits[:MAX_ROWS]
         ]
         content += [
@@ -35,7 +42,13 @@ def drawn(run: Run) -> list[Node]:
         content += [el("h3", "Breaklines"), el("p", text)]
     if water:
         bodies = [
-            (str(b["number"]), b["kind"], _levels(b), small_area_text(b["area_m2"], wide), _sure(b))
+            (
+                str(b["number"]),
+                b["kind"],
+                _levels(b),
+                small_area_text(b["area_m2"], wide),
+                _sure(b),
+            )
             for b in water[:MAX_ROWS]
         ]
         columns = ("number", "kind", f"level, {unit}", "area", "confidence")
@@ -57,14 +70,16 @@ LAYERS = {
     "breaklines": ("breaklines", "#0b7a75", False),
     "edits": ("edits", "#d1341f", False),
 }
-"""Layers of the map from the bottom up: title, colour, and whether the area inside is tinted."""
+"""Layers of the map from the bottom up: title, colour, and whether the area inside is
+tinted."""
 
 
 def shapes(run: Run) -> list[dict[str, Any]]:
     """Return the layers of the map that can be switched off, with lines as x, y, x, y, ... in units of the CRS."""
     of_features = {name: run.get(name) or () for name in ("water", "bridges", "edits")}
     lines = {
-        name: [r for f in features for r in f.get("rings", ())] for name, features in of_features.items()
+        name: [r for f in features for r in f.get("rings", ())]
+        for name, features in of_features.items()
     }
     lines["outline"] = (run.get("outline") or {}).get("rings", [])
     lines["canopy"] = (run.get("canopy") or {}).get("rings", [])
@@ -78,7 +93,10 @@ def shapes(run: Run) -> list[dict[str, Any]]:
 
 def _bridges(bridges: Sequence[Mapping[str, Any]], unit: float) -> list[Content]:
     if not bridges:
-        return [el("h3", "Bridges"), el("p", "No bridge was found that stands free of the ground.")]
+        return [
+            el("h3", "Bridges"),
+            el("p", "No bridge was found that stands free of the ground."),
+        ]
     names = ("length_m", "width_m", "clearance_m")
     rows = [
         (*(length_text(round(b[name], 1), unit) for name in names), str(b["below"]))

@@ -33,7 +33,11 @@ def expected(run: Run) -> list[Content]:
     unit = short_unit(unit_m)
     pixels = max(sum(sigma[name]["pixels"] for name in GROUPS), 1)
     rows = [
-        (NAMES[name], f"{sigma[name]['pixels'] / pixels:.1%}", f"{sigma[name]['rmse_m'] / unit_m:.3f}")
+        (
+            NAMES[name],
+            f"{sigma[name]['pixels'] / pixels:.1%}",
+            f"{sigma[name]['rmse_m'] / unit_m:.3f}",
+        )
         for name in GROUPS
         if sigma[name]["pixels"]
     ]
@@ -54,7 +58,9 @@ def expected(run: Run) -> list[Content]:
 
 def _histogram(found: Mapping[str, Any], unit_m: float) -> list[tuple[Content, ...]]:
     """Return a row with a bar for each class of standard errors, without empty classes at either end."""
-    counts = [sum(both) for both in zip(*(found[name]["histogram"] for name in GROUPS), strict=True)]
+    counts = [
+        sum(both) for both in zip(*(found[name]["histogram"] for name in GROUPS), strict=True)
+    ]
     there = [i for i, n in enumerate(counts) if n]
     if not there:
         return []

@@ -23,7 +23,9 @@ from tiler.report.pictures import draw
 from tiler.report.problems import problems
 
 
-def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str | None = None) -> Path:
+def write_report(
+    out: Path, run: Mapping[str, Any] | None = None, products: str | None = None
+) -> Path:
     """Write ``OUT/report.html``, which appears only once it is complete.
 
     Parameters
@@ -50,7 +52,14 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
     content = _read_run(out) if run is None else run
     try:
         page = _page(out, content, products or content.get("products_at") or str(out))
-    except (KeyError, TypeError, AttributeError, ValueError, OverflowError, IndexError) as error:
+    except (
+        KeyError,
+        TypeError,
+        AttributeError,
+        ValueError,
+        OverflowError,
+        IndexError,
+    ) as error:
         raise InputError(
             f"{out / RUN}: was not written by this version of tiler ({type(error).__name__}: {error}); run again"
         ) from error
@@ -96,7 +105,9 @@ def _read_run(out: Path) -> dict[str, Any]:
             f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"
         ) from error
     except ValueError as error:
-        raise InputError(f"{path}: is not valid JSON ({error}); run the same command again") from error
+        raise InputError(
+            f"{path}: is not valid JSON ({error}); run the same command again"
+        ) from error
 
 
 def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
@@ -108,7 +119,12 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     parts = [
         problems(run),
         sections.terrain_map(pictures),
-        section("accuracy", "Accuracy", *expected(run), *accuracy.accuracy_content(check, evaluation)),
+        section(
+            "accuracy",
+            "Accuracy",
+            *expected(run),
+            *accuracy.accuracy_content(check, evaluation),
+        ),
         sections.decisions(run),
         *drawn(run),
         tables.counts(run),
@@ -120,7 +136,9 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     made = f"Made by tiler {run['version']} from run.json, written {run.get('written', 'at an unknown time')} (UTC)."
     about = (el("p", made), el("p", "This page does not load or send any data."))
     parts.append(section("about", "About this page", *about))
-    return document.page(title, sections.header(run, title), parts, map_data(run, pictures, check))
+    return document.page(
+        title, sections.header(run, title), parts, map_data(run, pictures, check)
+    )
 
 
 def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
@@ -132,4 +150,6 @@ def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
         for kind in ("vrt", "tif")
         if f"{product}.{kind}" in written
     }
-    return {product: raster for product, raster in named.items() if state_at(raster) is not None}
+    return {
+        product: raster for product, raster in named.items() if state_at(raster) is not None
+    }

@@ -31,9 +31,13 @@ Extent = tuple[float, float, float, float]
 def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
     """Return the content of run.json, with time and memory of tiles of earlier runs from the log of events.
 
-    The last event of a task belongs to the current result, because each repetition of a task logs a new event.
+    The last event of a task belongs to the current result, because each repetition of a task
+    logs a new event.
     """
-    tiles = {stage: [dict(tile) for tile in of_stage] for stage, of_stage in run.get("tiles", {}).items()}
+    tiles = {
+        stage: [dict(tile) for tile in of_stage]
+        for stage, of_stage in run.get("tiles", {}).items()
+    }
     unknown: dict[tuple[str, str], dict[str, Any]] = {
         (stage, tile["key"]): tile
         for stage, of_stage in tiles.items()
@@ -78,7 +82,11 @@ def map_data(
         "extent": pictures.extent if pictures else _extent(run),
         "unit": run["plan"].get("units", {}).get("horizontal", ""),
         "pictures": [
-            {"name": p.name, "title": p.title, "legend": [[_css(c), text] for c, text in p.legend]}
+            {
+                "name": p.name,
+                "title": p.title,
+                "legend": [[_css(c), text] for c, text in p.legend],
+            }
             for p in (pictures.pictures if pictures else ())
         ],
         "stages": _stages(run),
@@ -86,7 +94,9 @@ def map_data(
         "shapes": shapes(run),
         "problems": marked_places(run),
         **checkpoints_on_map(accuracy),
-        "time_colours": [_css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)],
+        "time_colours": [
+            _css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)
+        ],
     }
 
 
@@ -110,7 +120,12 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
     for stage in [*reversed(order[:passes]), *order[passes:]]:
         fact_names = ("state", "points", "seconds", "tries", "marked")
         rows = [
-            [t["key"], *t["bounds"], *(t[fact] for fact in fact_names), errors.get((stage, t["key"]), "")]
+            [
+                t["key"],
+                *t["bounds"],
+                *(t[fact] for fact in fact_names),
+                errors.get((stage, t["key"]), ""),
+            ]
             for t in tiles[stage]
             if t["bounds"] is not None
         ]
@@ -123,4 +138,6 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _files(run: Mapping[str, Any]) -> list[list[Any]]:
     """Return name and bounds of each input cloud."""
     inputs = [i for i in run.get("inputs", ()) if i.get("bounds")][:MAX_FILES]
-    return [[shown(Path(i["path"]).name), *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs]
+    return [
+        [shown(Path(i["path"]).name), *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs
+    ]

@@ -15,7 +15,15 @@ from tiler.core.words import counted
 from tiler.io.locations import is_url, joined, state_at
 from tiler.report.document import Content, el, facts, table
 from tiler.report.pictures import small_hillshade
-from tiler.report.sections import figures, noted, sentence, settled, state_text, value_text, warned
+from tiler.report.sections import (
+    figures,
+    noted,
+    sentence,
+    settled,
+    state_text,
+    value_text,
+    warned,
+)
 
 PICTURE_PIXELS = 480
 """Pixels of the longer side of a picture. A smaller raster is enlarged by a whole factor."""
@@ -25,7 +33,9 @@ MAX_NOTES = 20
 
 def markup(title: str, *children: Content) -> str:
     """Return a titled block of HTML that does not load files or run scripts."""
-    return ElementTree.tostring(el("div", el("b", title), *children), encoding="unicode", method="html")
+    return ElementTree.tostring(
+        el("div", el("b", title), *children), encoding="unicode", method="html"
+    )
 
 
 def run_markup(run: Mapping[str, Any], products: str, files: Mapping[str, str]) -> str:
@@ -95,7 +105,9 @@ def check_markup(report: Mapping[str, Any]) -> str:
         f"tiler.check: {report['dtm']}",
         el("p", f"DTM minus checkpoints, {accuracy['unit']}:") if rows else None,
         table(headings, rows, range(1, 7)) if rows else None,
-        el("p", accuracy["asprs"]["statement"]) if accuracy and accuracy["asprs"]["statement"] else None,
+        el("p", accuracy["asprs"]["statement"])
+        if accuracy and accuracy["asprs"]["statement"]
+        else None,
         facts(dict(_steps(report))),
         table(("required", "limit", "measured", "met"), required, (1, 2)) if required else None,
         _list("Notes", accuracy.get("notes", ())),
@@ -123,7 +135,9 @@ def _rounded(value: float | None) -> str:
 
 def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
     """Yield the hillshade of the DTM, or an error if the DTM cannot be read."""
-    name = next((name for name in ("dtm.tif", "dtm.vrt") if name in run.get("outputs", {})), None)
+    name = next(
+        (name for name in ("dtm.tif", "dtm.vrt") if name in run.get("outputs", {})), None
+    )
     if name is None or state_at(location := joined(products, name)) is None:
         return
     try:
@@ -134,7 +148,9 @@ def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
     times = max(PICTURE_PIXELS // max(picture.size), 1)
     size = dict(zip(("width", "height"), (times * side for side in picture.size), strict=True))
     alt = "Hillshade of the terrain model"
-    yield el("p", el("img", src=picture.uri, alt=alt, **size, style="image-rendering: pixelated"))
+    yield el(
+        "p", el("img", src=picture.uri, alt=alt, **size, style="image-rendering: pixelated")
+    )
 
 
 def _list(title: str, texts: Sequence[str]) -> Content:

@@ -1,7 +1,7 @@
 """Small pictures of the rasters of a run: decimated reads, whole-number shades, paletted PNGs of limited size.
 
-The memory does not depend on the size of the rasters. Only one picture is in memory at a time, its values are float32,
-and derived values are computed in strips of rows.
+The memory does not depend on the size of the rasters. Only one picture is in memory at a time,
+its values are float32, and derived values are computed in strips of rows.
 """
 
 from __future__ import annotations
@@ -29,19 +29,21 @@ LONGER_SIDE = 1600
 """Largest number of pixels of the longer side of a picture."""
 
 MAX_BYTES = 3 << 20
-"""Maximum size in bytes of all PNG files together, which take a third more in the page. If they are larger, smaller
-pictures are drawn."""
+"""Maximum size in bytes of all PNG files together, which take a third more in the page. If they
+are larger, smaller pictures are drawn."""
 
 SHADES = 63
 """Number of shades of a picture. More shades are not visible, and make the file larger."""
 
 CLIPPED_PERCENT = 0.5
-"""Percentage of pixels at either end that share one colour, so that a spike does not stretch the range."""
+"""Percentage of pixels at either end that share one colour, so that a spike does not stretch
+the range."""
 
 LEGEND_STEPS = 5
 
 CACHE_MB = 16
-"""GDAL's cache while a raster is read. Two rows of blocks of an overview twice as wide as a picture fit into it."""
+"""GDAL's cache while a raster is read. Two rows of blocks of an overview twice as wide as a
+picture fit into it."""
 
 STRIP_ROWS = 128
 """Number of rows of a picture whose slopes or colours are computed together."""
@@ -59,7 +61,13 @@ TERRAIN: tuple[Colour, ...] = (
     (150, 96, 72),
     (246, 242, 238),
 )
-VIRIDIS: tuple[Colour, ...] = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+VIRIDIS: tuple[Colour, ...] = (
+    (68, 1, 84),
+    (59, 82, 139),
+    (33, 145, 140),
+    (94, 201, 98),
+    (253, 231, 37),
+)
 """The colour map of matplotlib (CC0), at every quarter."""
 GREY: tuple[Colour, ...] = ((16, 16, 16), (255, 255, 255))
 
@@ -198,7 +206,9 @@ def _read(place: str, longer: int, resampling: Resampling) -> Floats:
 
 
 def _values(raster: Any, shape: tuple[int, ...], resampling: Resampling) -> Floats:
-    values: Floats = raster.read(1, out_shape=shape, resampling=resampling).astype(np.float32, copy=False)
+    values: Floats = raster.read(1, out_shape=shape, resampling=resampling).astype(
+        np.float32, copy=False
+    )
     if raster.nodata is not None:
         values[values == np.float32(raster.nodata)] = np.nan
     return values
@@ -238,7 +248,8 @@ def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Pictu
     down = (north - south) / rows * metres["horizontal"]
     shade = np.empty(heights.shape, np.float32)
     for strip in _strips(rows):
-        first, last = max(strip.start - 1, 0), min(strip.stop + 1, rows)  # a row of neighbours on either side
+        # a row of neighbours on either side
+        first, last = max(strip.start - 1, 0), min(strip.stop + 1, rows)
         part = heights[first:last] * np.float32(metres["vertical"])
         level = np.where(np.isfinite(part), np.float32(0.0), np.float32(np.nan))
         to_south = np.gradient(part, down, axis=0) if rows > 1 else level
@@ -253,7 +264,15 @@ def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
     unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
     low, high = _range(heights)
     decimals = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
-    return _ramp("dtm", "Terrain height", heights, low, high, TERRAIN, lambda v: f"{v:,.{decimals}f} {unit}")
+    return _ramp(
+        "dtm",
+        "Terrain height",
+        heights,
+        low,
+        high,
+        TERRAIN,
+        lambda v: f"{v:,.{decimals}f} {unit}",
+    )
 
 
 def _density(density: Floats) -> Picture:
@@ -261,7 +280,15 @@ def _density(density: Floats) -> Picture:
     density[density <= 0] = np.nan
     logarithms = np.log10(density, out=density)
     low, high = _range(logarithms)
-    return _ramp("density", "Ground points per m2", logarithms, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
+    return _ramp(
+        "density",
+        "Ground points per m2",
+        logarithms,
+        low,
+        high,
+        VIRIDIS,
+        lambda v: f"{10**v:.3g}",
+    )
 
 
 def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
@@ -269,7 +296,15 @@ def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
     unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
     logarithms = np.log10(sigma, out=sigma)
     low, high = _range(logarithms)
-    return _ramp("sigma", "Standard error", logarithms, low, high, VIRIDIS, lambda v: f"{10**v:.2g} {unit}")
+    return _ramp(
+        "sigma",
+        "Standard error",
+        logarithms,
+        low,
+        high,
+        VIRIDIS,
+        lambda v: f"{10**v:.2g} {unit}",
+    )
 
 
 def _mask(mask: Floats) -> Picture:
@@ -299,12 +334,16 @@ def _ramp(
 ) -> Picture:
     indexed = np.zeros(values.shape, np.uint8)
     for strip in _strips(len(values)):
-        share = np.clip((values[strip] - np.float32(low)) / np.float32(max(high - low, 1e-9)), 0.0, 1.0)
+        share = np.clip(
+            (values[strip] - np.float32(low)) / np.float32(max(high - low, 1e-9)), 0.0, 1.0
+        )
         there = np.isfinite(share)
         indexed[strip][there] = 1 + np.rint(share[there] * (SHADES - 1)).astype(np.uint8)
     colours = {i + 1: ramp_colour(stops, i / (SHADES - 1)) for i in range(SHADES)}
     shares = [i / (LEGEND_STEPS - 1) for i in range(LEGEND_STEPS)]
-    legend = [(ramp_colour(stops, s), text(low + s * (high - low))) for s in shares] if text else []
+    legend = (
+        [(ramp_colour(stops, s), text(low + s * (high - low))) for s in shares] if text else []
+    )
     return _picture(name, title, indexed, colours, legend)
 
 

@@ -1,6 +1,7 @@
 """Problems of a run: a list of records about missing and doubtful results, made from the content of run.json.
 
-A source is a function from run.json to problems. To add a kind of problem, add a function to `SOURCES`.
+A source is a function from run.json to problems. To add a kind of problem, add a function to
+`SOURCES`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ MAX_ROWS = 1000
 
 Run = Mapping[str, Any]
 Place = tuple[float, float, float, float]
-"""West, south, east, north in units of the CRS. For a point, west equals east and south equals north."""
+"""West, south, east, north in units of the CRS. For a point, west equals east and south equals
+north."""
 
 
 class Problem(NamedTuple):
@@ -75,7 +77,9 @@ def _objects(run: Run) -> Iterator[Problem]:
 def _files(run: Run) -> Iterator[Problem]:
     for file in run.get("quarantined", ()):
         why = file["error"].removeprefix(f"{file['path']}: ")
-        yield Problem("file left out", None, f"{file['path']}: {why}", "repair the file, then run again")
+        yield Problem(
+            "file left out", None, f"{file['path']}: {why}", "repair the file, then run again"
+        )
 
 
 def _tasks(run: Run) -> Iterator[Problem]:
@@ -104,7 +108,9 @@ def _labels(run: Run) -> Iterator[Problem]:
 
 
 def _area(run: Run, square_metres: float) -> str:
-    return small_area_text(square_metres, run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0))
+    return small_area_text(
+        square_metres, run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0)
+    )
 
 
 def _voids(run: Run) -> Iterator[Problem]:
@@ -127,7 +133,9 @@ def _edits(run: Run) -> Iterator[Problem]:
                 "use --voids fill or a larger --max-edge",
             )
         if edit.get("changed") is False:
-            yield Problem("edit without effect", place_of(edit["bounds"]), f"{name} changed nothing")
+            yield Problem(
+                "edit without effect", place_of(edit["bounds"]), f"{name} changed nothing"
+            )
 
 
 def _water(run: Run) -> Iterator[Problem]:
@@ -139,7 +147,9 @@ def _water(run: Run) -> Iterator[Problem]:
 def _canopy(run: Run) -> Iterator[Problem]:
     for doubt in run.get("canopy_doubts", ()):
         remedy = "use --canopy void for nodata there, or --edits with the action ground"
-        yield Problem("ground hidden by canopy", place_of(doubt["place"]), doubt["text"], remedy)
+        yield Problem(
+            "ground hidden by canopy", place_of(doubt["place"]), doubt["text"], remedy
+        )
 
 
 def _kept(run: Run) -> Iterator[Problem]:
@@ -147,7 +157,9 @@ def _kept(run: Run) -> Iterator[Problem]:
         if int(code) in NOISE:
             continue
         why = f"{count:,} points of class {code} were not filtered and keep their class"
-        yield Problem("class kept", None, why, "use --keep-classes to choose the classes that are kept")
+        yield Problem(
+            "class kept", None, why, "use --keep-classes to choose the classes that are kept"
+        )
 
 
 def _strays(run: Run) -> Iterator[Problem]:
@@ -189,7 +201,9 @@ def problems(run: Run) -> Node:
     ]
     more = len(all_problems) - MAX_ROWS
     rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
-    return section("problems", "Problems", table(("problem", "location", "cause", "remedy"), rows), rest)
+    return section(
+        "problems", "Problems", table(("problem", "location", "cause", "remedy"), rows), rest
+    )
 
 
 def _link(where: Place | None) -> Content:

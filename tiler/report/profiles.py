@@ -33,9 +33,14 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
     stations: Sequence[Station] = body.get("stations") or ()
     if len(stations) < 2:
         return None
-    banks = [(s["along"], s[side]) for s in stations for side in ("left", "right") if s[side] is not None]
-    # Banks may be cliffs, and land next to a raised canal lies below its water. So heights far from the water are not
-    # drawn.
+    banks = [
+        (s["along"], s[side])
+        for s in stations
+        for side in ("left", "right")
+        if s[side] is not None
+    ]
+    # Banks may be cliffs, and land next to a raised canal lies below its water. So heights far
+    # from the water are not drawn.
     low, high = _span([s["level"] for s in stations], [z for _, z in banks])
     length = max(float(stations[-1]["along"]), 1e-9)
 
@@ -48,8 +53,14 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
     vertices = [(across(s["along"]), down(s["level"])) for s in stations]
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in vertices)
     line = el("polyline", points=points, fill="none", stroke=WATER, stroke_width=2)
-    marks = [_mark(across(along), down(z), BANKS, 2.5) for along, z in banks if low <= z <= high]
-    marks += [_mark(x, y, WATER, 3.5) for (x, y), s in zip(vertices, stations, strict=True) if s["seen"]]
+    marks = [
+        _mark(across(along), down(z), BANKS, 2.5) for along, z in banks if low <= z <= high
+    ]
+    marks += [
+        _mark(x, y, WATER, 3.5)
+        for (x, y), s in zip(vertices, stations, strict=True)
+        if s["seen"]
+    ]
     title = el("title", f"Level of {body['kind']} {body['number']} along its flow")
     frame = [*_heights(low, high, down), *_lengths(length, across)]
     box = f"0 0 {WIDTH} {HEIGHT}"

@@ -16,7 +16,8 @@ from tiler.io.result_folder import RUN
 
 def write_run_file(out: Path, content: Mapping[str, Any]) -> None:
     """Replace ``OUT/run.json``, or raise ProcessingError if it cannot be written."""
-    # Users read the file when the run is done. Until then it has one line, which Python writes ten times as fast.
+    # Users read the file when the run is done. Until then it has one line, which Python writes
+    # ten times as fast.
     indent = None if content["state"] == "running" else 1
     text = json.dumps(content, indent=indent, sort_keys=True) + "\n"
     try:

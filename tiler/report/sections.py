@@ -24,7 +24,10 @@ STATES = {
 def header(run: Run, title: str) -> Node:
     """Return the head of the report: title, state, result in a sentence, and the key figures."""
     good = run["state"] == "done" and not _left_out(run)
-    cards = [el("div", el("b", value), el("span", name), class_="card") for name, value in figures(run)]
+    cards = [
+        el("div", el("b", value), el("span", name), class_="card")
+        for name, value in figures(run)
+    ]
     return el(
         "header",
         el("p", state_text(run), class_="state good" if good else "state bad", id="state"),
@@ -44,7 +47,11 @@ def state_text(run: Run) -> str:
 def _left_out(run: Run) -> str:
     """Return the number of missing files and tasks in words, or an empty text if nothing is missing."""
     files, tasks = len(run.get("quarantined", ())), len(run.get("failed_tasks", ()))
-    parts = [f"{n} {name}{'' if n == 1 else 's'}" for n, name in ((files, "file"), (tasks, "task")) if n]
+    parts = [
+        f"{n} {name}{'' if n == 1 else 's'}"
+        for n, name in ((files, "file"), (tasks, "task"))
+        if n
+    ]
     return " and ".join(parts)
 
 
@@ -54,7 +61,11 @@ def sentence(run: Run) -> str:
     subject = "A run without a terrain model so far"
     if dtm:
         subject = f"A terrain model with pixels of {_length(run, dtm['resolution_m'])}"
-    seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
+    seconds = (
+        f" in {duration_text(run['seconds'])}"
+        if "seconds" in run and not done_before(run)
+        else ""
+    )
     missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
     return (
         f"{subject} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
@@ -76,15 +87,22 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
     yield "points per m2", f"{plan['density_per_m2']:.3g}"
     if "dtm" in run:
         dtm = run["dtm"]
-        yield f"pixels of {_length(run, dtm['resolution_m'])}", f"{dtm['width']:,} x {dtm['height']:,}"
+        yield (
+            f"pixels of {_length(run, dtm['resolution_m'])}",
+            f"{dtm['width']:,} x {dtm['height']:,}",
+        )
         pixels = max(dtm["width"] * dtm["height"], 1)
         if "voids" in run:
-            # A ragged survey covers only a part of the raster. The pixels outside are not missing.
+            # A ragged survey covers only a part of the raster. The pixels outside are not
+            # missing.
             yield "of the survey has a height", share_with_height(run["voids"])
         else:
             yield "of the pixels have a height", f"{dtm['filled'] / pixels:.1%}"
     if "seconds" in run:
-        yield "time of the last run" if done_before(run) else "time", duration_text(run["seconds"])
+        yield (
+            "time of the last run" if done_before(run) else "time",
+            duration_text(run["seconds"]),
+        )
     yield "peak memory of a process", size_text(run["peak_rss_bytes"])
 
 
@@ -112,7 +130,10 @@ def done_before(run: Run) -> int:
 
 def _halo_m(run: Run) -> float:
     """Return the widest planned halo of the passes that the run did."""
-    plan, survey = run["plan"], (run.get("statistics") or {}).get("survey", {}).get("survey", {})
+    plan, survey = (
+        run["plan"],
+        (run.get("statistics") or {}).get("survey", {}).get("survey", {}),
+    )
     return float(plan.get("halo_by_kind_m", {}).get(survey.get("kind"), plan["halo_m"]))
 
 
@@ -144,7 +165,9 @@ def settled(run: Run) -> list[ResolvedSetting]:
     }
     return [
         ResolvedSetting(
-            name.replace("_", " "), value, *(("automatic", why) if config[name] is None else ("you", ""))
+            name.replace("_", " "),
+            value,
+            *(("automatic", why) if config[name] is None else ("you", "")),
         )
         for name, (value, why) in choices.items()
     ]
@@ -159,7 +182,12 @@ def warned(run: Run) -> list[str]:
     """Return warnings about the settings and the data."""
     doubts = [*run.get("canopy_doubts", ()), *run.get("water_doubts", ())]
     texts = [doubt["text"] for doubt in doubts]
-    return [*run["plan"].get("warnings", ()), *run.get("doubts", ()), *texts, *run.get("advice", ())]
+    return [
+        *run["plan"].get("warnings", ()),
+        *run.get("doubts", ()),
+        *texts,
+        *run.get("advice", ()),
+    ]
 
 
 def decisions(run: Run) -> Node:
@@ -186,7 +214,8 @@ FIGURES_IN_WORDS = {
     "places": "squares of 256 m with separate figures",
     "survey / several": "share of points from pulses with several returns",
 }
-"""Readable names of figures that passes measure. Other figures keep the names that the passes give them."""
+"""Readable names of figures that passes measure. Other figures keep the names that the passes
+give them."""
 
 
 def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
@@ -197,7 +226,9 @@ def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
     known: dict[str, str] = {}
     states = {step: dict(_flat("", state)) for step, state in run.get("statistics", {}).items()}
     # The survey is sorted first, because later passes repeat its figures.
-    for step, state in sorted(states.items(), key=lambda found: (found[0] != "survey", len(found[1]))):
+    for step, state in sorted(
+        states.items(), key=lambda found: (found[0] != "survey", len(found[1]))
+    ):
         new = {name: text for name, text in state.items() if known.get(name) != text}
         known |= new
         for name, text in new.items():
@@ -240,7 +271,13 @@ def terrain_map(pictures: Pictures | None) -> Node:
     frame = el(
         "div",
         el("div", id="controls", class_="controls"),
-        el("canvas", id="canvas", tabindex=0, role="img", aria_label=f"Map of the terrain. {keys}"),
+        el(
+            "canvas",
+            id="canvas",
+            tabindex=0,
+            role="img",
+            aria_label=f"Map of the terrain. {keys}",
+        ),
         el("output", keys, id="told", aria_live="polite"),
         el("div", id="legend", class_="legend"),
         id="viewer",
@@ -248,17 +285,35 @@ def terrain_map(pictures: Pictures | None) -> Node:
     figures = [
         el(
             "figure",
-            el("img", src=p.uri, alt=p.title, width=p.size[0], height=p.size[1], id=f"picture-{p.name}"),
-            el("figcaption", el("b", p.title), *(_swatch(colour, text) for colour, text in p.legend)),
+            el(
+                "img",
+                src=p.uri,
+                alt=p.title,
+                width=p.size[0],
+                height=p.size[1],
+                id=f"picture-{p.name}",
+            ),
+            el(
+                "figcaption",
+                el("b", p.title),
+                *(_swatch(colour, text) for colour, text in p.legend),
+            ),
         )
         for p in (pictures.pictures if pictures else ())
     ]
     if figures:
         return section("map", "Map", frame, el("div", *figures, class_="gallery"))
-    missing = el("p", "No terrain model was written yet, so the map shows only files and tiles.")
+    missing = el(
+        "p", "No terrain model was written yet, so the map shows only files and tiles."
+    )
     return section("map", "Map", missing, frame)
 
 
 def _swatch(colour: tuple[int, int, int], text: str) -> Node:
     box = el("rect", width=12, height=12, fill="#{:02x}{:02x}{:02x}".format(*colour))
-    return el("span", el("svg", box, width=12, height=12, aria_hidden="true"), f" {text}", class_="swatch")
+    return el(
+        "span",
+        el("svg", box, width=12, height=12, aria_hidden="true"),
+        f" {text}",
+        class_="swatch",
+    )

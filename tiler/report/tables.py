@@ -26,7 +26,9 @@ def counts(run: Run) -> Node:
         "read": _count(run_counts.get("read")),
         "stored": _count(run_counts.get("stored")),
     }
-    pairs |= {f"dropped: {reason}": _count(n) for reason, n in run_counts.get("dropped", {}).items()}
+    pairs |= {
+        f"dropped: {reason}": _count(n) for reason, n in run_counts.get("dropped", {}).items()
+    }
     names = {
         "duplicates_within_files": "duplicates within files",
         "duplicates_between_files": "duplicates between files",
@@ -42,7 +44,10 @@ def counts(run: Run) -> Node:
         "kept": "not filtered, class kept",
         "marked": "label not certified",
     }
-    pairs |= {f"labelled: {text}": _count(run.get("filter", {}).get(name)) for name, text in names.items()}
+    pairs |= {
+        f"labelled: {text}": _count(run.get("filter", {}).get(name))
+        for name, text in names.items()
+    }
     kept = run.get("classes", {}).get("kept", {})
     pairs |= {f"class of the input kept: {code}": _count(n) for code, n in kept.items()}
     pixels: dict[str, Content] = {text: _count(n) for text, n in run.get("mask", {}).items()}
@@ -81,7 +86,9 @@ def inputs(run: Run) -> Node:
 
 def _more(number: int) -> Node | None:
     """Return a line about the rows beyond `MAX_ROWS`, which a table does not show."""
-    return el("p", f"{number - MAX_ROWS:,} more are in run.json.") if number > MAX_ROWS else None
+    return (
+        el("p", f"{number - MAX_ROWS:,} more are in run.json.") if number > MAX_ROWS else None
+    )
 
 
 def outputs(run: Run) -> Node:
@@ -141,7 +148,9 @@ def _rate(stage: Mapping[str, Any]) -> str:
 def _order(stage: str) -> tuple[int, str]:
     """Return the sort key of a stage by its position in a run."""
     known = ("spool", "assemble", "filter", "grid-", "export", "mosaic")
-    return next((i for i, name in enumerate(known) if stage.startswith(name)), len(known)), stage
+    return next(
+        (i for i, name in enumerate(known) if stage.startswith(name)), len(known)
+    ), stage
 
 
 def _bar(share: float) -> Node:
@@ -150,7 +159,11 @@ def _bar(share: float) -> Node:
 
 
 def _slowest(run: Run) -> list[Content]:
-    tiles = ((stage, tile) for stage, stage_tiles in run.get("tiles", {}).items() for tile in stage_tiles)
+    tiles = (
+        (stage, tile)
+        for stage, stage_tiles in run.get("tiles", {}).items()
+        for tile in stage_tiles
+    )
     timed = [(stage, tile) for stage, tile in tiles if tile["seconds"] is not None]
     timed.sort(key=lambda item: (-item[1]["seconds"], item[0], item[1]["key"]))
     if not timed:
@@ -167,7 +180,15 @@ def _slowest(run: Run) -> list[Content]:
         )
         for stage, t in timed[:SLOWEST]
     ]
-    columns = ("stage", "tile", "points", "time", "tries", "not certified", "memory of its worker")
+    columns = (
+        "stage",
+        "tile",
+        "points",
+        "time",
+        "tries",
+        "not certified",
+        "memory of its worker",
+    )
     return [el("h3", "The slowest tiles"), table(columns, rows, (2, 3, 4, 5, 6))]
 
 
@@ -183,10 +204,16 @@ def settings(run: Run) -> Node:
         "settings",
         "Parameters and versions",
         el("h3", f"Parameters of {plan['method']}"),
-        table(("parameter", "value"), parameters) if parameters else el("p", "The method has no parameters."),
+        table(("parameter", "value"), parameters)
+        if parameters
+        else el("p", "The method has no parameters."),
         el("h3", "Versions"),
         facts(dict(versions)),
-        el("details", el("summary", "Configuration"), table(("setting", "value"), configuration)),
+        el(
+            "details",
+            el("summary", "Configuration"),
+            table(("setting", "value"), configuration),
+        ),
         el("details", el("summary", "CRS"), el("pre", plan["crs"] or "none")),
         el("details", el("summary", "Input files and the digests of their bytes"), pre),
     )

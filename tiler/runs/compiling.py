@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from ptd.kernel import compiled_count
 from ptd.matched.evidence import DIM, LIDAR, concluded
@@ -59,8 +60,10 @@ def grid_kernels(interpolation: str) -> Kernels:
 
     Natural neighbour interpolation has its own kernels. All other interpolations share theirs.
     """
-    how = "natural" if interpolation == "natural" else "linear"
-    return Kernels(gridding_name(how), functools.partial(warm_gridding, how), KERNELS["gridding"])  # type: ignore[arg-type]
+    how: Literal["linear", "natural"] = "natural" if interpolation == "natural" else "linear"
+    return Kernels(
+        gridding_name(how), functools.partial(warm_gridding, how), KERNELS["gridding"]
+    )
 
 
 def likely_kind(plan: Plan) -> str:
@@ -154,7 +157,8 @@ class Compiler:
             ended.wait()
 
     def _start(self, kernels: Kernels) -> None:
-        # In Python 3.11, Ctrl-C during `join` makes a running thread appear finished. So the run waits for an event.
+        # In Python 3.11, Ctrl-C during `join` makes a running thread appear finished. So the
+        # run waits for an event.
         guard = ChildProcess(None)
         ended = threading.Event()
         # The reason is read now, because it changes once this run has compiled something.

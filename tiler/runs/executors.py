@@ -14,7 +14,8 @@ from tiler.schedule.cluster_check import ClusterAccess
 from tiler.schedule.worker import prepare
 from tiler.store import store_exists
 
-# A worker fails if it needs more than MEMORY_TIMES times the planned memory plus MEMORY_MORE_BYTES: it is faulty.
+# A worker fails if it needs more than MEMORY_TIMES times the planned memory plus
+# MEMORY_MORE_BYTES: it is faulty.
 MEMORY_TIMES = 2
 MEMORY_MORE_BYTES = 512 << 20
 
@@ -51,10 +52,15 @@ class Cluster:
 
     def to_json(self) -> dict[str, Any]:
         """Return the cluster as JSON-able values."""
-        return {"machines": [asdict(machine) for machine in self.machines], "out_seen": self.out_seen}
+        return {
+            "machines": [asdict(machine) for machine in self.machines],
+            "out_seen": self.out_seen,
+        }
 
 
-def look_at_cluster(plan: Plan, store_url: str | None, products: str | None) -> tuple[Plan, Cluster]:
+def look_at_cluster(
+    plan: Plan, store_url: str | None, products: str | None
+) -> tuple[Plan, Cluster]:
     """Return the plan with the workers of its cluster, and the cluster.
 
     Parameters
@@ -112,7 +118,9 @@ class Executors:
         Function that receives notes for the user.
     """
 
-    def __init__(self, plan: Plan, store_url: str, products: str, note: Callable[[str], None]) -> None:
+    def __init__(
+        self, plan: Plan, store_url: str, products: str, note: Callable[[str], None]
+    ) -> None:
         self._plan = plan
         self._store_url = store_url
         self._products = products
@@ -138,7 +146,9 @@ class Executors:
         if self._main is None:
             self._main = _executor(self._plan, scheduler)
             if scheduler is not None:
-                self._access, _ = _look_at_workers(self._plan, self._main, self._store_url, self._products)
+                self._access, _ = _look_at_workers(
+                    self._plan, self._main, self._store_url, self._products
+                )
         if not writes_out or self._access is None or self._access.out_seen:
             return self._main
         if self._here is None:

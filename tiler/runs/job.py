@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 SAVED_SECONDS = 2.0
 """Minimum time between two writes of run.json, since stages may be short."""
 SAVE_RATIO = 20
-"""Minimum ratio of the time between two writes to the duration of a write, since the file may be long."""
+"""Minimum ratio of the time between two writes to the duration of a write, since the file may
+be long."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,9 @@ class RunResult:
         try:
             import rioxarray
         except ImportError as error:
-            raise ConfigError("dtm(): needs rioxarray; run pip install 'tiler-dtm[xarray]'") from error
+            raise ConfigError(
+                "dtm(): needs rioxarray; run pip install 'tiler-dtm[xarray]'"
+            ) from error
         for name in ("dtm.tif", "dtm.vrt"):
             if name in self.files:
                 opened: Any = rioxarray.open_rasterio(self.files[name], masked=True)
@@ -122,8 +125,8 @@ class LeaseWatch:
     def check(self) -> None:
         """Raise LockedError if another run took over store or OUT.
 
-        This can happen while this machine sleeps. The locks are only read if half of `LEASE_SECONDS` has passed since
-        the last time.
+        This can happen while this machine sleeps. The locks are only read if half of
+        `LEASE_SECONDS` has passed since the last time.
         """
         if time.monotonic() - self._checked > LEASE_SECONDS / 2:
             for lease in self._leases:

@@ -1,6 +1,7 @@
 """Content of run.json.
 
-This module and `tiler.runs.results` define its entries. docs/run-json.md guarantees some of them.
+This module and `tiler.runs.results` define its entries. docs/run-json.md guarantees some of
+them.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ PLACED = ("filter", "grid-")
 """Prefixes of the keys of stages whose tasks are tiles of the map in the report."""
 
 LISTED_TILES = 20_000
-"""Maximum number of tiles of a stage whose tiles are listed. run.json is written after each stage, so it must not
-become too long."""
+"""Maximum number of tiles of a stage whose tiles are listed. run.json is written after each
+stage, so it must not become too long."""
 
 
 @dataclass
@@ -73,7 +74,9 @@ class RunRecord:
         """Return the error of the first failed task of a stage."""
         return next(failure.error for failure in self.failed if failure.stage == stage)
 
-    def list_tiles(self, stage: str, tasks: Iterable[tuple[Task, list[float] | None]], done: Commits) -> None:
+    def list_tiles(
+        self, stage: str, tasks: Iterable[tuple[Task, list[float] | None]], done: Commits
+    ) -> None:
         """Add the tiles of a stage, with their bounds, before the stage begins."""
         self.tiles[stage] = {task.key: _tile(task, bounds, done) for task, bounds in tasks}
 
@@ -151,5 +154,8 @@ def _tile(task: Task, bounds: list[float] | None, done: Commits) -> TileResult:
 def _done(tile: TileResult, stored_record: Mapping[str, Any]) -> TileResult:
     # Records of some rasters lack these entries, since their pixels are never uncertified.
     return replace(
-        tile, state="done", tries=stored_record.get("tries", 1), marked=stored_record.get("marked", 0)
+        tile,
+        state="done",
+        tries=stored_record.get("tries", 1),
+        marked=stored_record.get("marked", 0),
     )

@@ -13,7 +13,8 @@ from tiler.runs.job import Job
 from tiler.store import chunk_numbers
 
 ROUNDS = 3
-"""Maximum number of repairs in a run. A disk that keeps damaging data cannot be repaired by them."""
+"""Maximum number of repairs in a run. A disk that keeps damaging data cannot be repaired by
+them."""
 
 
 def repair(job: Job, keys: Iterable[str]) -> None:
@@ -46,7 +47,9 @@ def repair(job: Job, keys: Iterable[str]) -> None:
             job.store.forget(f"{kind}/{name}")
         elif kind in ("labels", "elected", "points") and numbers:
             _take_back_bucket(job, kind, numbers[0])
-        else:  # The key is that of whole columns, or of the index, which assigns their rows to buckets.
+        # The key is that of whole columns, or of the index, which assigns their rows to
+        # buckets.
+        else:
             _clear_filters(job)
             job.store.clear("assemble")
             job.store.forget("index")

@@ -19,7 +19,8 @@ from tiler.schedule.worker import run_task
 from tiler.store import Commits, store_exists
 
 PACKED_COMMITS = 256
-"""Minimum number of commits of a finished stage that are packed into one object, since each costs a request."""
+"""Minimum number of commits of a finished stage that are packed into one object, since each
+costs a request."""
 
 Join = Callable[[list[Task], int], list[Task]]
 """Function ``join(tasks, workers)`` that joins tasks into larger ones with parts."""
@@ -72,7 +73,9 @@ def run_stage(
         pixels=sum(map(_pixels, todo)),
     )
     if stage.startswith(record.PLACED) and len(wanted) <= record.LISTED_TILES:
-        job.record.list_tiles(stage, ((task, _place(job, task)) for task in wanted.values()), done)
+        job.record.list_tiles(
+            stage, ((task, _place(job, task)) for task in wanted.values()), done
+        )
     if todo and kernels is not None and job.plan.config.scheduler is None:
         job.compiler.finish(kernels)
     job.listener(begin)  # The kernels come first, so that the stage's time excludes them.
@@ -89,7 +92,9 @@ def run_stage(
             done[outcome.task.key] = (outcome.task.digest, outcome.record)
     if damaged:
         keys = tuple(sorted(damaged))
-        raise CorruptStoreError(f"{job.store.url}: {', '.join(keys)}: damaged or missing; run again", keys)
+        raise CorruptStoreError(
+            f"{job.store.url}: {', '.join(keys)}: damaged or missing; run again", keys
+        )
     seconds = round(time.monotonic() - start, 3)
     job.record.computed += len(todo)
     job.store.compact(stage, PACKED_COMMITS)
@@ -109,7 +114,9 @@ def run_stage(
     return dict(sorted(done.items()))
 
 
-def _outcomes(job: Job, tasks: list[Task], writes_out: bool, join: Join | None) -> Iterator[Outcome]:
+def _outcomes(
+    job: Job, tasks: list[Task], writes_out: bool, join: Join | None
+) -> Iterator[Outcome]:
     """Yield the outcomes of single tasks. Joined tasks that fail together are run one by one."""
     if not tasks:
         return
@@ -154,7 +161,9 @@ def _report(job: Job, outcome: Outcome) -> None:
     error, error_kind = outcome.error or "", outcome.error_kind or ""
     _validate_folders_exist(job)
     if outcome.fatal and not outcome.again:
-        kind = DiskFullError if outcome.error_kind == DiskFullError.__name__ else StoreAccessError
+        kind = (
+            DiskFullError if outcome.error_kind == DiskFullError.__name__ else StoreAccessError
+        )
         raise kind(f"{title} {task.key}: {error}")
     if outcome.again or outcome.damaged:
         job.listener(TaskAgain(task.stage, title, task.key, error, error_kind))
@@ -163,7 +172,9 @@ def _report(job: Job, outcome: Outcome) -> None:
     job.listener(failed)
     job.record.failed.append(failed)
     if job.plan.config.on_error == "stop":
-        raise ProcessingError(f"{title} {task.key}: {error}; use --on-error skip to continue without it")
+        raise ProcessingError(
+            f"{title} {task.key}: {error}; use --on-error skip to continue without it"
+        )
 
 
 def _validate_folders_exist(job: Job) -> None:

@@ -56,7 +56,8 @@ def import_dask() -> None:
     """Import the modules that `make_executor` needs for workers, in a background thread."""
 
     def work() -> None:
-        # `make_executor` raises an ImportError again. A process that is ending refuses imports with a RuntimeError.
+        # `make_executor` raises an ImportError again. A process that is ending refuses imports
+        # with a RuntimeError.
         with suppress(ImportError, RuntimeError):
             import_module("tiler.schedule.workers")
 
@@ -64,7 +65,10 @@ def import_dask() -> None:
 
 
 def make_executor(
-    workers: int, address: str | None = None, in_process: bool = False, limits: TaskLimits | None = None
+    workers: int,
+    address: str | None = None,
+    in_process: bool = False,
+    limits: TaskLimits | None = None,
 ) -> Executor:
     """Make an executor in this process, or on Dask workers of this machine or of the cluster at an address.
 

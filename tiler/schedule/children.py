@@ -1,7 +1,7 @@
 """Child processes for the tasks of a Dask worker (see `ChildProcess`).
 
-A native crash, a hang or too much memory ends only the child and one try of its task, and the cause is known. The Dask
-worker and its other tasks continue.
+A native crash, a hang or too much memory ends only the child and one try of its task, and the
+cause is known. The Dask worker and its other tasks continue.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ class Children:
         self._busy: dict[ChildProcess, str] = {}
         self._ended: set[str] = set()
 
-    def run_task(self, run: ExecutorSettings, run_task: TaskRunner, store_url: str, task: Task) -> Outcome:
+    def run_task(
+        self, run: ExecutorSettings, run_task: TaskRunner, store_url: str, task: Task
+    ) -> Outcome:
         """Run a task in a child, and return its outcome."""
         guard = self._take(run)
         try:
@@ -112,13 +114,18 @@ class Children:
         guard.close()
 
 
-def run_task_in_child(run: ExecutorSettings, run_task: TaskRunner, store_url: str, task: Task) -> Outcome:
+def run_task_in_child(
+    run: ExecutorSettings, run_task: TaskRunner, store_url: str, task: Task
+) -> Outcome:
     """Call `Children.run_task` on a Dask worker."""
     return _children(distributed.get_worker()).run_task(run, run_task, store_url, task)
 
 
 async def call_in_child(
-    run: ExecutorSettings, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
+    run: ExecutorSettings,
+    function: Callable[..., Any],
+    *arguments: Any,
+    dask_worker: distributed.Worker,
 ) -> Any:
     """Call `Children.call` on a Dask worker, in parallel with its tasks. Dask passes the worker."""
     return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)

@@ -29,16 +29,22 @@ LIBRARIES = (
     "contourpy",
     "distributed",
 )
-"""Libraries whose versions must be equal, since they change the bytes of results or the messages to workers."""
+"""Libraries whose versions must be equal, since they change the bytes of results or the
+messages to workers."""
 
 LOOKED_AT = 20
-"""Approximate number of inputs that each worker checks: the first, the last, and some between them."""
+"""Approximate number of inputs that each worker checks: the first, the last, and some between
+them."""
 
 
 def versions() -> dict[str, str]:
     """Return the versions of tiler, Python and `LIBRARIES` in this process."""
     python = ".".join(platform.python_version_tuple()[:2])
-    return {"tiler": __version__, "Python": python, **{name: version(name) for name in LIBRARIES}}
+    return {
+        "tiler": __version__,
+        "Python": python,
+        **{name: version(name) for name in LIBRARIES},
+    }
 
 
 class ClusterAccess:
@@ -91,12 +97,14 @@ class ClusterAccess:
         if self._store_url is not None:
             for reason in self._store_trouble(ask, worker, self._store_url):
                 self._refuse(
-                    worker, f"cannot use {self._store_url} ({reason}); {_remedy(self._store_url, '--store')}"
+                    worker,
+                    f"cannot use {self._store_url} ({reason}); {_remedy(self._store_url, '--store')}",
                 )
         if self._products is not None and is_url(self._products):
             for reason in self._asked(ask, worker, unwritable, self._products):
                 self._refuse(
-                    worker, f"cannot write to {self._products} ({reason}); {_remedy(self._products, '-o')}"
+                    worker,
+                    f"cannot write to {self._products} ({reason}); {_remedy(self._products, '-o')}",
                 )
         elif self._products is not None:
             self.out_seen &= self._seen(ask, worker, self._products)
@@ -124,7 +132,10 @@ class ClusterAccess:
     def _seen(self, ask: Callable[..., Any], worker: str, folder: str) -> bool:
         """Return whether a worker can write to a folder of the client, or to its nearest existing parent."""
         place = Path(folder).absolute()
-        token = next(p for p in (place, *place.parents) if p.is_dir()) / f".tiler-{uuid.uuid4().hex}.partial"
+        token = (
+            next(p for p in (place, *place.parents) if p.is_dir())
+            / f".tiler-{uuid.uuid4().hex}.partial"
+        )
         try:
             token.touch()
             return bool(self._asked(ask, worker, sees, str(token)))
@@ -134,7 +145,11 @@ class ClusterAccess:
             token.unlink(missing_ok=True)
 
     def _asked(
-        self, ask: Callable[..., Any], worker: str, function: Callable[..., Any], *arguments: Any
+        self,
+        ask: Callable[..., Any],
+        worker: str,
+        function: Callable[..., Any],
+        *arguments: Any,
     ) -> Any:
         try:
             return ask(function, *arguments)
@@ -142,7 +157,9 @@ class ClusterAccess:
             raise
         except Exception as error:
             text = f"cannot run functions of tiler {__version__} ({type(error).__name__}: {error}); install it there, "
-            raise self._refusal(worker, text + "with the same versions of libraries as here") from error
+            raise self._refusal(
+                worker, text + "with the same versions of libraries as here"
+            ) from error
 
     def _refuse(self, worker: str, what: str) -> None:
         raise self._refusal(worker, what)

@@ -1,8 +1,9 @@
 """Server process that imports the modules that children need, and starts each `ChildProcess` as a fork.
 
-Imports take a second or more, and the server does them once for all children. It ends once it has no
-child and no `fork_server_running` is active. It has a single thread, since other threads would be lost in a fork. Only
-Linux forks safely with all libraries. On other systems each child starts without the server.
+Imports take a second or more, and the server does them once for all children. It ends once it
+has no child and no `fork_server_running` is active. It has a single thread, since other threads
+would be lost in a fork. Only Linux forks safely with all libraries. On other systems each child
+starts without the server.
 """
 
 from __future__ import annotations
@@ -39,13 +40,16 @@ _CODE = 8
 """Size of an exit code, in bytes."""
 
 NOT_STARTED = 1 << 16
-"""Value in place of the exit code of a child that could not start because memory or processes ran out."""
+"""Value in place of the exit code of a child that could not start because memory or processes
+ran out."""
 
 _GARBAGE_OBJECTS = 100_000
-"""Threshold of the garbage collector. With the default of 700, collection takes a tenth of the import time."""
+"""Threshold of the garbage collector. With the default of 700, collection takes a tenth of the
+import time."""
 
 _ONE_THREAD = "OPENBLAS_NUM_THREADS"
-"""Variable without which numpy's library for linear algebra starts a busy thread per core when it is loaded."""
+"""Variable without which numpy's library for linear algebra starts a busy thread per core when
+it is loaded."""
 
 
 def child_environment() -> dict[str, str]:
@@ -66,7 +70,9 @@ class ForkedChild:
         Pipes to and from the child.
     """
 
-    def __init__(self, server: _Server, stdin: IO[bytes], stdout: IO[bytes], line: socket.socket) -> None:
+    def __init__(
+        self, server: _Server, stdin: IO[bytes], stdout: IO[bytes], line: socket.socket
+    ) -> None:
         self.stdin = stdin
         self.stdout = stdout
         self._server = server
@@ -123,13 +129,17 @@ class _Server:
         """Send names of functions to call (see `prepare_children`). Raise OSError if the server has ended."""
         self._ask(names, [])
 
-    def fork(self, memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
+    def fork(
+        self, memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None
+    ) -> ForkedChild:
         """Request a child. Raise OSError if the server has ended."""
         calls, stdin = os.pipe()
         stdout, answers = os.pipe()
         line, theirs = socket.socketpair()
         try:
-            self._ask((memory_bytes, call, pickle.dumps(prepare)), [calls, answers, theirs.fileno()])
+            self._ask(
+                (memory_bytes, call, pickle.dumps(prepare)), [calls, answers, theirs.fileno()]
+            )
         except OSError:
             line.close()
             os.close(stdin)
@@ -158,7 +168,9 @@ _server: _Server | None = None
 _kept = 0
 
 
-def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
+def fork_child(
+    memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None
+) -> ForkedChild:
     """Fork a child that may allocate ``memory_bytes``.
 
     The server first imports the modules that ``call`` needs and calls ``prepare``.
@@ -180,8 +192,11 @@ def _current(anew: bool = False) -> _Server:
     It is a new one if the old one has ended or has another environment or folder.
     """
     global _server
-    environment = {n: value for n, value in os.environ.items() if not n.endswith(_SET_BY_LIBRARIES)}
-    # The setting is without the import path: on a cluster Dask adds folders, from which children do not import.
+    environment = {
+        n: value for n, value in os.environ.items() if not n.endswith(_SET_BY_LIBRARIES)
+    }
+    # The setting is without the import path: on a cluster Dask adds folders, from which
+    # children do not import.
     setting = (environment, _folder())
     old = _server
     if old is not None and (anew or old.setting != setting or old.process.poll() is not None):
@@ -246,7 +261,8 @@ def _folder() -> str:
 
 def serve(control_socket: socket.socket, answer_calls: Callable[[int | None], None]) -> None:
     """Run the server: fork requested children, kill abandoned children, and report the exit code of each."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process, and the client handles it.
+    # Ctrl-C reaches every process, and the client handles it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     ended, wake = socket.socketpair()
     wake.setblocking(False)
     signal.set_wakeup_fd(wake.fileno())
@@ -265,7 +281,8 @@ def serve(control_socket: socket.socket, answer_calls: Callable[[int | None], No
         for source in [key.fileobj for key, _ in events]:
             if source is ended:
                 ended.recv(4096)
-            elif source is not control_socket:  # The client has abandoned this child or has ended.
+            # The client has abandoned this child or has ended.
+            elif source is not control_socket:
                 selector.unregister(source)
                 os.kill(lines[source], signal.SIGKILL)  # type: ignore[index]
             elif (request := _request(control_socket)) is None:

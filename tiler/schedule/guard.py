@@ -1,7 +1,8 @@
 """Calls in a child process of functions that may crash, hang or exhaust memory. A dead child is replaced.
 
-The child is a plain process with a pipe and not a process of `multiprocessing`. It does not import the main module of
-the caller again and does not inherit threads, and its exit code shows the cause of its death.
+The child is a plain process with a pipe and not a process of `multiprocessing`. It does not
+import the main module of the caller again and does not inherit threads, and its exit code shows
+the cause of its death.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ from types import TracebackType
 from typing import IO, Any, TypeAlias, TypeVar
 
 from tiler.errors import ConfigError, TilerError
-from tiler.schedule.fork_server import FORKS, NOT_STARTED, ForkedChild, child_environment, fork_child
+from tiler.schedule.fork_server import (
+    FORKS,
+    NOT_STARTED,
+    ForkedChild,
+    child_environment,
+    fork_child,
+)
 
 try:
     import resource
@@ -73,7 +80,10 @@ class ChildProcess:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -98,10 +108,13 @@ class ChildProcess:
             self._ask(function, arguments, seconds)
             return self._answer()  # type: ignore[no-any-return]  # pickle has no types
         except KeyboardInterrupt:
-            self.close()  # The child still works on this call, and the next call must not get its answer.
+            # The child still works on this call, and the next call must not get its answer.
+            self.close()
             raise
 
-    def _ask(self, function: Callable[..., Any], arguments: tuple[Any, ...], seconds: float) -> None:
+    def _ask(
+        self, function: Callable[..., Any], arguments: tuple[Any, ...], seconds: float
+    ) -> None:
         call = pickle.dumps((function, arguments, seconds))
         if self._child is None:
             self._child = _child(self.memory_bytes, call, self.prepare)
@@ -118,7 +131,8 @@ class ChildProcess:
     def _answer(self) -> Any:
         assert self._child is not None  # `_ask` has started the child.
         try:
-            fine, result = pickle.load(_pipe(self._child.stdout))  # The pickle is from the own child.
+            # The pickle is from the own child.
+            fine, result = pickle.load(_pipe(self._child.stdout))
         except (EOFError, OSError, pickle.UnpicklingError):
             late = time.monotonic() - self._began >= self._seconds
             code = self._end()
@@ -172,7 +186,9 @@ class ChildProcess:
 def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> _Child:
     """Start a child with the import path of this process and without the current folder (``-P``)."""
     if not sys.executable:
-        raise ConfigError("workers cannot start: sys.executable is empty; start tiler with a Python program")
+        raise ConfigError(
+            "workers cannot start: sys.executable is empty; start tiler with a Python program"
+        )
     if FORKS:
         return fork_child(memory_bytes, call, prepare)
     limit = [] if memory_bytes is None else [str(memory_bytes)]

@@ -40,8 +40,8 @@ def call_isolated(
 ) -> Result:
     """Return the result of ``function(*arguments)`` in a separate child process.
 
-    A child is needed since a small file can contain an SQL view that never ends, or state a size of a million times a
-    million pixels.
+    A child is needed since a small file can contain an SQL view that never ends, or state a
+    size of a million times a million pixels.
 
     Parameters
     ----------

@@ -1,12 +1,13 @@
 """Dask cluster inside the command's own process, for the workers of this machine.
 
-Scheduler and workers are objects of one thread that communicate through memory, and their tasks run in child processes
-(`tiler.schedule.children`). Therefore the cluster starts in hundredths of a second and does not open a port.
+Scheduler and workers are objects of one thread that communicate through memory, and their tasks
+run in child processes (`tiler.schedule.children`). Therefore the cluster starts in hundredths
+of a second and does not open a port.
 
-By default, Dask makes a folder with a known name in the shared temporary folder, puts it first on `sys.path`, and then
-imports optional modules. If another user made that folder before, Dask could import that user's code. Here the folder
-is private. It is removed from the disk and from `sys.path` once the cluster has started, since Dask uses it only with
-a memory limit.
+By default, Dask makes a folder with a known name in the shared temporary folder, puts it first
+on `sys.path`, and then imports optional modules. If another user made that folder before, Dask
+could import that user's code. Here the folder is private. It is removed from the disk and from
+`sys.path` once the cluster has started, since Dask uses it only with a memory limit.
 """
 
 from __future__ import annotations
@@ -28,14 +29,16 @@ from tiler.import_path import without_scratch
 _WITHOUT_PORTS = {"protocol": "inproc://", "dashboard": False}
 _WITHOUT_FOLDERS = {"needs_workdir": False}
 _QUIET = {
-    "distributed.worker.profile.enabled": False,  # The profiler would sample every thread 100 times per second.
+    # The profiler would sample every thread 100 times per second.
+    "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }
-"""Settings that disable web pages and measurements of the command's own process, which do not affect results."""
+"""Settings that disable web pages and measurements of the command's own process, which do not
+affect results."""
 
 _configuring = Lock()
 
@@ -59,8 +62,11 @@ def cluster_here(workers: int) -> Any:
     alone = {**_WITHOUT_PORTS, **_WITHOUT_FOLDERS}
     options = {**alone, "nthreads": 1, "memory_limit": 0}
     with _configured(), warnings.catch_warnings():
-        # Dask searches for an address of this machine to name the workers, but without a network there is none.
-        warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address", RuntimeWarning)
+        # Dask searches for an address of this machine to name the workers, but without a
+        # network there is none.
+        warnings.filterwarnings(
+            "ignore", "Couldn't detect a suitable IP address", RuntimeWarning
+        )
         return SpecCluster(
             scheduler={"cls": QuietScheduler, "options": alone},
             workers={i: {"cls": QuietWorker, "options": options} for i in range(workers)},
@@ -72,8 +78,8 @@ def cluster_here(workers: int) -> Any:
 def _configured() -> Iterator[None]:
     """Configure Dask during the block, and restore its configuration afterwards.
 
-    Blocks in several threads wait for each other. If they overlapped, the last one would restore the settings of
-    another block.
+    Blocks in several threads wait for each other. If they overlapped, the last one would
+    restore the settings of another block.
     """
     with _configuring, TemporaryDirectory(prefix="tiler-dask-") as folder:
         try:

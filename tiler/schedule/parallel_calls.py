@@ -15,7 +15,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 16
-"""Calls per child that may begin before the first result is read, so that one long call does not stop others."""
+"""Calls per child that may begin before the first result is read, so that one long call does
+not stop others."""
 
 
 class ChildPool:
@@ -43,7 +44,10 @@ class ChildPool:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """End all children, even during a call."""
         for guard in self._all:

@@ -20,7 +20,9 @@ class SerialExecutor:
         """Return an empty list, since there is no cluster."""
         return []
 
-    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(
+        self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]
+    ) -> Iterator[Outcome]:
         """Run tasks and yield outcomes in the order of the tasks."""
         for task in tasks:
             for tries in range(1, task.tries + 1):

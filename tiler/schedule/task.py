@@ -1,6 +1,7 @@
 """Tasks, and the protocol of their executors.
 
-A task is a pure function of the store: it reads whole arrays, and writes keys that no other task writes.
+A task is a pure function of the store: it reads whole arrays, and writes keys that no other
+task writes.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children star
 Work = Callable[[str, Any], Record]
 """Function ``work(store_url, arguments) -> record`` of a module, since it is pickled by name.
 
-The arguments are a frozen dataclass that defines the data to read and write and the parameters. The store keeps the
-record as JSON."""
+The arguments are a frozen dataclass that defines the data to read and write and the parameters.
+The store keeps the record as JSON."""
 
 
 @runtime_checkable
@@ -188,7 +189,9 @@ class Executor(Protocol):
         """Return the machines of a cluster that have workers now, by name. The list is empty without a cluster."""
         ...
 
-    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(
+        self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]
+    ) -> Iterator[Outcome]:
         """Run tasks, a bounded number at a time, and yield an outcome per try, in any order.
 
         Raise ConnectionLostError if the connection to a cluster is permanently lost.

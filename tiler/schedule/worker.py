@@ -18,7 +18,8 @@ from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
 
 KEPT_SHARE = 20
-"""Ratio of a worker's memory to the freed memory that it may keep between tasks of one stage."""
+"""Ratio of a worker's memory to the freed memory that it may keep between tasks of one
+stage."""
 
 # These options of mallopt are from malloc.h.
 _M_TRIM_THRESHOLD = -1
@@ -30,7 +31,8 @@ _FATAL = (DiskFullError, StoreAccessError)
 _NO_GLIBC = (OSError, AttributeError, TypeError)
 
 _kept_bytes = 0
-"""Memory in bytes that this process may keep between tasks, or 0 to keep as little as possible."""
+"""Memory in bytes that this process may keep between tasks, or 0 to keep as little as
+possible."""
 _last_stage = ""
 """Stage of the last task of this process."""
 
@@ -57,9 +59,10 @@ def _forget_peak() -> None:
 def _give_back() -> None:
     """Return freed memory to the system if it is more than `prepare` allows a worker to keep.
 
-    The allocator of the C library keeps freed memory in pieces that are too small for the arrays of the next stage, so
-    a worker would grow with each task. However, memory that the next task uses again is cheaper than new pages, which
-    the system has to clear, and on a virtual machine often to request from the host.
+    The allocator of the C library keeps freed memory in pieces that are too small for the
+    arrays of the next stage, so a worker would grow with each task. However, memory that the
+    next task uses again is cheaper than new pages, which the system has to clear, and on a
+    virtual machine often to request from the host.
     """
     if _resident_bytes() > _kept_bytes:
         _give_all_back()
@@ -85,7 +88,11 @@ def _keep_freed_memory() -> None:
     `mremap`. Children that read files need `mremap` for growing buffers.
     """
     with suppress(*_NO_GLIBC):
-        for option, value in ((_M_MMAP_MAX, 0), (_M_TRIM_THRESHOLD, 2**31 - 1), (_M_ARENA_MAX, 1)):
+        for option, value in (
+            (_M_MMAP_MAX, 0),
+            (_M_TRIM_THRESHOLD, 2**31 - 1),
+            (_M_ARENA_MAX, 1),
+        ):
             _c_library().mallopt(option, value)
 
 
@@ -140,7 +147,9 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
         if commit:
             store = open_store(store_url)
             for part in Outcome(task, record).of_parts():
-                store.commit(part.task.stage, part.task.key, part.task.digest, part.record or {})
+                store.commit(
+                    part.task.stage, part.task.key, part.task.digest, part.record or {}
+                )
     except (KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
     except TilerError as error:
@@ -157,7 +166,9 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
         gc.collect()
     else:
         _give_back()
-        return Outcome(task, record, seconds=time.monotonic() - start, peak_rss_bytes=peak_rss_bytes())
+        return Outcome(
+            task, record, seconds=time.monotonic() - start, peak_rss_bytes=peak_rss_bytes()
+        )
     _give_back()
     return Outcome(
         task,

@@ -1,7 +1,8 @@
 """Executor of tasks on Dask workers: on this machine, in the command's own process, or on a running cluster.
 
-There is no graph of all tasks. Each worker has a few tasks at a time, and another one is submitted when one is done. A
-failed task is retried. `tiler.schedule.children` runs a task on a worker.
+There is no graph of all tasks. Each worker has a few tasks at a time, and another one is
+submitted when one is done. A failed task is retried. `tiler.schedule.children` runs a task on a
+worker.
 """
 
 from __future__ import annotations
@@ -35,22 +36,27 @@ from tiler.schedule.local_cluster import cluster_here
 from tiler.schedule.task import Machine, Outcome, Task, TaskLimits, TaskRunner, WorkerCheck
 
 WAITING_PER_WORKER = 1
-"""Number of tasks that wait at each worker of a cluster, so that it has work while a result is sent to the client."""
+"""Number of tasks that wait at each worker of a cluster, so that it has work while a result is
+sent to the client."""
 
 CONNECT_SECONDS = 20
 WORKERS_SECONDS = 20
-"""Maximum time to wait for the first worker of a cluster, since workers start later than their scheduler."""
+"""Maximum time to wait for the first worker of a cluster, since workers start later than their
+scheduler."""
 CLOSE_SECONDS = 5
 CONCURRENT_CHECKS = 16
-"""Number of workers that are checked at the same time. Each starts a child, which takes about a second."""
+"""Number of workers that are checked at the same time. Each starts a child, which takes about a
+second."""
 LOOK_SECONDS = 5.0
 """Time between two searches for workers that have joined the cluster."""
 
 _BROKEN = (OSError, CancelledError, AttributeError, RuntimeError)
-"""Errors of Dask's client without a connection to the scheduler, the last two of them after its last retry."""
+"""Errors of Dask's client without a connection to the scheduler, the last two of them after its
+last retry."""
 
 _LOGGERS = ("distributed", "distributed.client")
-"""Loggers of Dask that have their own levels. Instead of them, tiler reports a broken connection in one line."""
+"""Loggers of Dask that have their own levels. Instead of them, tiler reports a broken
+connection in one line."""
 
 
 class _Silence:
@@ -108,12 +114,15 @@ class DaskExecutor:
         There is no scheduler at the address, or it has no workers.
     """
 
-    def __init__(self, workers: int, address: str | None = None, limits: TaskLimits | None = None) -> None:
+    def __init__(
+        self, workers: int, address: str | None = None, limits: TaskLimits | None = None
+    ) -> None:
         self._run = ExecutorSettings(uuid.uuid4().hex, limits or TaskLimits())
         self._submissions = 0
         self._cluster: Any = None
         self._address = address
-        _silence.begin()  # The loggers are silent until `close`, since the tasks report their errors.
+        # The loggers are silent until `close`, since the tasks report their errors.
+        _silence.begin()
         try:
             self._client = self._connected(workers, address)
         except BaseException:
@@ -140,11 +149,14 @@ class DaskExecutor:
             self._cluster = cluster_here(workers)
             return _dask.Client(self._cluster, set_as_default=False)
         try:
-            # This raises an error for a wrong address before there is a client that would have to be closed.
+            # This raises an error for a wrong address before there is a client that would have
+            # to be closed.
             get_address_host_port(address)
             return _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
+            raise ConfigError(
+                f"--scheduler {address}: no Dask scheduler answers there ({error})"
+            ) from error
 
     def _look(self) -> None:
         """Find the current workers of the cluster, and check the new ones."""
@@ -157,7 +169,9 @@ class DaskExecutor:
         if self._judge is not None:
             new = sorted(set(threads) - self._judged)
             with ThreadPoolExecutor(CONCURRENT_CHECKS) as pool:
-                for found in [pool.submit(self._judge_one, self._judge, worker) for worker in new]:
+                for found in [
+                    pool.submit(self._judge_one, self._judge, worker) for worker in new
+                ]:
                     found.result()
 
     def _threads(self) -> dict[str, int] | None:
@@ -174,9 +188,11 @@ class DaskExecutor:
         except ConnectionLostError:
             if self._submissions == 0:
                 raise
-            # Later, the tasks report the loss, or the connection is restored and the next `_look` checks the worker.
+            # Later, the tasks report the loss, or the connection is restored and the next
+            # `_look` checks the worker.
         except ConfigError:
-            if worker in (self._threads() or ()):  # A worker that has left the cluster needs no error.
+            # A worker that has left the cluster needs no error.
+            if worker in (self._threads() or ()):
                 raise
 
     def on_each_worker(self, look: WorkerCheck) -> None:
@@ -207,28 +223,34 @@ class DaskExecutor:
 
     def _ask(self, worker: str, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return the result of a function in a child of one worker."""
-        answers = self._on_workers(call_in_child, self._run, function, *arguments, workers=[worker])
+        answers = self._on_workers(
+            call_in_child, self._run, function, *arguments, workers=[worker]
+        )
         (answer,) = answers.values()
         if isinstance(answer, BaseException):
             raise answer
         return answer
 
-    def _on_workers(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> dict[str, Any]:
+    def _on_workers(
+        self, function: Callable[..., Any], *arguments: Any, **options: Any
+    ) -> dict[str, Any]:
         """Return the result of a function on each worker, or its exception."""
         try:
             return dict(self._client.run(function, *arguments, on_error="return", **options))
         except _BROKEN as error:
             raise self._lost() from error
 
-    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(
+        self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]
+    ) -> Iterator[Outcome]:
         """Run tasks and yield an outcome per try. If `Outcome.again` is True, the task is retried."""
         waiting = iter(tasks)
         running: dict[str, _Try] = {}
         done = _dask.as_completed(loop=self._client.loop)
 
         def submit(task: Task, number: int) -> None:
-            # Each name is new, since Dask would return an old result for a known name. Dask groups tasks by the text
-            # before the number.
+            # Each name is new, since Dask would return an old result for a known name. Dask
+            # groups tasks by the text before the number.
             self._submissions += 1
             name = f"{task.stage}-{self._submissions}/{task.key}"
             arguments = (run_task_in_child, self._run, run_task, store_url, task)
@@ -266,7 +288,9 @@ class DaskExecutor:
             text = "its worker was lost each time (a lost machine, or too little memory)"
             return Outcome(this.task, None, text, WORKER_DIED, again=again)
         if error is not None:
-            return Outcome(this.task, None, first_line(error), type(error).__name__, again=again)
+            return Outcome(
+                this.task, None, first_line(error), type(error).__name__, again=again
+            )
         try:
             outcome: Outcome = future.result()
         except _BROKEN as broken:  # An error of the task itself is the `error` above.
@@ -289,7 +313,11 @@ class DaskExecutor:
         if self._client.status != "running":
             raise self._lost()
         return Outcome(
-            this.task, None, "the connection to the scheduler broke", "ConnectionError", again=True
+            this.task,
+            None,
+            "the connection to the scheduler broke",
+            "ConnectionError",
+            again=True,
         )
 
     def _lost(self) -> ConnectionLostError:
@@ -309,7 +337,8 @@ class DaskExecutor:
 
     def close(self) -> None:
         """End all work for this executor. A cluster at an address keeps running."""
-        if self._client.status == "running":  # Without a connection, the children cannot be ended.
+        # Without a connection, the children cannot be ended.
+        if self._client.status == "running":
             with suppress(*_BROKEN):
                 ending = self._client._run, end_children, self._run.token
                 self._client.sync(*ending, callback_timeout=CLOSE_SECONDS)

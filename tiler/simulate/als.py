@@ -87,8 +87,8 @@ class AlsSensor:
     def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
         """Return the points of the pulses aimed at patch (ix, iy), by pulse, with blunders last.
 
-        A pulse belongs to the patch at which it is aimed, on the level `Terrain.base`. So each pulse belongs to one
-        patch, and its points may lie beyond the edge of the patch.
+        A pulse belongs to the patch at which it is aimed, on the level `Terrain.base`. So each
+        pulse belongs to one patch, and its points may lie beyond the edge of the patch.
         """
         box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
         rng = generator(site.seed, PULSES, ix, iy)
@@ -96,7 +96,9 @@ class AlsSensor:
         bare = ground_hit(site.terrain, rays)
         px, py = rays.at(bare)
         lean = TALLEST_M * rays.steepest
-        objects = site.objects_near(px.min() - lean, py.min() - lean, px.max() + lean, py.max() + lean)
+        objects = site.objects_near(
+            px.min() - lean, py.min() - lean, px.max() + lean, py.max() + lean
+        )
         hits: Hits = []
         surface = _surface(site, objects, rays, bare, rng, hits)
         _canopy(objects, rays, surface, rng, hits)
@@ -104,9 +106,15 @@ class AlsSensor:
         x, y = rays.at(z, ray)
         label = vegetation_label(label, z - bare[ray])
         angle = np.degrees(np.arctan(rays.lx[ray]))
-        bias = 0.3 * self.sigma_m * node_normals(site.seed, BIAS, strip[ray], np.zeros(len(ray), np.int64))
+        bias = (
+            0.3
+            * self.sigma_m
+            * node_normals(site.seed, BIAS, strip[ray], np.zeros(len(ray), np.int64))
+        )
         z = z + bias + self.sigma_m * rng.standard_normal(len(z))
-        noise, noise_label = _blunders(self, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy))
+        noise, noise_label = _blunders(
+            self, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy)
+        )
         one = np.ones(len(noise), np.uint8)
         return SimulatedPoints(
             np.concatenate((np.column_stack((x, y, z)), noise)),
@@ -131,18 +139,29 @@ def _pulses(
     """Return rays through a jittered pattern over ``box`` at ``base``, and the strip of each."""
     across, lap = (sensor.density * LINE_STEP) ** -0.5, sensor.overlap_m / 2
     along = across * LINE_STEP
-    lines = (np.arange(np.ceil(box[1] / along - 0.5), np.ceil(box[3] / along - 0.5)) + 0.5) * along
-    first, last = np.floor((box[0] - lap) / sensor.strip_m), np.floor((box[2] + lap) / sensor.strip_m)
+    lines = (
+        np.arange(np.ceil(box[1] / along - 0.5), np.ceil(box[3] / along - 0.5)) + 0.5
+    ) * along
+    first, last = (
+        np.floor((box[0] - lap) / sensor.strip_m),
+        np.floor((box[2] + lap) / sensor.strip_m),
+    )
     parts, strips = [], []
     for strip in np.arange(first, last + 1):
         west = max(box[0], strip * sensor.strip_m - lap)
         east = min(box[2], (strip + 1) * sensor.strip_m + lap)
-        columns = (np.arange(np.ceil(west / across - 0.5), np.ceil(east / across - 0.5)) + 0.5) * across
+        columns = (
+            np.arange(np.ceil(west / across - 0.5), np.ceil(east / across - 0.5)) + 0.5
+        ) * across
         x, y = (grid.ravel() for grid in np.meshgrid(columns, lines))
         x = x + rng.uniform(-0.3 * across, 0.3 * across, len(x))
         y = y + rng.uniform(-0.2 * along, 0.2 * along, len(y))
         lx = ((strip + 0.5) * sensor.strip_m - x) / sensor.flying_height_m
-        parts.append(np.stack((x - lx * base, y - FORWARD_TILT * base, lx, np.full(len(x), FORWARD_TILT))))
+        parts.append(
+            np.stack(
+                (x - lx * base, y - FORWARD_TILT * base, lx, np.full(len(x), FORWARD_TILT))
+            )
+        )
         strips.append(np.full(len(x), int(strip), np.int64))
     ax, ay, lx, ly = np.concatenate(parts, axis=1)
     return Rays(ax, ay, lx, ly, base), np.concatenate(strips)
@@ -151,8 +170,8 @@ def _pulses(
 def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
     """Return the height in metres at which each ray meets the terrain.
 
-    A fixed-point iteration converges where rays are much steeper than slopes. Bisection finds the height of the other
-    rays, which meet cliffs.
+    A fixed-point iteration converges where rays are much steeper than slopes. Bisection finds
+    the height of the other rays, which meet cliffs.
     """
     z = terrain.height_at(*rays.at(np.full(len(rays), terrain.base)))
     rest = np.arange(len(rays))
@@ -172,7 +191,9 @@ def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
     return z
 
 
-def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: Hits) -> None:
+def _canopy(
+    objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: Hits
+) -> None:
     """Append the returns from wires and crowns above the surface at which each ray ends."""
     for wire in objects.wires:
         ray, z = wire.hit(rays)
@@ -203,14 +224,20 @@ def _surface(
     px, py = rays.at(bare)
     label = np.where(site.terrain.wet_at(px, py), WATER, GROUND).astype(np.uint8)
     for patch in objects.patches:
-        here = np.flatnonzero((np.abs(px - patch.x) <= patch.radius) & (np.abs(py - patch.y) <= patch.radius))
+        here = np.flatnonzero(
+            (np.abs(px - patch.x) <= patch.radius) & (np.abs(py - patch.y) <= patch.radius)
+        )
         depth = patch.inside(px[here], py[here])
-        here = here[(depth > 0) & (rng.random(len(here)) < patch.cover) & (label[here] == GROUND)]
-        # Most echoes come from the middle of a plant's height. A low plant and the ground below it give one echo
-        # between the two.
+        here = here[
+            (depth > 0) & (rng.random(len(here)) < patch.cover) & (label[here] == GROUND)
+        ]
+        # Most echoes come from the middle of a plant's height. A low plant and the ground below
+        # it give one echo between the two.
         tall = 0.08 + (patch.height - 0.08) * rng.beta(1.6, 1.6, len(here))
         double = (tall > 0.7) & (rng.random(len(here)) < 0.4)
-        hits.append(_hit(here[double], bare[here[double]] + tall[double], LOW_VEGETATION, False))
+        hits.append(
+            _hit(here[double], bare[here[double]] + tall[double], LOW_VEGETATION, False)
+        )
         here, tall = here[~double], tall[~double]
         z[here], label[here] = bare[here] + tall, LOW_VEGETATION
     for solid in objects.solids:
@@ -254,7 +281,9 @@ def _on_waters(
     return lost
 
 
-def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
+def _numbered(
+    hits: Hits, max_returns: int
+) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
     """Return ray, height, label, return number and count, in the order of rays and returns."""
     ray, z, label, last = (np.concatenate(column) for column in zip(*hits, strict=True))
     order = np.lexsort((-z, ray))
@@ -265,7 +294,13 @@ def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Float
     ended = np.cumsum(last, dtype=np.intp) - last
     seen = (ended == np.repeat(ended[start], length)) & (number <= max_returns)
     count = np.repeat(np.add.reduceat(seen.astype(np.intp), start), length)
-    return ray[seen], z[seen], label[seen], number[seen].astype(np.uint8), count[seen].astype(np.uint8)
+    return (
+        ray[seen],
+        z[seen],
+        label[seen],
+        number[seen].astype(np.uint8),
+        count[seen].astype(np.uint8),
+    )
 
 
 def _blunders(
@@ -274,12 +309,15 @@ def _blunders(
     """Return points below the ground and in the air: xyz (n, 3) in metres and labels."""
     km2 = (box[2] - box[0]) * (box[3] - box[1]) / 1e6
     low, groups, high = (
-        rng.poisson(rate * km2) for rate in (sensor.low_singles_km2, sensor.low_groups_km2, sensor.high_km2)
+        rng.poisson(rate * km2)
+        for rate in (sensor.low_singles_km2, sensor.low_groups_km2, sensor.high_km2)
     )
     members = rng.integers(3, 8, groups)
     n = low + groups + high
     x, y = rng.uniform(box[0], box[2], n), rng.uniform(box[1], box[3], n)
-    above = np.r_[-rng.uniform(2, 15, low), -rng.uniform(2, 6, groups), rng.uniform(20, 200, high)]
+    above = np.r_[
+        -rng.uniform(2, 15, low), -rng.uniform(2, 6, groups), rng.uniform(20, 200, high)
+    ]
     times = np.r_[np.ones(low, np.intp), members, np.ones(high, np.intp)]
     spread = np.repeat(np.r_[np.zeros(low), np.full(groups, 0.4), np.zeros(high)], times)
     x, y, above = (np.repeat(column, times) for column in (x, y, above))

@@ -172,7 +172,9 @@ def park_block(plot: Plot) -> None:
 def row_block(plot: Plot) -> None:
     """Place two rows of terraced houses with gardens, or a small green, and parked cars."""
     length = plot.side - 2 * plot.street
-    if plot.rng.random() < 0.15 or not plot.terrace(plot.x, plot.y - plot.side / 4 - 2.0, 0.0, length, 9.0):
+    if plot.rng.random() < 0.15 or not plot.terrace(
+        plot.x, plot.y - plot.side / 4 - 2.0, 0.0, length, 9.0
+    ):
         plot.trees(4, 9, (5.0, 14.0))
         plot.bushes(2, 6)
     else:

@@ -1,7 +1,7 @@
 """Scenes on which methods are tuned and scored: names, seeds and sensors.
 
-The scenes were committed before any tuning. Scores of different dates are comparable only if the scenes stay the same.
-Add scenes rather than change one, and document every change.
+The scenes were committed before any tuning. Scores of different dates are comparable only if
+the scenes stay the same. Add scenes rather than change one, and document every change.
 """
 
 from __future__ import annotations

@@ -26,7 +26,8 @@ PULSE_S = 1e-5
 class CloudWriter:
     """Writer of a LAZ or LAS file: LAS 1.4, point format 6, or 7 with colours, in millimetres.
 
-    The header contains neither the current date nor a version, so the same points give the same bytes.
+    The header contains neither the current date nor a version, so the same points give the same
+    bytes.
 
     Parameters
     ----------
@@ -94,5 +95,7 @@ def write_dtm(path: Path, site: Site, pixel_m: float) -> None:
         for row in range(0, rows, BLOCK_PIXELS):
             y = top - (np.arange(row, min(row + BLOCK_PIXELS, rows)) + 0.5) * pixel_m
             for column in range(0, columns, BLOCK_PIXELS):
-                heights = site.terrain.height_at(x[None, column : column + BLOCK_PIXELS], y[:, None])
+                heights = site.terrain.height_at(
+                    x[None, column : column + BLOCK_PIXELS], y[:, None]
+                )
                 raster.write(heights.astype(np.float32), row, column)

@@ -7,7 +7,13 @@ import numpy.typing as npt
 
 from tiler.core.classes import GROUND, WATER
 from tiler.simulate.matched_surface import PIXEL_M, MatchedSurface
-from tiler.simulate.objects import BRIDGE, BUILDING, HIGH_VEGETATION, LOW_VEGETATION, MEDIUM_VEGETATION
+from tiler.simulate.objects import (
+    BRIDGE,
+    BUILDING,
+    HIGH_VEGETATION,
+    LOW_VEGETATION,
+    MEDIUM_VEGETATION,
+)
 from tiler.simulate.randomness import COLOUR, node_normals, smooth_noise
 from tiler.simulate.site import Site
 
@@ -41,11 +47,25 @@ MATERIALS = np.array(
 """8-bit red, green and blue of the materials."""
 
 ROOFS = np.array(
-    [(164, 92, 74), (140, 82, 68), (122, 118, 116), (84, 84, 88), (178, 172, 162), (128, 104, 88)],
+    [
+        (164, 92, 74),
+        (140, 82, 68),
+        (122, 118, 116),
+        (84, 84, 88),
+        (178, 172, 162),
+        (128, 104, 88),
+    ],
     dtype=np.float64,
 )
 PAINTS = np.array(
-    [(200, 200, 202), (40, 42, 46), (120, 124, 130), (150, 40, 38), (44, 66, 120), (225, 225, 220)],
+    [
+        (200, 200, 202),
+        (40, 42, 46),
+        (120, 124, 130),
+        (150, 40, 38),
+        (44, 66, 120),
+        (225, 225, 220),
+    ],
     dtype=np.float64,
 )
 
@@ -58,11 +78,14 @@ def ground_materials(site: Site, x: Floats, y: Floats) -> npt.NDArray[np.intp]:
         site.terrain.height_at(x, y + step) - site.terrain.height_at(x, y - step),
     )
     patchy = smooth_noise(site.seed, COLOUR, x, y, 7.0)
-    # A standard normal is less than 2.6 (green - 0.5) with a probability of about `green`, from 0.2 to 0.8.
+    # A standard normal is less than 2.6 (green - 0.5) with a probability of about `green`, from
+    # 0.2 to 0.8.
     material = np.where(patchy < 2.6 * (site.green - 0.5), LAWN, SOIL)
     material = np.where(rise / (2 * step) > 0.9, ROCK, material)
     if site.street_m > 0:
-        edge = np.minimum(np.abs(_from_edge(x, site.block_m)), np.abs(_from_edge(y, site.block_m)))
+        edge = np.minimum(
+            np.abs(_from_edge(x, site.block_m)), np.abs(_from_edge(y, site.block_m))
+        )
         material = np.where(edge < site.street_m, ASPHALT, material)
     return np.asarray(material, dtype=np.intp)
 
@@ -127,7 +150,8 @@ def colours(
     paint = ~np.isin(label, (GROUND, WATER, BUILDING, BRIDGE)) & (thing >= 0)
     rgb[paint] = PAINTS[pick[paint] % len(PAINTS)]
     plants = np.isin(material, (LAWN, PLANTS, LEAVES)) & (thing < 0)
-    # The colour of plants varies from green to straw, and the brightness of all surfaces varies.
+    # The colour of plants varies from green to straw, and the brightness of all surfaces
+    # varies.
     dry = np.clip(0.25 + 0.25 * smooth_noise(site.seed, COLOUR, x, y, 4.0), 0.0, 0.8) * plants
     straw = np.array([150.0, 142.0, 96.0])
     rgb = rgb * (1.0 - dry[:, None]) + straw * dry[:, None]

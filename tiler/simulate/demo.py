@@ -57,7 +57,8 @@ def demo_city(
 ) -> DemoScene:
     """Write the city of a seed into a folder.
 
-    The files are ``city_{sw,se,nw,ne}.laz``, clouds of the same names in ``truth/``, and ``truth/dtm.tif``.
+    The files are ``city_{sw,se,nw,ne}.laz``, clouds of the same names in ``truth/``, and
+    ``truth/dtm.tif``.
 
     Parameters
     ----------
@@ -78,15 +79,21 @@ def demo_city(
     paths, truth_paths, dtm_path = tuple(files[:4]), tuple(files[4:8]), files[8]
     with ExitStack() as open_files:
         clouds, truths = (
-            [open_files.enter_context(CloudWriter(path)) for path in group] for group in (paths, truth_paths)
+            [open_files.enter_context(CloudWriter(path)) for path in group]
+            for group in (paths, truth_paths)
         )
-        # Patches outside the city would cost much time and only complete its outermost metre or two.
+        # Patches outside the city would cost much time and only complete its outermost metre or
+        # two.
         for index in patches(sensor, side_m, rim=False):
             points = survey_patch(site, sensor, *index)
             part = (points.xyz[:, 0] >= side_m / 2) + 2 * (points.xyz[:, 1] >= side_m / 2)
             for number in range(len(PARTS)):
                 inside = points.take(part == number)
-                clouds[number].write(inside, np.where(inside.label == UNCLASSIFIED, 0, 1).astype(np.uint8))
+                clouds[number].write(
+                    inside, np.where(inside.label == UNCLASSIFIED, 0, 1).astype(np.uint8)
+                )
                 truths[number].write(inside)
     write_dtm(dtm_path, site, dtm_m)
-    return DemoScene(paths, truth_paths, dtm_path, site.terrain, sum(cloud.points for cloud in clouds))
+    return DemoScene(
+        paths, truth_paths, dtm_path, site.terrain, sum(cloud.points for cloud in clouds)
+    )

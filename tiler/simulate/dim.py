@@ -36,7 +36,8 @@ WALL_M = 2.5
 """Smallest jump of the surface that is a visible wall, metres."""
 
 NARROW_M = 1.2
-"""Half the side in metres of the window around a position, in which high objects hide it from images."""
+"""Half the side in metres of the window around a position, in which high objects hide it from
+images."""
 
 NARROW_RISE_M = 7.0
 """Height in metres above a position from which an object next to it hides it from images."""
@@ -108,14 +109,18 @@ class DimSensor:
         dark = shadows(skin)
         xyz, label = self._matches(skin, dark, site, box, rng)
         wall = self._facades(skin, box, rng)
-        noise, noise_label = self._blunders(site, skin, box, generator(site.seed, BLUNDERS, ix, iy))
+        noise, noise_label = self._blunders(
+            site, skin, box, generator(site.seed, BLUNDERS, ix, iy)
+        )
         facade = np.repeat([False, True, False], (len(xyz), len(wall), len(noise)))
         xyz = np.concatenate((xyz, wall, noise))
         label = np.r_[label, np.full(len(wall), BUILDING, np.uint8), noise_label]
         node = skin.nearest(xyz[:, 0], xyz[:, 1])
         rgb = None
         if self.coloured:
-            rgb = colours(site, xyz[:, 0], xyz[:, 1], label, skin.thing[node], facade, dark[node], rng)
+            rgb = colours(
+                site, xyz[:, 0], xyz[:, 1], label, skin.thing[node], facade, dark[node], rng
+            )
         one = np.ones(len(xyz), np.uint8)
         return SimulatedPoints(xyz, label, one, one.copy(), np.zeros(len(xyz)), rgb)
 
@@ -139,7 +144,9 @@ class DimSensor:
         y = box[1] + (row + rng.uniform(low, high, len(row))) * step
         node = skin.nearest(x, y)
         around = 2 * round(NARROW_M / PIXEL_M) + 1
-        narrow = ndimage.maximum_filter(skin.sharp, around)[node] - skin.sharp[node] > NARROW_RISE_M
+        narrow = (
+            ndimage.maximum_filter(skin.sharp, around)[node] - skin.sharp[node] > NARROW_RISE_M
+        )
         lost = 0.02 + 0.2 * dark[node] + 0.4 * narrow + 0.8 * (skin.label[node] == WATER)
         keep = rng.random(len(x)) >= lost
         x, y, node = x[keep], y[keep], (node[0][keep], node[1][keep])
@@ -162,14 +169,18 @@ class DimSensor:
         hard = np.isin(label, (GROUND, WATER, BUILDING))
         sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, self.shadow, 1.0)
         if self.textureless_share:
-            plain = smooth_noise(site.seed, TEXTURE, x, y, TEXTURE_M) > ndtri(1.0 - self.textureless_share)
+            plain = smooth_noise(site.seed, TEXTURE, x, y, TEXTURE_M) > ndtri(
+                1.0 - self.textureless_share
+            )
             sigma = sigma * np.where(hard & plain, self.textureless, 1.0)
         common = smooth_noise(site.seed, BIAS, x, y, self.correlation_m)
         if self.tails is None:
             own = rng.standard_normal(len(x))
         else:
             own = rng.standard_t(self.tails, len(x)) * np.sqrt((self.tails - 2.0) / self.tails)
-        return np.asarray(sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own))
+        return np.asarray(
+            sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own)
+        )
 
     def _facades(self, skin: MatchedSurface, box: Box, rng: np.random.Generator) -> Floats:
         """Return xyz (n, 3) of points on walls, where the surface falls from a building."""
@@ -185,7 +196,9 @@ class DimSensor:
             at = (skin.thing >= 0) & (skin.label == BUILDING) & (jump > WALL_M)
             at &= (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])
             times = rng.poisson(rate * share[at] * jump[at])
-            wx, wy, top, fall = (np.repeat(raster[at], times) for raster in (x, y, skin.sharp, jump))
+            wx, wy, top, fall = (
+                np.repeat(raster[at], times) for raster in (x, y, skin.sharp, jump)
+            )
             offset = PIXEL_M * (0.5 * way + rng.uniform(-0.1, 0.3, len(wx)))
             slide = PIXEL_M * rng.uniform(-0.5, 0.5, len(wx))
             dx, dy = slide, offset
@@ -193,7 +206,11 @@ class DimSensor:
                 dx, dy = offset, slide
             wx, wy = wx + dx, wy + dy
             # Matching finds more points on the upper part of a wall than near its foot.
-            z = top - fall * rng.beta(1.0, 1.4, len(wx)) + self.sigma_m * rng.standard_normal(len(wx))
+            z = (
+                top
+                - fall * rng.beta(1.0, 1.4, len(wx))
+                + self.sigma_m * rng.standard_normal(len(wx))
+            )
             parts.append(np.column_stack((wx, wy, z)))
         points = np.concatenate(parts)
         inside = (points[:, :2] >= box[:2]) & (points[:, :2] < box[2:])
@@ -213,10 +230,15 @@ class DimSensor:
         deep = -np.exp(rng.uniform(np.log(0.6), np.log(8.0), alone + clumps))
         above = np.r_[deep, rng.uniform(3.0, 40.0, high)]
         times = np.r_[np.ones(alone, np.intp), size, np.ones(high, np.intp)]
-        spread = np.repeat(np.r_[np.zeros(alone), rng.uniform(0.15, 0.7, clumps), np.zeros(high)], times)
+        spread = np.repeat(
+            np.r_[np.zeros(alone), rng.uniform(0.15, 0.7, clumps), np.zeros(high)], times
+        )
         label = np.repeat(np.where(above < 0, LOW_NOISE, HIGH_NOISE), times).astype(np.uint8)
         x, y, above = (np.repeat(column, times) for column in (x, y, above))
-        x, y = x + spread * rng.standard_normal(len(x)), y + spread * rng.standard_normal(len(y))
+        x, y = (
+            x + spread * rng.standard_normal(len(x)),
+            y + spread * rng.standard_normal(len(y)),
+        )
         x, y = np.clip(x, box[0], box[2] - 0.001), np.clip(y, box[1], box[3] - 0.001)
         above = above + 0.25 * spread * rng.standard_normal(len(x))
         # Blunders closer than 0.4 m to the ground would be noise of the ground.

@@ -69,7 +69,9 @@ def describe_scene(
     if scene in SCENES:
         spec = SCENES[scene]
         if kind not in (None, spec.kind):
-            raise ConfigError(f"--kind {kind}: scene {scene} is of kind {spec.kind}; use --scene {spec.site}")
+            raise ConfigError(
+                f"--kind {kind}: scene {scene} is of kind {spec.kind}; use --scene {spec.site}"
+            )
     elif scene in SITES:
         kind = kind or "als"
         if kind not in SENSORS:
@@ -80,7 +82,9 @@ def describe_scene(
         raise ConfigError(f"unknown scene {scene!r}: choose one of {names}")
     sensor = dict(spec.sensor)
     if density is not None:
-        sensor["density"] = _within("--density", density, *DENSITY_RANGE[spec.kind], "points/m2")
+        sensor["density"] = _within(
+            "--density", density, *DENSITY_RANGE[spec.kind], "points/m2"
+        )
     if sigma_m is not None:
         sensor["sigma_m"] = _within("--sigma", sigma_m, *SIGMA_RANGE_M, "m")
     _within("--blunders", blunders, *BLUNDERS_RANGE, "times")
@@ -157,7 +161,9 @@ def write_scene(
     """
     path = Path(path)
     if path.suffix.lower() not in (".laz", ".las"):
-        raise ConfigError(f"{path}: a simulated cloud is LAZ or LAS; give it a name that ends in .laz")
+        raise ConfigError(
+            f"{path}: a simulated cloud is LAZ or LAS; give it a name that ends in .laz"
+        )
     _within("--resolution", pixel_m, *PIXEL_RANGE_M, "m")
     dtm = path.with_name(f"{path.stem}_dtm.tif")
     if os.path.lexists(dtm) and not os.path.lexists(path):
@@ -166,7 +172,9 @@ def write_scene(
     site = spec.make_site()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        counts = _write_cloud(part, path.suffix.lower() == ".laz", site, spec.make_sensor(), listener)
+        counts = _write_cloud(
+            part, path.suffix.lower() == ".laz", site, spec.make_sensor(), listener
+        )
         write_dtm(dtm_part, site, pixel_m)
         replace_file(part, path)
         replace_file(dtm_part, dtm)
@@ -190,12 +198,15 @@ def write_scene(
         points=points,
         points_per_m2=round(points / (site.side_m * site.north_m), 3),
         classes={
-            f"{value} {CLASS_NAMES[value]}": int(counts[value]) for value in np.flatnonzero(counts).tolist()
+            f"{value} {CLASS_NAMES[value]}": int(counts[value])
+            for value in np.flatnonzero(counts).tolist()
         },
     )
 
 
-def _write_cloud(path: Path, compressed: bool, site: Site, sensor: Sensor, listener: Listener) -> np.ndarray:
+def _write_cloud(
+    path: Path, compressed: bool, site: Site, sensor: Sensor, listener: Listener
+) -> np.ndarray:
     """Write all patches to a file. Return the points per class, int64, shape (256,)."""
     todo = patches(sensor, site.side_m, site.north_m)
     counts = np.zeros(256, np.int64)

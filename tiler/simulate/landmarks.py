@@ -18,10 +18,14 @@ def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects
 
     The deck connects the heights of the terrain at its two ends, so that a road has no step.
     """
-    start, end = (float(terrain.height_at(*line.at(along))) for along in (-length / 2, length / 2))
+    start, end = (
+        float(terrain.height_at(*line.at(along))) for along in (-length / 2, length / 2)
+    )
     top, tilt = (start + end) / 2, (end - start) / length
     base = top - 1.2
-    deck = Solid(line.x, line.y, line.angle_deg, length, width, base, top, label=BRIDGE, tilt=tilt)
+    deck = Solid(
+        line.x, line.y, line.angle_deg, length, width, base, top, label=BRIDGE, tilt=tilt
+    )
     parapet = replace(deck, width=0.3, top=top + 1.0)
     sides = []
     for across in (-width / 2, width / 2):
@@ -33,7 +37,8 @@ def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects
 def power_line(terrain: Terrain, line: Line, length: float) -> Objects:
     """Return towers of 26 m every `SPAN_M`, with cross-arms and three sagging wires.
 
-    The first tower is 0.15 `SPAN_M` after the line's point, and the last is less than ``length`` metres after it.
+    The first tower is 0.15 `SPAN_M` after the line's point, and the last is less than
+    ``length`` metres after it.
     """
     solids: list[Solid] = []
     wires: list[Wire] = []
@@ -42,7 +47,9 @@ def power_line(terrain: Terrain, line: Line, length: float) -> Objects:
         x, y = line.at(float(along))
         ground = float(terrain.height_at(x, y))
         arm = ground + 24.0
-        solids.append(Solid(x, y, line.angle_deg, 1.2, 1.2, ground - 1.0, ground + 26.0, label=TOWER))
+        solids.append(
+            Solid(x, y, line.angle_deg, 1.2, 1.2, ground - 1.0, ground + 26.0, label=TOWER)
+        )
         solids.append(Solid(x, y, line.angle_deg, 0.6, 12.0, arm, arm + 0.6, label=TOWER))
         ends = [(*line.at(float(along), across), arm) for across in (-6.0, 0.0, 6.0)]
         wires += [Wire(a, b, 4.0) for a, b in zip(before, ends, strict=False)]

@@ -54,7 +54,9 @@ class MatchedSurface:
     rise: Floats
     thing: npt.NDArray[np.int64]
 
-    def nearest(self, x: Floats, y: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def nearest(
+        self, x: Floats, y: Floats
+    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Return the row and column of the node nearest to each position in metres."""
         row = np.rint((y - self.y0) / PIXEL_M).astype(np.intp)
         column = np.rint((x - self.x0) / PIXEL_M).astype(np.intp)
@@ -81,7 +83,9 @@ class MatchedSurface:
     def positions(self) -> tuple[Floats, Floats]:
         """Return x and y of all nodes in metres, in the shape of the rasters."""
         rows, columns = self.bare.shape
-        x, y = np.meshgrid(self.x0 + PIXEL_M * np.arange(columns), self.y0 + PIXEL_M * np.arange(rows))
+        x, y = np.meshgrid(
+            self.x0 + PIXEL_M * np.arange(columns), self.y0 + PIXEL_M * np.arange(rows)
+        )
         return x, y
 
 
@@ -99,7 +103,9 @@ def render_surface(site: Site, box: Box, margin_m: float, edge_m: float) -> Matc
     """
     low = [int(np.floor((edge - margin_m) / PIXEL_M)) for edge in box[:2]]
     high = [int(np.ceil((edge + margin_m) / PIXEL_M)) for edge in box[2:]]
-    x, y = np.meshgrid(np.arange(low[0], high[0] + 1) * PIXEL_M, np.arange(low[1], high[1] + 1) * PIXEL_M)
+    x, y = np.meshgrid(
+        np.arange(low[0], high[0] + 1) * PIXEL_M, np.arange(low[1], high[1] + 1) * PIXEL_M
+    )
     bare = site.terrain.height_at(x, y)
     flat: tuple[npt.NDArray[Any], ...] = _covered(site, x.ravel(), y.ravel(), bare.ravel())
     sharp, label, thing = (column.reshape(bare.shape) for column in flat)
@@ -114,7 +120,9 @@ def render_surface(site: Site, box: Box, margin_m: float, edge_m: float) -> Matc
 
 def solid_number(solid: Solid) -> int:
     """Return a non-negative number that depends only on the position of a solid."""
-    return int((round(solid.x * 100) * 73856093 ^ round(solid.y * 100) * 19349663) & (2**40 - 1))
+    return int(
+        (round(solid.x * 100) * 73856093 ^ round(solid.y * 100) * 19349663) & (2**40 - 1)
+    )
 
 
 def _covered(
@@ -125,12 +133,18 @@ def _covered(
     label = np.where(site.terrain.wet_at(x, y), WATER, GROUND).astype(np.uint8)
     thing = np.full(len(x), -1, np.int64)
     objects = site.objects_near(x.min(), y.min(), x.max(), y.max())
-    lumps = smooth_noise(site.seed, RELIEF, x, y, 0.8) + 0.7 * smooth_noise(site.seed, RELIEF, x, y, 2.6)
+    lumps = smooth_noise(site.seed, RELIEF, x, y, 0.8) + 0.7 * smooth_noise(
+        site.seed, RELIEF, x, y, 2.6
+    )
     for patch in objects.patches:
-        here = np.flatnonzero((np.abs(x - patch.x) <= patch.radius) & (np.abs(y - patch.y) <= patch.radius))
+        here = np.flatnonzero(
+            (np.abs(x - patch.x) <= patch.radius) & (np.abs(y - patch.y) <= patch.radius)
+        )
         depth = patch.inside(x[here], y[here])
         # Between sparse plants, image matching finds the ground.
-        share = np.clip(patch.cover + 0.35 * lumps[here], 0.0, 1.0) * np.clip(4.0 * depth, 0.0, 1.0)
+        share = np.clip(patch.cover + 0.35 * lumps[here], 0.0, 1.0) * np.clip(
+            4.0 * depth, 0.0, 1.0
+        )
         tall = 0.8 * patch.height * share
         here, tall = here[tall > 0.1], tall[tall > 0.1]
         higher = (bare[here] + tall > z[here]) & (label[here] != WATER)

@@ -1,6 +1,7 @@
 """Objects on the terrain, and the rays that meet them.
 
-A ray is a line from above with its height z as the parameter: ``x = ax + lx * z``, ``y = ay + ly * z``.
+A ray is a line from above with its height z as the parameter: ``x = ax + lx * z``, ``y = ay +
+ly * z``.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ class Rays:
         """Largest horizontal shift of a ray in metres per metre of height."""
         return float(np.hypot(self.lx, self.ly).max(initial=0.0))
 
-    def at(self, z: Floats, index: npt.NDArray[np.intp] | slice = slice(None)) -> tuple[Floats, Floats]:
+    def at(
+        self, z: Floats, index: npt.NDArray[np.intp] | slice = slice(None)
+    ) -> tuple[Floats, Floats]:
         """Return the positions x, y of the rays (or of ``index``) at the heights z."""
         return self.ax[index] + self.lx[index] * z, self.ay[index] + self.ly[index] * z
 
@@ -107,7 +110,9 @@ class Solid:
         east, north, turn = x - self.x, y - self.y, math.radians(self.angle_deg)
         along = east * math.cos(turn) + north * math.sin(turn)
         across = north * math.cos(turn) - east * math.sin(turn)
-        return math.hypot(max(abs(along) - self.length / 2, 0.0), max(abs(across) - self.width / 2, 0.0))
+        return math.hypot(
+            max(abs(along) - self.length / 2, 0.0), max(abs(across) - self.width / 2, 0.0)
+        )
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
         """Return indices of the rays that meet the body, and the heights of entry, metres."""
@@ -118,7 +123,12 @@ class Solid:
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         ax, ay = rays.ax[index] - self.x, rays.ay[index] - self.y
         lx, ly = rays.lx[index], rays.ly[index]
-        au, av, lu, lv = ax * cos + ay * sin, ay * cos - ax * sin, lx * cos + ly * sin, ly * cos - lx * sin
+        au, av, lu, lv = (
+            ax * cos + ay * sin,
+            ay * cos - ax * sin,
+            lx * cos + ly * sin,
+            ly * cos - lx * sin,
+        )
         # A convex body is an intersection of half-spaces, which bound z from above or below.
         high, low = np.full(len(index), np.inf), np.full(len(index), -np.inf)
         half_spaces = [
@@ -160,7 +170,9 @@ class Crown:
 
     def chord(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats, Floats]:
         """Return indices of the rays that meet the crown, and heights of entry and exit, metres."""
-        index = rays.near(self.x, self.y, self.z, self.radius + self.half_height * rays.steepest + 0.01)
+        index = rays.near(
+            self.x, self.y, self.z, self.radius + self.half_height * rays.steepest + 0.01
+        )
         px, py = rays.at(np.full(len(index), self.z), index)
         ratio = (self.radius / self.half_height) ** 2
         px, py, lx, ly = px - self.x, py - self.y, rays.lx[index], rays.ly[index]
@@ -231,7 +243,9 @@ class Wire:
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
         """Return indices of the rays that hit the wire, and the heights of their returns, metres."""
-        angle = float(np.degrees(np.arctan2(self.end[1] - self.start[1], self.end[0] - self.start[0])))
+        angle = float(
+            np.degrees(np.arctan2(self.end[1] - self.start[1], self.end[0] - self.start[0]))
+        )
         line = Line(self.x, self.y, angle)
         index = rays.near(self.x, self.y, self.start[2], self.radius + 10.0)
         z = np.full(len(index), (self.start[2] + self.end[2]) / 2)

@@ -71,7 +71,9 @@ class Plot:
         steps = np.linspace(-radius, radius, 5)
         if self.terrain.wet_at(x + steps[None, :], y + steps[:, None]).any():
             return False
-        return all(solid.distance(x, y) > radius for solid in (*self._far.solids, *self._solids))
+        return all(
+            solid.distance(x, y) > radius for solid in (*self._far.solids, *self._solids)
+        )
 
     def box(
         self,
@@ -87,12 +89,18 @@ class Plot:
         """Place a solid with eaves ``height`` above the highest ground below it."""
         low, high = self.terrain.range_around(x, y, 0.35 * float(np.hypot(length, width)))
         top = high + height + pitch * width / 2
-        self._solids.append(Solid(x, y, angle, length, width, low - 1.0, top, pitch=pitch, label=label))
+        self._solids.append(
+            Solid(x, y, angle, length, width, low - 1.0, top, pitch=pitch, label=label)
+        )
 
-    def thing(self, x: float, y: float, angle: float, length: float, width: float, tall: float) -> None:
+    def thing(
+        self, x: float, y: float, angle: float, length: float, width: float, tall: float
+    ) -> None:
         """Place an unclassified solid that rises to ``tall`` above the ground at its centre."""
         low = self.ground(x, y)
-        self._solids.append(Solid(x, y, angle, length, width, low - 1.0, low + tall, label=UNCLASSIFIED))
+        self._solids.append(
+            Solid(x, y, angle, length, width, low - 1.0, low + tall, label=UNCLASSIFIED)
+        )
 
     def level(self, x: float, y: float, radius: float, most: float) -> bool:
         """Return whether the ground within a radius rises by at most ``most``."""
@@ -111,7 +119,9 @@ class Plot:
         if self.rng.random() < 0.5:
             self.box(*axis.at(length / 2 + 1.7), angle, 3.4, 6.0, 2.5)
         if self.rng.random() < 0.4:
-            self.box(*axis.at(0.0, width / 2 + self.rng.uniform(5, 8)), angle, 3.0, 2.5, 2.1, 0.3)
+            self.box(
+                *axis.at(0.0, width / 2 + self.rng.uniform(5, 8)), angle, 3.0, 2.5, 2.1, 0.3
+            )
         return True
 
     def terrace(self, x: float, y: float, angle: float, length: float, depth: float) -> bool:
@@ -141,7 +151,9 @@ class Plot:
         length, width = self.rng.uniform(5, 14), self.rng.uniform(5, 8)
         radius = 0.35 * float(np.hypot(length, width))
         if not self.level(x, y, radius, 0.8) and self.free(x, y, 0.5 * length):
-            self.box(x, y, float(self.rng.uniform(0, 180)), length, width, self.rng.uniform(0.1, 0.6))
+            self.box(
+                x, y, float(self.rng.uniform(0, 180)), length, width, self.rng.uniform(0.1, 0.6)
+            )
 
     def flats(self, x: float, y: float, angle: float) -> bool:
         """Place a flat-roofed or gabled building of 3-7 storeys."""
@@ -155,11 +167,18 @@ class Plot:
     def courtyard(self, depth: float, closed: bool) -> bool:
         """Place four wings (three if not ``closed``) around a yard, along the edges of the block."""
         outer = self.side / 2 - self.street - 2.0
-        if not self.level(self.x, self.y, outer, 5.0) or not self.free(self.x, self.y, 1.2 * outer):
+        if not self.level(self.x, self.y, outer, 5.0) or not self.free(
+            self.x, self.y, 1.2 * outer
+        ):
             return False
         height, pitch = self.rng.uniform(9, 18), float(self.rng.choice([0.0, 0.7]))
         middle = outer - depth / 2
-        wings = [(0.0, middle, 0.0), (0.0, -middle, 0.0), (middle, 0.0, 90.0), (-middle, 0.0, 90.0)]
+        wings = [
+            (0.0, middle, 0.0),
+            (0.0, -middle, 0.0),
+            (middle, 0.0, 90.0),
+            (-middle, 0.0, 90.0),
+        ]
         if not closed:
             wings.pop()
         for dx, dy, angle in wings:
@@ -171,10 +190,19 @@ class Plot:
     def podium(self) -> bool:
         """Place a low base that nearly fills the block, a terrace south of it and a tower on it."""
         side = self.side - 2 * self.street - 6.0
-        if not self.level(self.x, self.y, side / 2, 4.0) or not self.free(self.x, self.y, 0.7 * side):
+        if not self.level(self.x, self.y, side / 2, 4.0) or not self.free(
+            self.x, self.y, 0.7 * side
+        ):
             return False
         self.box(self.x, self.y, 0.0, side, 0.8 * side, self.rng.uniform(3.5, 7))
-        self.box(self.x, self.y - 0.45 * side, 0.0, 0.6 * side, 0.1 * side, self.rng.uniform(0.7, 1.5))
+        self.box(
+            self.x,
+            self.y - 0.45 * side,
+            0.0,
+            0.6 * side,
+            0.1 * side,
+            self.rng.uniform(0.7, 1.5),
+        )
         tower = self.rng.uniform(0.3, 0.5) * side
         self.box(self.x + 0.15 * side, self.y, 0.0, tower, tower, self.rng.uniform(18, 35))
         return True
@@ -182,7 +210,9 @@ class Plot:
     def hall(self, length: float, width: float) -> bool:
         """Place a flat or slightly pitched hall with ventilators and a loading ramp."""
         angle = float(self.rng.choice([0.0, 90.0, self.rng.uniform(0, 180)]))
-        if not self.level(self.x, self.y, 0.35 * length, 5.0) or not self.free(self.x, self.y, 0.5 * length):
+        if not self.level(self.x, self.y, 0.35 * length, 5.0) or not self.free(
+            self.x, self.y, 0.5 * length
+        ):
             return False
         pitch = float(self.rng.choice([0.0, 0.0, 0.08]))
         self.box(self.x, self.y, angle, length, width, self.rng.uniform(6, 11), pitch)
@@ -191,15 +221,24 @@ class Plot:
             dx, dy = self.rng.uniform(-0.25, 0.25, 2) * width
             x, y = self.x + float(dx), self.y + float(dy)
             self._solids.append(Solid(x, y, angle, 3.0, 2.0, top - 1.0, top + 1.2))
-        self.box(*Line(self.x, self.y, angle).at(0.0, width / 2 + 2.0), angle, 0.4 * length, 4.0, 1.1)
+        self.box(
+            *Line(self.x, self.y, angle).at(0.0, width / 2 + 2.0), angle, 0.4 * length, 4.0, 1.1
+        )
         return True
 
     def tree(
-        self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0, rooted: float = 0.6
+        self,
+        x: float,
+        y: float,
+        tall: float,
+        dense: bool = False,
+        widest: float = 6.0,
+        rooted: float = 0.6,
     ) -> None:
         """Place a broad or, if ``dense``, a conifer-like tree of height ``tall`` on free ground.
 
-        The radius of its crown is at most ``widest``. The ground must be free within ``rooted`` times that radius.
+        The radius of its crown is at most ``widest``. The ground must be free within ``rooted``
+        times that radius.
         """
         radii, clearances, spacing, stop = (0.2, 0.38), (0.15, 0.35), 1.6, 0.3
         if dense:

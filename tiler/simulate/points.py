@@ -72,14 +72,18 @@ class SimulatedPoints:
 
     def take(self, keep: npt.NDArray[np.bool_]) -> SimulatedPoints:
         """Return the points of a mask, in the same order."""
-        columns: list[Any] = [None if column is None else column[keep] for column in self._columns]
+        columns: list[Any] = [
+            None if column is None else column[keep] for column in self._columns
+        ]
         return SimulatedPoints(*columns)
 
     @classmethod
     def joined(cls, parts: list[SimulatedPoints]) -> SimulatedPoints:
         """Return the points of one or more parts, part by part."""
         columns = zip(*(part._columns for part in parts), strict=True)
-        whole: list[Any] = [None if column[0] is None else np.concatenate(column) for column in columns]
+        whole: list[Any] = [
+            None if column[0] is None else np.concatenate(column) for column in columns
+        ]
         return cls(*whole)
 
     @property
@@ -113,7 +117,9 @@ class Sensor(Protocol):
 def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
     """Return labels with low plants split by height above ground: below 1 m, below 3 m, higher."""
     by_height = np.select(
-        [above_ground_m < 1.0, above_ground_m < 3.0], [LOW_VEGETATION, MEDIUM_VEGETATION], HIGH_VEGETATION
+        [above_ground_m < 1.0, above_ground_m < 3.0],
+        [LOW_VEGETATION, MEDIUM_VEGETATION],
+        HIGH_VEGETATION,
     )
     return np.where(label == LOW_VEGETATION, by_height, label).astype(np.uint8)
 
@@ -123,15 +129,17 @@ def patches(
 ) -> list[tuple[int, int]]:
     """Return (ix, iy) of the patches with all points of a site, row by row from the south-west.
 
-    The site is ``side_m`` wide, and as long from south to north unless ``north_m`` is given. Without ``rim``, patches
-    outside the site are omitted. So the outermost metres of the site may have fewer points.
+    The site is ``side_m`` wide, and as long from south to north unless ``north_m`` is given.
+    Without ``rim``, patches outside the site are omitted. So the outermost metres of the site
+    may have fewer points.
     """
     reach = 0.0
     if rim:
         reach = sensor.reach_m
     low = int(np.floor(-reach / sensor.patch_m))
     columns, rows = (
-        range(low, int(np.ceil((extent + reach) / sensor.patch_m))) for extent in (side_m, north_m or side_m)
+        range(low, int(np.ceil((extent + reach) / sensor.patch_m)))
+        for extent in (side_m, north_m or side_m)
     )
     return [(ix, iy) for iy, ix in itertools.product(rows, columns)]
 
@@ -147,5 +155,8 @@ def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> SimulatedPoint
 def survey(site: Site, sensor: Sensor) -> SimulatedPoints:
     """Return all points of a small site at once."""
     return SimulatedPoints.joined(
-        [survey_patch(site, sensor, *index) for index in patches(sensor, site.side_m, site.north_m)]
+        [
+            survey_patch(site, sensor, *index)
+            for index in patches(sensor, site.side_m, site.north_m)
+        ]
     )

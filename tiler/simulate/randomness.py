@@ -16,14 +16,17 @@ OFFSET = 1 << 31
 
 def generator(seed: int, purpose: int, *place: int) -> np.random.Generator:
     """Return a generator for lattice indices (also negative), from a hash of the arguments."""
-    return np.random.Generator(np.random.PCG64([seed, purpose, *(index + OFFSET for index in place)]))
+    return np.random.Generator(
+        np.random.PCG64([seed, purpose, *(index + OFFSET for index in place)])
+    )
 
 
 def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -> Floats:
     """Return spatially correlated noise, about standard normal at each position.
 
-    Nearly normal numbers are hashed from the nodes of a lattice at coordinate 0, interpolated bilinearly, and divided
-    by the root of the sum of the squared weights. So the variance is 1 everywhere.
+    Nearly normal numbers are hashed from the nodes of a lattice at coordinate 0, interpolated
+    bilinearly, and divided by the root of the sum of the squared weights. So the variance is 1
+    everywhere.
 
     Parameters
     ----------

@@ -50,7 +50,9 @@ class Site:
     street_m: float = 0.0
     green: float = 0.6
     north_m: float = 0.0
-    _blocks: dict[tuple[int, int], Objects] = field(default_factory=dict, repr=False, compare=False)
+    _blocks: dict[tuple[int, int], Objects] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         if not self.north_m:
@@ -66,7 +68,12 @@ class Site:
             return objects
         low_x, low_y, high_x, high_y = (
             int(np.floor(edge / self.block_m))
-            for edge in (x0 - BLOCK_REACH_M, y0 - BLOCK_REACH_M, x1 + BLOCK_REACH_M, y1 + BLOCK_REACH_M)
+            for edge in (
+                x0 - BLOCK_REACH_M,
+                y0 - BLOCK_REACH_M,
+                x1 + BLOCK_REACH_M,
+                y1 + BLOCK_REACH_M,
+            )
         )
         for iy in range(low_y, high_y + 1):
             for ix in range(low_x, high_x + 1):

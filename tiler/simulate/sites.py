@@ -46,9 +46,13 @@ def _tilt(east: float, north: float, side_m: float) -> tuple[float, float]:
 def city(seed: int, side_m: float) -> Site:
     """City blocks of 50 m on gentle hills with a dam, a river bank and a power line."""
     rng = _rng(seed)
-    dam = Embankment(side_m / 2, side_m * 0.78, 12.0, height=5.0, crest_width=6.0, slope_width=9.0)
+    dam = Embankment(
+        side_m / 2, side_m * 0.78, 12.0, height=5.0, crest_width=6.0, slope_width=9.0
+    )
     bank = Bank(side_m * 0.86, drop=6.0, width=4.0, swing=side_m * 0.04, period=side_m * 0.9)
-    terrain = Terrain(120.0, _tilt(0.01, -0.006, side_m), (Waves.random(rng, 9.0, 380.0), dam, bank))
+    terrain = Terrain(
+        120.0, _tilt(0.01, -0.006, side_m), (Waves.random(rng, 9.0, 380.0), dam, bank)
+    )
     line = power_line(terrain, Line(0.0, side_m * 0.93, 2.0), side_m)
     return Site(terrain, side_m, seed, blocks.city_block, 50.0, line, street_m=5.0, green=0.55)
 
@@ -56,9 +60,13 @@ def city(seed: int, side_m: float) -> Site:
 def suburb(seed: int, side_m: float) -> Site:
     """Houses and gardens on rolling land, with a pond and a cutting below a road bridge."""
     rng = _rng(seed)
-    cutting = Embankment(side_m * 0.5, side_m * 0.3, 5.0, height=-5.0, crest_width=9.0, slope_width=7.0)
+    cutting = Embankment(
+        side_m * 0.5, side_m * 0.3, 5.0, height=-5.0, crest_width=9.0, slope_width=7.0
+    )
     pond = Basin(side_m * 0.78, side_m * 0.75, 18.0, 2.0, 4.0, water=True)
-    terrain = Terrain(210.0, _tilt(0.02, 0.03, side_m), (Waves.random(rng, 10.0, 260.0), cutting, pond))
+    terrain = Terrain(
+        210.0, _tilt(0.02, 0.03, side_m), (Waves.random(rng, 10.0, 260.0), cutting, pond)
+    )
     deck = bridge(terrain, Line(side_m * 0.46, side_m * 0.297, 95.0), 26.0, 8.0)
     return Site(terrain, side_m, seed, blocks.suburb_block, 36.0, deck, street_m=3.0, green=0.8)
 
@@ -67,7 +75,12 @@ def forest(seed: int, side_m: float) -> Site:
     """Closed wood with clearings, on hills with the valley of a stream."""
     rng = _rng(seed)
     hills = [
-        Hill(rng.uniform(0, side_m), rng.uniform(0, side_m), rng.uniform(8, 30), rng.uniform(25, 60))
+        Hill(
+            rng.uniform(0, side_m),
+            rng.uniform(0, side_m),
+            rng.uniform(8, 30),
+            rng.uniform(25, 60),
+        )
         for _ in range(min(max(3, int(6 * (side_m / 200) ** 2)), 40))
     ]
     stream = River(Line(side_m * 0.35, 0.0, 80.0), 1.5, 4.0, 9.0, swing=12.0, period=120.0)
@@ -90,16 +103,22 @@ def mountain(seed: int, side_m: float) -> Site:
     rough = (Waves.random(rng, 3.0, 70.0), Waves.random(rng, 0.8, 12.0))
     terrain = Terrain(800.0, _tilt(0.05, 0.02, side_m), (*ridges, *rough))
     line = power_line(terrain, Line(0.0, side_m * 0.45, 8.0), side_m)
-    return Site(terrain, side_m, seed, blocks.mountain_block, 36.0, line, street_m=2.0, green=0.5)
+    return Site(
+        terrain, side_m, seed, blocks.mountain_block, 36.0, line, street_m=2.0, green=0.5
+    )
 
 
 def terraces(seed: int, side_m: float) -> Site:
     """Vineyard terraces with steep faces below a cliff, and a retaining wall."""
     rng = _rng(seed)
-    steps = Terraces(Line(0.0, side_m * 0.15, 6.0), min(max(2, int(side_m * 0.45 / 13)), 12), 13.0, 2.4, 0.9)
+    steps = Terraces(
+        Line(0.0, side_m * 0.15, 6.0), min(max(2, int(side_m * 0.45 / 13)), 12), 13.0, 2.4, 0.9
+    )
     cliff = Cliff(Line(0.0, side_m * 0.72, -4.0), 28.0, 9.0, swing=7.0, period=90.0)
     wall = Cliff(Line(side_m * 0.5, side_m * 0.09, 6.0), 3.0, 0.3)
-    terrain = Terrain(300.0, _tilt(0.03, 0.08, side_m), (steps, cliff, wall, Waves.random(rng, 3.0, 90.0)))
+    terrain = Terrain(
+        300.0, _tilt(0.03, 0.08, side_m), (steps, cliff, wall, Waves.random(rng, 3.0, 90.0))
+    )
     return Site(terrain, side_m, seed, blocks.terrace_block, 40.0, green=0.5)
 
 
@@ -109,7 +128,9 @@ def quarry(seed: int, side_m: float) -> Site:
     pit = Basin(side_m * 0.38, side_m * 0.42, side_m * 0.27, 36.0, side_m * 0.13, benches=3)
     pool = Basin(side_m * 0.38, side_m * 0.40, side_m * 0.05, 3.0, 3.0, water=True)
     heap = Ridge(Line(side_m * 0.8, side_m * 0.25, 60.0), 14.0, 22.0, 50.0)
-    dam = Embankment(side_m * 0.5, side_m * 0.85, -6.0, height=7.0, crest_width=5.0, slope_width=10.0)
+    dam = Embankment(
+        side_m * 0.5, side_m * 0.85, -6.0, height=7.0, crest_width=5.0, slope_width=10.0
+    )
     terrain = Terrain(
         150.0,
         _tilt(-0.02, 0.03, side_m),
@@ -124,7 +145,9 @@ def river(seed: int, side_m: float) -> Site:
     course = Line(side_m * 0.5, 0.0, 84.0)
     stream = River(course, side_m * 0.14, 5.0, 9.0, swing=side_m * 0.05, period=side_m * 1.1)
     pond = Basin(side_m * 0.15, side_m * 0.8, side_m * 0.07, 2.5, 6.0, water=True)
-    terrain = Terrain(30.0, _tilt(0.0, 0.002, side_m), (Waves.random(rng, 1.2, 200.0), stream, pond))
+    terrain = Terrain(
+        30.0, _tilt(0.0, 0.002, side_m), (Waves.random(rng, 1.2, 200.0), stream, pond)
+    )
     decks = Objects()
     for share in (0.3, 0.75):
         along = share * side_m
@@ -135,13 +158,17 @@ def river(seed: int, side_m: float) -> Site:
             along * np.sin(turn) + sway * np.cos(turn),
         )
         decks = decks + bridge(terrain, Line(x, y, -6.0), stream.width + 24.0, 9.0)
-    return Site(terrain, side_m, seed, blocks.river_block, 40.0, decks, street_m=3.0, green=0.75)
+    return Site(
+        terrain, side_m, seed, blocks.river_block, 40.0, decks, street_m=3.0, green=0.75
+    )
 
 
 def halls(seed: int, side_m: float) -> Site:
     """Large halls, podiums and courtyards on nearly flat land with a road embankment."""
     rng = _rng(seed)
-    ramp = Embankment(side_m * 0.98, side_m * 0.5, 90.0, height=4.0, crest_width=8.0, slope_width=6.0)
+    ramp = Embankment(
+        side_m * 0.98, side_m * 0.5, 90.0, height=4.0, crest_width=8.0, slope_width=6.0
+    )
     terrain = Terrain(60.0, _tilt(0.008, 0.004, side_m), (Waves.random(rng, 2.5, 300.0), ramp))
     return Site(terrain, side_m, seed, blocks.hall_block, 100.0, street_m=8.0, green=0.35)
 
@@ -149,7 +176,9 @@ def halls(seed: int, side_m: float) -> Site:
 def mixed(seed: int, side_m: float) -> Site:
     """Houses, fields and wood on hills with a road embankment."""
     rng = _rng(seed)
-    dam = Embankment(side_m * 0.4, side_m * 0.5, 70.0, height=4.0, crest_width=8.0, slope_width=7.0)
+    dam = Embankment(
+        side_m * 0.4, side_m * 0.5, 70.0, height=4.0, crest_width=8.0, slope_width=7.0
+    )
     terrain = Terrain(250.0, _tilt(0.03, -0.02, side_m), (Waves.random(rng, 22.0, 260.0), dam))
     return Site(terrain, side_m, seed, blocks.mixed_block, 42.0, street_m=3.0, green=0.7)
 
@@ -172,7 +201,9 @@ def park(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     pond = Basin(side_m * 0.3, side_m * 0.3, 11.0, 1.2, 3.0, water=True)
     terrain = Terrain(
-        40.0, _tilt(0.02, 0.01, side_m), (Waves.random(rng, 4.0, 90.0), Waves.random(rng, 0.3, 9.0), pond)
+        40.0,
+        _tilt(0.02, 0.01, side_m),
+        (Waves.random(rng, 4.0, 90.0), Waves.random(rng, 0.3, 9.0), pond),
     )
     return Site(terrain, side_m, seed, blocks.park_block, 30.0, green=0.95)
 
@@ -212,7 +243,11 @@ def hills(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     mounds = []
     for _ in range(6):
-        x, y, radius = rng.uniform(0, side_m), rng.uniform(0, side_m), rng.uniform(0.1, 0.3) * side_m
+        x, y, radius = (
+            rng.uniform(0, side_m),
+            rng.uniform(0, side_m),
+            rng.uniform(0.1, 0.3) * side_m,
+        )
         mounds.append(Hill(x, y, rng.uniform(-8, 15), radius))
     dam = Embankment(side_m / 2, side_m * 0.75, 15.0, 4.0, 5.0, 7.0)
     bank = Bank(side_m * 0.8, 5.0, 3.0, side_m * 0.05, side_m)

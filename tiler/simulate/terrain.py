@@ -39,7 +39,9 @@ class Line:
     def at(self, along: float, across: float = 0.0) -> tuple[float, float]:
         """Return the position at a distance along the line and to its left, metres."""
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
-        return float(self.x + along * cos - across * sin), float(self.y + along * sin + across * cos)
+        return float(self.x + along * cos - across * sin), float(
+            self.y + along * sin + across * cos
+        )
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,17 @@ class Waves:
     waves: tuple[tuple[float, float, float, float], ...]
 
     @classmethod
-    def random(cls, rng: np.random.Generator, height: float, length: float, count: int = 6) -> Waves:
+    def random(
+        cls, rng: np.random.Generator, height: float, length: float, count: int = 6
+    ) -> Waves:
         """Return ``count`` waves 0.4 to 1 ``length`` long, with a sum of up to ``height``, metres."""
         rows = []
         for _ in range(count):
-            shrink, turn, phase = rng.uniform(0.4, 1.0), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+            shrink, turn, phase = (
+                rng.uniform(0.4, 1.0),
+                rng.uniform(0, 2 * np.pi),
+                rng.uniform(0, 2 * np.pi),
+            )
             number = 2 * np.pi / (shrink * length)
             amplitude = height * shrink / count
             rows.append((amplitude, number * np.cos(turn), number * np.sin(turn), phase))
@@ -121,7 +129,9 @@ class Terraces:
     def height_at(self, x: Floats, y: Floats) -> Floats:
         """Return the metres that the terraces add at each position."""
         _, across = self.line.along_across(x, y)
-        return np.asarray(self.rise * _stairs(across / self.tread, self.steps, self.face / self.tread))
+        return np.asarray(
+            self.rise * _stairs(across / self.tread, self.steps, self.face / self.tread)
+        )
 
 
 @dataclass(frozen=True)
@@ -184,8 +194,8 @@ class Basin:
 class Embankment:
     """Endless dam along a straight line, with a level crest and a slope on each side, in metres.
 
-    (x, y) is a point of the axis, and ``angle_deg`` its direction counter-clockwise from east. A negative
-    height makes a cutting or a canal.
+    (x, y) is a point of the axis, and ``angle_deg`` its direction counter-clockwise from east.
+    A negative height makes a cutting or a canal.
     """
 
     x: float
@@ -206,8 +216,8 @@ class Embankment:
 class Bank:
     """River bank: a drop within about ``4 * width`` across a winding line, in metres.
 
-    The line runs from south to north around ``x``, and swings by ``swing`` with the period ``period``. Its
-    east side is the low side.
+    The line runs from south to north around ``x``, and swings by ``swing`` with the period
+    ``period``. Its east side is the low side.
     """
 
     x: float
@@ -244,7 +254,9 @@ class River:
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
         """Return the metres, 0 or negative, that the river adds at each position."""
-        return np.asarray(-self.depth * (1.0 - np.clip(self._outside(x, y) / self.bank_width, 0.0, 1.0)))
+        return np.asarray(
+            -self.depth * (1.0 - np.clip(self._outside(x, y) / self.bank_width, 0.0, 1.0))
+        )
 
     def wet_at(self, x: Floats, y: Floats) -> Bools:
         """Return a mask of the positions on water."""

@@ -9,7 +9,15 @@ from tiler.simulate.objects import Objects, Solid
 from tiler.simulate.plot import Plot
 from tiler.simulate.site import Site
 from tiler.simulate.terrain import Line, Terrain, Waves
-from tiler.simulate.water_bodies import FACE_SLOPE, Field, Floats, Masonry, WaterBody, Waters, constant
+from tiler.simulate.water_bodies import (
+    FACE_SLOPE,
+    Field,
+    Floats,
+    Masonry,
+    WaterBody,
+    Waters,
+    constant,
+)
 
 BANK_TREES_M = 9.0
 """Width of the strip along a shore on which trees grow."""
@@ -108,10 +116,14 @@ def meander(seed: int, side_m: float) -> Site:
 
     def shore(x: Floats, y: Floats) -> Floats:
         wide = 18.0 * np.exp(-(((x - gravel_x) / 90.0) ** 2))
-        river = np.abs(y - middle(x)) / np.hypot(1.0, steepness(x)) - (14.0 + 3.0 * np.sin(x / 70.0) + wide)
+        river = np.abs(y - middle(x)) / np.hypot(1.0, steepness(x)) - (
+            14.0 + 3.0 * np.sin(x / 70.0) + wide
+        )
         bar = 8.0 - np.hypot((x - bar_x) / 2.2, y - at_bar - 9.0)
         gravel = 14.0 - np.hypot((x - gravel_x) / 3.6, y - at_gravel)
-        dry = np.maximum(np.where(bar > 0.0, bar, -99.0), np.where(gravel > 0.0, gravel / 6.0, -99.0))
+        dry = np.maximum(
+            np.where(bar > 0.0, bar, -99.0), np.where(gravel > 0.0, gravel / 6.0, -99.0)
+        )
         return np.maximum(river, dry)
 
     def level(x: Floats, y: Floats) -> Floats:
@@ -135,7 +147,9 @@ def quay_trees(plot: Plot) -> None:
     for _ in range(round(plot.side**2 / 12)):
         x, y = plot.pick()
         tall = plot.rng.uniform(8.0, 14.0)
-        shore, south = (float(waters.shore_m(np.array([x]), np.array([at]))[0]) for at in (y, y - 2.0))
+        shore, south = (
+            float(waters.shore_m(np.array([x]), np.array([at]))[0]) for at in (y, y - 2.0)
+        )
         if 0.7 < shore < 2.0 and south < shore:
             plot.tree(x, y, tall, widest=7.0, rooted=0.1)
 
@@ -154,14 +168,18 @@ def canal(seed: int, side_m: float) -> Site:
         return np.asarray(np.abs(across(x, y)) - half_width)
 
     body = WaterBody(shore, constant(level), FACE_SLOPE, constant(0.03))
-    terrain = Terrain(level + quay, (0.0, 0.0), (Waves.random(rng, 0.2, 120.0),), Waters((body,)))
+    terrain = Terrain(
+        level + quay, (0.0, 0.0), (Waves.random(rng, 0.2, 120.0),), Waters((body,))
+    )
     row = Line(middle, middle, float(np.degrees(tilt)))
     houses = []
     for along in np.arange(-0.3 * side_m, 0.3 * side_m, 14.0):
         x, y = row.at(float(along), -half_width - 5.5)
         top = level + quay + rng.uniform(8.0, 12.0)
         houses.append(Solid(x, y, row.angle_deg, 8.0, 10.0, level, top, pitch=0.8))
-    return Site(terrain, side_m, seed, quay_trees, 40.0, Objects(solids=tuple(houses)), green=0.4)
+    return Site(
+        terrain, side_m, seed, quay_trees, 40.0, Objects(solids=tuple(houses)), green=0.4
+    )
 
 
 def _lobed(x0: float, y0: float, radius: float, lobes: int) -> Field:
@@ -169,7 +187,9 @@ def _lobed(x0: float, y0: float, radius: float, lobes: int) -> Field:
 
     def shore(x: Floats, y: Floats) -> Floats:
         angle = np.arctan2(y - y0, x - x0)
-        return np.asarray(np.hypot(x - x0, y - y0) - radius * (1.0 + 0.15 * np.sin(lobes * angle)))
+        return np.asarray(
+            np.hypot(x - x0, y - y0) - radius * (1.0 + 0.15 * np.sin(lobes * angle))
+        )
 
     return shore
 
@@ -179,7 +199,9 @@ def lakes(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     unit = side_m / 640.0
     dam = 212.0 * unit
-    upper, lower = (_lobed(x * unit, 180.0 * unit, r * unit, n) for x, r, n in ((140, 70, 3), (300, 75, 4)))
+    upper, lower = (
+        _lobed(x * unit, 180.0 * unit, r * unit, n) for x, r, n in ((140, 70, 3), (300, 75, 4))
+    )
 
     def upper_shore(x: Floats, y: Floats) -> Floats:
         return np.maximum(upper(x, y), x - dam)
@@ -200,7 +222,9 @@ def lakes(seed: int, side_m: float) -> Site:
         WaterBody(border, constant(94.0), 0.25, constant(0.15), tide_m=strips),
     )
     crest = Masonry(dam, 120.0 * unit, dam + 10.0, 240.0 * unit, 100.2)
-    terrain = Terrain(102.0, (0.0, 0.0), (Waves.random(rng, 1.5, 160.0),), Waters(bodies, (crest,)))
+    terrain = Terrain(
+        102.0, (0.0, 0.0), (Waves.random(rng, 1.5, 160.0),), Waters(bodies, (crest,))
+    )
     return Site(terrain, side_m, seed, bank_trees, 40.0, green=0.8, north_m=300.0 * unit)
 
 
@@ -231,5 +255,7 @@ def wet_meadow(seed: int, side_m: float) -> Site:
     def lost(x: Floats, y: Floats) -> Floats:
         return np.where(np.sin(x / 30.0 + phase) + np.sin(y / 25.0) > 0.8, 0.65, 0.01)
 
-    terrain = Terrain(10.0, (0.0, 0.0), (Waves.random(rng, 0.12, 60.0),), Waters(lost_on_land=lost))
+    terrain = Terrain(
+        10.0, (0.0, 0.0), (Waves.random(rng, 0.12, 60.0),), Waters(lost_on_land=lost)
+    )
     return Site(terrain, side_m, seed, green=0.9, north_m=0.75 * side_m)

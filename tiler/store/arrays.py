@@ -1,8 +1,8 @@
 """Arrays of a store. Zarr makes their metadata, and the calling thread reads and writes whole chunks.
 
-The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them. They do not go through
-zarr itself, whose event loop and thread pool need more than a millisecond of CPU time per chunk of any size. See
-docs/decisions.md.
+The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them.
+They do not go through zarr itself, whose event loop and thread pool need more than a
+millisecond of CPU time per chunk of any size. See docs/decisions.md.
 """
 
 from __future__ import annotations
@@ -103,7 +103,8 @@ class StoredArray:
     def _decoded(self, data: bytes | None) -> npt.NDArray[Any]:
         """Return the values of a chunk. Raise ValueError, or RuntimeError from blosc, if the chunk is damaged.
 
-        The size in the blosc frame is checked first, since blosc allocates any size that a damaged frame states.
+        The size in the blosc frame is checked first, since blosc allocates any size that a
+        damaged frame states.
         """
         if data is None:
             if self.kind.sparse:
@@ -114,7 +115,9 @@ class StoredArray:
         body = data[:-_CHECKSUM_BYTES]
         if google_crc32c.value(body) != int.from_bytes(data[-_CHECKSUM_BYTES:], "little"):
             raise ValueError("a wrong checksum")
-        return np.frombuffer(numcodecs.blosc.decompress(body), self.kind.dtype).reshape(self.kind.chunks)
+        return np.frombuffer(numcodecs.blosc.decompress(body), self.kind.dtype).reshape(
+            self.kind.chunks
+        )
 
 
 @contextmanager
@@ -130,7 +133,9 @@ def packed_by_one_thread() -> Iterator[None]:
 
 def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
     items = np.ascontiguousarray(values, kind.dtype).reshape(-1).view(f"V{kind.shuffled}")
-    body: bytes = numcodecs.blosc.compress(items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE)
+    body: bytes = numcodecs.blosc.compress(
+        items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE
+    )
     checksum: int = google_crc32c.value(body)
     return body + checksum.to_bytes(_CHECKSUM_BYTES, "little")
 
@@ -138,7 +143,8 @@ def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
 def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | None:
     """Return the array at ``path``, or None if there is none.
 
-    Raise CorruptStoreError if its metadata are damaged, and StoreError if tiler does not write such an array.
+    Raise CorruptStoreError if its metadata are damaged, and StoreError if tiler does not write
+    such an array.
     """
     data = storage.get(f"{path}/zarr.json")
     if data is None:
@@ -192,10 +198,13 @@ def write_metadata(
 ) -> StoredArray:
     """Write the metadata of a new or changed array. The chunks do not change.
 
-    Zarr makes the metadata in memory, so that they are written in one piece and with a checksum.
+    Zarr makes the metadata in memory, so that they are written in one piece and with a
+    checksum.
     """
     attributes = attributes or {}
-    blosc = BloscCodec(typesize=kind.shuffled, cname=kind.codec, clevel=kind.level, shuffle="shuffle")
+    blosc = BloscCodec(
+        typesize=kind.shuffled, cname=kind.codec, clevel=kind.level, shuffle="shuffle"
+    )
     written: dict[str, Buffer] = {}
     zarr.create_array(
         MemoryStore(written),
@@ -233,10 +242,19 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
         raise CorruptStoreError(
             f"{where}: its metadata are damaged; run again to rebuild it", (path,)
         ) from error
-    expected = {"zarr_format": 3, "node_type": "array", "data_type": kind.dtype, "chunks": kind.chunks}
+    expected = {
+        "zarr_format": 3,
+        "node_type": "array",
+        "data_type": kind.dtype,
+        "chunks": kind.chunks,
+    }
     if recorded != expected or transformers:
-        raise StoreError(f"{where}: not an array that this version writes; run again with --overwrite")
+        raise StoreError(
+            f"{where}: not an array that this version writes; run again with --overwrite"
+        )
     if not codecs <= ALLOWED_CODECS:
         strange = ", ".join(sorted(map(str, codecs - ALLOWED_CODECS)))
-        raise StoreError(f"{where}: codec {strange} is not allowed in a store; run again with --overwrite")
+        raise StoreError(
+            f"{where}: codec {strange} is not allowed in a store; run again with --overwrite"
+        )
     return metadata

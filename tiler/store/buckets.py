@@ -23,8 +23,9 @@ class BucketStore(points.ColumnStore):
     def allocate(self, counts: Mapping[Cell, int]) -> None:
         """Allocate rows for buckets (*coordinator*, while no task runs).
 
-        A bucket with enough rows keeps its rows and its points. A bucket that needs more rows than it has loses its
-        points and has to be written again. Buckets that are not in ``counts`` do not change.
+        A bucket with enough rows keeps its rows and its points. A bucket that needs more rows
+        than it has loses its points and has to be written again. Buckets that are not in
+        ``counts`` do not change.
 
         Parameters
         ----------
@@ -64,7 +65,10 @@ class BucketStore(points.ColumnStore):
                 f"bucket {cell.name}: {len(block)} points, {n_candidates} of them candidates, "
                 f"do not fit {bucket.rows} rows; allocate first"
             )
-        if len(block) and not block.inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all():
+        if (
+            len(block)
+            and not block.inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all()
+        ):
             raise StoreError(f"bucket {cell.name}: a point lies outside the bucket")
         self._write_points(bucket, block)
         return BucketInfo(len(block), n_candidates)
@@ -80,7 +84,9 @@ class BucketStore(points.ColumnStore):
     ) -> PointBlock:
         """Return the points of a bucket in stored order. Raise StoreError if it is not published or is damaged."""
         bucket = self._bucket(cell)
-        return self._read_points(points.parts_of(bucket, count_of(bucket, candidates_only)), columns)
+        return self._read_points(
+            points.parts_of(bucket, count_of(bucket, candidates_only)), columns
+        )
 
     def buckets(self) -> dict[Cell, BucketInfo]:
         """Return the published buckets, row by row from the south-west."""
@@ -105,14 +111,17 @@ class BucketStore(points.ColumnStore):
     ) -> PointBlock:
         """Return all points of ``bounds``, each once, with the labels named ``labels`` if given.
 
-        Buckets come row by row from the south-west, and their points in stored order, independent of the bounds. Only
-        the buckets that overlap the bounds are read. The peak memory is the result, a second copy of one column, and
-        eight rows. ``places`` receives the slice of each bucket's points in the result.
+        Buckets come row by row from the south-west, and their points in stored order,
+        independent of the bounds. Only the buckets that overlap the bounds are read. The peak
+        memory is the result, a second copy of one column, and eight rows. ``places`` receives
+        the slice of each bucket's points in the result.
         """
         parts: list[points.Part] = []
         for bucket in self._overlapping(bounds):
             parts.extend(points.parts_of(bucket, count_of(bucket, candidates_only)))
-        keep = points.inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
+        keep = points.inside(
+            bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell)
+        )
         kept: list[int] = []
         given = None if labels is None else self._label_array(labels)
         block = self._read_points(parts, columns, keep, given, kept)
@@ -155,5 +164,7 @@ class BucketStore(points.ColumnStore):
 def count_of(bucket: Bucket, candidates_only: bool = False) -> int:
     """Return the number of points, or of candidates, in a bucket. Raise StoreError if it is not published."""
     if bucket.info is None:
-        raise StoreError(f"bucket {bucket.cell.name}: not published yet; run `tiler ingest` first")
+        raise StoreError(
+            f"bucket {bucket.cell.name}: not published yet; run `tiler ingest` first"
+        )
     return bucket.info.n_candidates if candidates_only else bucket.info.n

@@ -11,7 +11,9 @@ from tiler.store.store import TileStore
 Floats = npt.NDArray[np.float32]
 
 
-def read_cells(store: TileStore, name: str, coarse: RasterSpec, window: Block, fill: float = 0.0) -> Floats:
+def read_cells(
+    store: TileStore, name: str, coarse: RasterSpec, window: Block, fill: float = 0.0
+) -> Floats:
     """Return a window of a raster, float32 (height, width). Cells of the window beyond the raster are ``fill``."""
     values = np.full((window.height, window.width), fill, np.float32)
     top, left = max(window.row, 0), max(window.col, 0)
@@ -19,18 +21,27 @@ def read_cells(store: TileStore, name: str, coarse: RasterSpec, window: Block, f
     right = min(window.col + window.width, coarse.width)
     if top < bottom and left < right:
         part = store.read_block(name, Block(top, left, bottom - top, right - left))
-        values[top - window.row : bottom - window.row, left - window.col : right - window.col] = part
+        values[
+            top - window.row : bottom - window.row, left - window.col : right - window.col
+        ] = part
     return values
 
 
-def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], ...]:
+def coarse_cells(
+    coarse: RasterSpec, spec: RasterSpec, block: Block
+) -> tuple[npt.NDArray[np.int64], ...]:
     """Return row and column of the coarse cell at each pixel's centre, int64 (height,) and (width,).
 
-    They may be beyond the raster of coarse cells if the side of a cell is not a multiple of the side of a pixel.
+    They may be beyond the raster of coarse cells if the side of a cell is not a multiple of the
+    side of a pixel.
     """
     p, q = spec.lattice.p, spec.lattice.q
-    x = ((2 * (spec.west + block.col + np.arange(block.width, dtype=np.int64)) + 1) * p) // (2 * q)
-    y = ((2 * (spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)) + 1) * p) // (2 * q)
+    x = ((2 * (spec.west + block.col + np.arange(block.width, dtype=np.int64)) + 1) * p) // (
+        2 * q
+    )
+    y = (
+        (2 * (spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)) + 1) * p
+    ) // (2 * q)
     return coarse.north - 1 - coarse.lattice.index(y), coarse.lattice.index(x) - coarse.west
 
 
@@ -41,7 +52,9 @@ def coarse_window(coarse: RasterSpec, spec: RasterSpec, block: Block) -> Block:
     return Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
 
 
-def coarse_values(store: TileStore, name: str, coarse: RasterSpec, spec: RasterSpec, block: Block) -> Floats:
+def coarse_values(
+    store: TileStore, name: str, coarse: RasterSpec, spec: RasterSpec, block: Block
+) -> Floats:
     """Return the values of a coarse raster at a block's pixels, float32 (height, width), 0 beyond the raster."""
     window = coarse_window(coarse, spec, block)
     cells = read_cells(store, name, coarse, window)

@@ -19,7 +19,9 @@ class CommitStore(StorePart):
 
     def commit(self, stage: str, key: str, digest: str, record: Mapping[str, Any]) -> None:
         """Record that a task is done, in place of an earlier record. The task's data must be written before."""
-        self._storage.put_json(layout.commit_key(stage, key), {"digest": digest, "record": dict(record)})
+        self._storage.put_json(
+            layout.commit_key(stage, key), {"digest": digest, "record": dict(record)}
+        )
 
     def committed(self, stage: str) -> Commits:
         """Return every finished task of a stage. A task with a damaged commit counts as not done."""

@@ -98,11 +98,14 @@ class BucketIndex:
         hit &= table[:, _N] >= 0
         return [_bucket(line) for line in table[hit].tolist()]
 
-    def allocated(self, counts: Mapping[Cell, int], row_points: int) -> tuple[BucketIndex, list[Bucket]]:
+    def allocated(
+        self, counts: Mapping[Cell, int], row_points: int
+    ) -> tuple[BucketIndex, list[Bucket]]:
         """Return an index with rows for ``counts``, and the old entries of the buckets that got new rows.
 
-        A bucket with enough rows keeps its rows and its info. A new bucket, or one that needs more rows than it has,
-        gets rows at the end and is unpublished. Neighbouring buckets get neighbouring rows.
+        A bucket with enough rows keeps its rows and its info. A new bucket, or one that needs
+        more rows than it has, gets rows at the end and is unpublished. Neighbouring buckets get
+        neighbouring rows.
         """
         row = self.rows
         lines = {(line[_IX], line[_IY]): line for line in self._table.tolist()}
@@ -128,8 +131,13 @@ class BucketIndex:
         row_of_cell = {(line[_IX], line[_IY]): i for i, line in enumerate(table.tolist())}
         for cell, info in infos.items():
             i = row_of_cell.get((cell.ix, cell.iy))
-            if i is None or not 0 <= info.n_candidates <= info.n <= table[i, _ROWS] * row_points:
-                raise StoreError(f"bucket {cell.name}: {info.n} points do not fit its rows; allocate first")
+            if (
+                i is None
+                or not 0 <= info.n_candidates <= info.n <= table[i, _ROWS] * row_points
+            ):
+                raise StoreError(
+                    f"bucket {cell.name}: {info.n} points do not fit its rows; allocate first"
+                )
             table[i, _N:] = info.n, info.n_candidates
         return BucketIndex(table)
 

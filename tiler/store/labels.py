@@ -22,7 +22,11 @@ class LabelStore(BucketStore):
     """Labels and elected points by bucket, under the name of their pass."""
 
     def write_labels(
-        self, name: str, cell: Cell, labels: npt.NDArray[np.uint8], candidates_only: bool = False
+        self,
+        name: str,
+        cell: Cell,
+        labels: npt.NDArray[np.uint8],
+        candidates_only: bool = False,
     ) -> None:
         """Write the labels of a bucket, uint8 (n,), in the stored order of its points.
 
@@ -34,9 +38,13 @@ class LabelStore(BucketStore):
             raise StoreError(
                 f"labels {name} of bucket {cell.name}: need {n} uint8, got {labels.shape} {labels.dtype}"
             )
-        points.write_rows(self._made(layout.labels_path(name), layout.LABELS), bucket, labels[np.newaxis])
+        points.write_rows(
+            self._made(layout.labels_path(name), layout.LABELS), bucket, labels[np.newaxis]
+        )
 
-    def read_labels(self, name: str, cell: Cell, candidates_only: bool = False) -> npt.NDArray[np.uint8]:
+    def read_labels(
+        self, name: str, cell: Cell, candidates_only: bool = False
+    ) -> npt.NDArray[np.uint8]:
         """Return the labels of a bucket, uint8 (n,). Raise StoreError if they were not written."""
         bucket = self._bucket(cell)
         parts = points.parts_of(bucket, count_of(bucket, candidates_only))
@@ -48,17 +56,24 @@ class LabelStore(BucketStore):
     def write_elected(self, name: str, cell: Cell, xyz: npt.NDArray[np.int32]) -> None:
         """Write the points that a pass elected in a bucket, int32 (3, m).
 
-        Raise StoreError if a point lies outside the bucket or the bucket has no room for the points.
+        Raise StoreError if a point lies outside the bucket or the bucket has no room for the
+        points.
         """
         if xyz.dtype != np.int32 or xyz.ndim != 2 or xyz.shape[0] != 3:
             raise StoreError(
                 f"elected points of bucket {cell.name}: need int32 (3, m), got {xyz.dtype} {xyz.shape}"
             )
-        if not PointBlock(xyz).inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all():
+        if (
+            not PointBlock(xyz)
+            .inside(self.meta.bucket.bounds(cell), self.meta.frame.origin)
+            .all()
+        ):
             raise StoreError(f"bucket {cell.name}: an elected point lies outside the bucket")
         self._write_first(layout.elected_path(name), layout.ELECTED, cell, xyz)
 
-    def write_elected_labels(self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]) -> None:
+    def write_elected_labels(
+        self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]
+    ) -> None:
         """Write the labels of the elected points of a bucket, uint8 (m,) in their stored order."""
         self._write_first(layout.labels_path(name), layout.LABELS, cell, labels[np.newaxis])
 
@@ -86,7 +101,9 @@ class LabelStore(BucketStore):
             return PointBlock(xyz)
         return PointBlock(xyz, labels=np.concatenate(labelled))
 
-    def _write_first(self, path: str, kind: ArrayKind, cell: Cell, values: npt.NDArray[np.generic]) -> None:
+    def _write_first(
+        self, path: str, kind: ArrayKind, cell: Cell, values: npt.NDArray[np.generic]
+    ) -> None:
         """Write values (width, m) of elected points. Raise StoreError if the bucket's rows have no room for them."""
         bucket = self._bucket(cell)
         m = values.shape[1]
@@ -112,4 +129,7 @@ def _places(bucket: Bucket) -> list[points.Part]:
 
     The number of elected points is not known before they are read.
     """
-    return [points.Part(bucket, part.row, ROW_POINTS) for part in points.parts_of(bucket, count_of(bucket))]
+    return [
+        points.Part(bucket, part.row, ROW_POINTS)
+        for part in points.parts_of(bucket, count_of(bucket))
+    ]

@@ -2,19 +2,15 @@
 
 ::
 
-    zarr.json                      root group with the schema version and the `StoreMeta` as attributes
-    points/<column>                columns (rows, width, ROW_POINTS); each bucket owns whole rows
-    index/<digest>.npy             rows and number of points of each bucket
-    index/current.json             digest of the current index
-    labels/<name>                  labels of a pass, uint8, rows as in points
-    elected/<name>                 points that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets
-    rasters/<name>                 raster, float32 (height, width)
-    spool/<piece>                  points of one source piece, sorted by bucket
-    records/<piece>-<bytes>        decoded records of one source piece
-    commits/<stage>/<key>.json     commit of one finished task
-    packs/<stage>.json             commits of finished tasks, packed into one object
-    state/<name>.json              state of the run
-    lock.json                      lease of the run that holds the store
+    zarr.json root group with the schema version and the `StoreMeta` as attributes
+    points/<column> columns (rows, width, ROW_POINTS); each bucket owns whole rows
+    index/<digest>.npy rows and number of points of each bucket index/current.json digest of the
+    current index labels/<name> labels of a pass, uint8, rows as in points elected/<name> points
+    that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets rasters/<name>
+    raster, float32 (height, width) spool/<piece> points of one source piece, sorted by bucket
+    records/<piece>-<bytes> decoded records of one source piece commits/<stage>/<key>.json
+    commit of one finished task packs/<stage>.json commits of finished tasks, packed into one
+    object state/<name>.json state of the run lock.json lease of the run that holds the store
 """
 
 from __future__ import annotations
@@ -36,8 +32,8 @@ ROOT_ATTRIBUTE = "tiler_store"
 CHUNK_SEPARATOR = "."
 """Separator of the numbers of a chunk in its key.
 
-With a slash, each chunk would have two folders on a local disk, and making and removing these takes longer than
-writing the chunk."""
+With a slash, each chunk would have two folders on a local disk, and making and removing these
+takes longer than writing the chunk."""
 
 ROW_POINTS = 131072
 """Points in a row of the columns, which is one chunk and one object.
@@ -122,7 +118,8 @@ def _column(name: str, dtype: str, **widths: int) -> Column:
     return Column(name, fields, end, ArrayKind(dtype, (1, end, ROW_POINTS)))
 
 
-# Class, flags and returns share a column, since they are read together and each column needs its own objects.
+# Class, flags and returns share a column, since they are read together and each column needs
+# its own objects.
 COLUMNS = (
     _column("xyz", "int32", xyz=3),
     _column("attributes", "uint8", classification=1, flags=1, returns=2),
@@ -131,7 +128,8 @@ COLUMNS = (
 )
 LABELS = ArrayKind("uint8", (1, 1, ROW_POINTS))
 NOWHERE = -(2**31)
-"""x of the unused positions in a bucket's rows of elected points. Elected points fill the first positions."""
+"""x of the unused positions in a bucket's rows of elected points. Elected points fill the first
+positions."""
 ELECTED = ArrayKind("int32", (1, 3, ROW_POINTS), fill=NOWHERE)
 
 
@@ -142,7 +140,9 @@ def columns(has_rgb: bool) -> tuple[Column, ...]:
 
 def raster_kind(fill: float) -> ArrayKind:
     """Return the kind of a raster. A chunk is one block, and a block that holds only ``fill`` is not stored."""
-    return ArrayKind("float32", (BLOCK_PIXELS, BLOCK_PIXELS), fill, sparse=True, codec="zstd", level=3)
+    return ArrayKind(
+        "float32", (BLOCK_PIXELS, BLOCK_PIXELS), fill, sparse=True, codec="zstd", level=3
+    )
 
 
 def record_type(has_rgb: bool) -> np.dtype[np.void]:
@@ -197,7 +197,8 @@ def spool_path(piece: str) -> str:
 def records_path(piece: str, record_bytes: int) -> str:
     """Return the path of the records of a piece.
 
-    The path contains the record length, since an earlier file of the same name may have had records of another length.
+    The path contains the record length, since an earlier file of the same name may have had
+    records of another length.
     """
     return f"records/{safe(piece)}-{record_bytes}"
 
@@ -240,7 +241,8 @@ def chunk_numbers(name: str) -> tuple[int, ...] | None:
 _NAME = r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}"
 _SAFE = re.compile(_NAME)
 _HEX = "[0-9a-f]{32}"
-# Up to schema 3 the keys of chunks had slashes, and --overwrite removes stores of these schemas.
+# Up to schema 3 the keys of chunks had slashes, and --overwrite removes stores of these
+# schemas.
 _KEYS = re.compile(
     r"zarr\.json|lock\.json"
     rf"|(points|labels|elected|rasters|spool|records)/({_NAME}/)?zarr\.json"

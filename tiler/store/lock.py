@@ -20,10 +20,12 @@ from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 
 LEASE_SECONDS = 120.0
-"""Time in seconds since its last renewal after which a lease of another host seems to be abandoned."""
+"""Time in seconds since its last renewal after which a lease of another host seems to be
+abandoned."""
 RENEW_SECONDS = 20.0
 OBSERVE_SECONDS = 1.5 * RENEW_SECONDS
-"""Time to watch a lease that seems to be abandoned, since the clock of the other host may differ."""
+"""Time to watch a lease that seems to be abandoned, since the clock of the other host may
+differ."""
 DAMAGED = "?"
 """Host name of the `Holder` that stands for a lease that cannot be read."""
 FOLDER_LOCK = f"{SCRATCH_PREFIX}lock.json"
@@ -87,7 +89,9 @@ class Lease:
             except LockedError:
                 return  # The next `check` of the run raises the error again.
             except (TilerError, OSError):
-                continue  # The fault may be temporary, and the lease remains valid even if several renewals fail.
+                # The fault may be temporary, and the lease remains valid even if several
+                # renewals fail.
+                continue
 
     def _acquire(self) -> None:
         holder = _holder(self._storage, self._key)
@@ -111,8 +115,9 @@ class Lease:
 def locked(storage: Storage, key: str = LOCK_KEY) -> Iterator[Lease]:
     """Hold a lock of a store or folder during the block.
 
-    Three kinds of lease are taken over: one that cannot be read, one whose process ran on this machine and has ended,
-    and one that was not renewed for `LEASE_SECONDS` by this clock and is not renewed during `OBSERVE_SECONDS`.
+    Three kinds of lease are taken over: one that cannot be read, one whose process ran on this
+    machine and has ended, and one that was not renewed for `LEASE_SECONDS` by this clock and is
+    not renewed during `OBSERVE_SECONDS`.
 
     Raises
     ------
@@ -169,8 +174,9 @@ def _holder(storage: Storage, key: str) -> Holder | None:
 def _here() -> dict[str, str]:
     """Return the identity of this machine and of its process table.
 
-    The host name is not enough: two machines may share it, and so may the containers of a machine, each with its own
-    process table. The identities of the boot and of the process table are empty if the system has none.
+    The host name is not enough: two machines may share it, and so may the containers of a
+    machine, each with its own process table. The identities of the boot and of the process
+    table are empty if the system has none.
     """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -189,7 +195,9 @@ def _refused(storage: Storage, holder: Holder | None) -> LockedError:
     ends = ""
     if holder is not None and not _is_here(holder):
         ends = f"; if it was killed, its lease ends {LEASE_SECONDS:.0f} s after it was last renewed"
-    return LockedError(f"{storage.url}: in use by {_name(holder)}; wait for it, or stop it{ends}")
+    return LockedError(
+        f"{storage.url}: in use by {_name(holder)}; wait for it, or stop it{ends}"
+    )
 
 
 def _stale(storage: Storage, key: str, holder: Holder) -> bool:
@@ -212,7 +220,8 @@ def _start_of(pid: int) -> float | None:
     The start is measured with a clock that never jumps if the system has one.
     """
     try:
-        # psutil adds these ticks to the time of the boot, so its result jumps with the clock of the machine.
+        # psutil adds these ticks to the time of the boot, so its result jumps with the clock of
+        # the machine.
         after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
         return float(after_name.split()[19])
     except (FileNotFoundError, ProcessLookupError):

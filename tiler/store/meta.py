@@ -65,4 +65,6 @@ class StoreMeta:
                 has_rgb=bool(data["has_rgb"]),
             )
         except (KeyError, TypeError, ValueError, ZeroDivisionError, ConfigError) as error:
-            raise StoreError(f"its description is damaged ({error}); run again with --overwrite") from error
+            raise StoreError(
+                f"its description is damaged ({error}); run again with --overwrite"
+            ) from error

@@ -53,7 +53,8 @@ def create_store(
             )
         return store
     if there or storage.names(""):
-        # The description stays until the new one replaces it, so that a killed run leaves a valid store.
+        # The description stays until the new one replaces it, so that a killed run leaves a
+        # valid store.
         _empty(storage)
     root = sealed({"attributes": attributes, "zarr_format": 3, "node_type": "group"})
     storage.put("zarr.json", json.dumps(root).encode())
@@ -82,14 +83,18 @@ def _is_a_store(storage: Storage) -> bool:
     url = storage.url
     root = storage.root
     if root is not None and root.is_symlink() and not root.exists():
-        raise ForeignStoreError(f"{url}: is a link to a missing folder; make the folder or give another path")
+        raise ForeignStoreError(
+            f"{url}: is a link to a missing folder; make the folder or give another path"
+        )
     if root is not None and root.is_file():
         raise ForeignStoreError(f"{url}: is a file, not a tile store; give another path")
     data = storage.get("zarr.json")
     if data is None:
         # A zarr.json that is listed but cannot be read is a folder or a link to a folder.
         other_objects = [
-            name for name in storage.names("") if name == "zarr.json" or not _is_remains(storage, name)
+            name
+            for name in storage.names("")
+            if name == "zarr.json" or not _is_remains(storage, name)
         ]
         if lock.is_foreign(storage):
             other_objects.append(layout.LOCK_KEY)
@@ -99,13 +104,17 @@ def _is_a_store(storage: Storage) -> bool:
             )
         return False
     if _description(data) is None and not _is_damaged(data):
-        raise ForeignStoreError(f"{url}: not a tile store of tiler; give another path, or remove it yourself")
+        raise ForeignStoreError(
+            f"{url}: not a tile store of tiler; give another path, or remove it yourself"
+        )
     return True
 
 
 def _is_remains(storage: Storage, name: str) -> bool:
     """Return whether a file or folder belongs to the remains of a store that was removed while a run wrote to it."""
-    return layout.is_ours(name) or (name in layout.FOLDERS and all(map(layout.is_ours, storage.keys(name))))
+    return layout.is_ours(name) or (
+        name in layout.FOLDERS and all(map(layout.is_ours, storage.keys(name)))
+    )
 
 
 def open_store(url: str) -> TileStore:
@@ -119,7 +128,9 @@ def open_store(url: str) -> TileStore:
     storage = Storage(url)
     data = storage.get("zarr.json")
     if data is None:
-        raise ForeignStoreError(f"{url}: no tile store here; run `tiler ingest` or `tiler run` to make one")
+        raise ForeignStoreError(
+            f"{url}: no tile store here; run `tiler ingest` or `tiler run` to make one"
+        )
     description = _description(data)
     if description is None:
         raise ForeignStoreError(f"{url}: not a tile store of tiler; give another path")

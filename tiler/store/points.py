@@ -40,7 +40,10 @@ class Part:
 def parts_of(bucket: Bucket, n: int) -> list[Part]:
     """Return the rows that hold the first ``n`` points of a bucket."""
     starts = range(0, n, ROW_POINTS)
-    return [Part(bucket, bucket.row + i, min(ROW_POINTS, n - start)) for i, start in enumerate(starts)]
+    return [
+        Part(bucket, bucket.row + i, min(ROW_POINTS, n - start))
+        for i, start in enumerate(starts)
+    ]
 
 
 class ColumnStore(StorePart):
@@ -56,7 +59,9 @@ class ColumnStore(StorePart):
     def _grow(self, n_rows: int) -> None:
         """Make the columns, or lengthen them to ``n_rows`` rows (*coordinator*)."""
         for column in self._columns:
-            arrays.lengthen_rows(self._storage, layout.points_path(column.name), column.kind, n_rows)
+            arrays.lengthen_rows(
+                self._storage, layout.points_path(column.name), column.kind, n_rows
+            )
         self._open.clear()
 
     def _write_points(self, bucket: Bucket, block: PointBlock) -> None:
@@ -123,8 +128,12 @@ class ColumnStore(StorePart):
         known = {field for c in layout.COLUMNS for field in c.fields}
         for field in fields:
             if field not in known:
-                raise ConfigError(f"no column {field!r}: the store has {', '.join(sorted(known))}")
-        return [c for c in self._columns if c.name == "xyz" or any(f in c.fields for f in fields)]
+                raise ConfigError(
+                    f"no column {field!r}: the store has {', '.join(sorted(known))}"
+                )
+        return [
+            c for c in self._columns if c.name == "xyz" or any(f in c.fields for f in fields)
+        ]
 
 
 Gathered = dict[str, list[npt.NDArray[Any]]]
@@ -155,7 +164,9 @@ def _gather(
         chunks = array.read_rows([part.row for part in parts])
         values = [chunk[0, :, : part.n] for chunk, part in zip(chunks, parts, strict=True)]
         if name == "xyz" and keep is not None:
-            masks = [keep(PointBlock(xyz), part) for xyz, part in zip(values, parts, strict=True)]
+            masks = [
+                keep(PointBlock(xyz), part) for xyz, part in zip(values, parts, strict=True)
+            ]
         for kept, mask in zip(values, masks, strict=True):
             gathered[name].append(_masked(kept, mask))
         if name == "xyz":
@@ -173,7 +184,9 @@ def _masked(values: npt.NDArray[Any], mask: Mask) -> npt.NDArray[Any]:
     return kept
 
 
-def inside(bounds: Bounds, origin: tuple[int, int], cell_bounds: Callable[[Bucket], Bounds]) -> Keep:
+def inside(
+    bounds: Bounds, origin: tuple[int, int], cell_bounds: Callable[[Bucket], Bounds]
+) -> Keep:
     """Return a `Keep` for the points of ``bounds``.
 
     The points of a bucket that lies inside the bounds are not compared one by one.
@@ -200,4 +213,6 @@ def write_rows(array: StoredArray, bucket: Bucket, values: npt.NDArray[Any]) -> 
 def read_rows(array: StoredArray, parts: Sequence[Part]) -> npt.NDArray[Any]:
     """Return the values (width, n) of ``parts``, concatenated in order."""
     chunks = array.read_rows([part.row for part in parts])
-    return np.concatenate([chunk[0, :, : part.n] for chunk, part in zip(chunks, parts, strict=True)], axis=1)
+    return np.concatenate(
+        [chunk[0, :, : part.n] for chunk, part in zip(chunks, parts, strict=True)], axis=1
+    )

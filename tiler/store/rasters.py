@@ -61,7 +61,9 @@ class RasterStore(StorePart):
         bottom = block.row + block.height
         right = block.col + block.width
         if block.row < 0 or block.col < 0 or bottom > height or right > width:
-            raise StoreError(f"{array.path}: block {block.name} reaches beyond {height} x {width} pixels")
+            raise StoreError(
+                f"{array.path}: block {block.name} reaches beyond {height} x {width} pixels"
+            )
         rows = range(block.row // BLOCK_PIXELS, -(-bottom // BLOCK_PIXELS))
         cols = range(block.col // BLOCK_PIXELS, -(-right // BLOCK_PIXELS))
         numbers = list(product(rows, cols))
@@ -72,7 +74,9 @@ class RasterStore(StorePart):
             top = max(block.row, row)
             left = max(block.col, col)
             part = chunk[top - row : bottom - row, left - col : right - col]
-            pixels[top - block.row :, left - block.col :][: part.shape[0], : part.shape[1]] = part
+            pixels[top - block.row :, left - block.col :][: part.shape[0], : part.shape[1]] = (
+                part
+            )
         return pixels
 
     def stored_blocks(self, name: str) -> set[tuple[int, int]]:

@@ -44,9 +44,13 @@ class RecordKeeper:
     record_bytes : int
     """
 
-    def __init__(self, storage: Storage, piece: str, identity: str | None, record_bytes: int) -> None:
+    def __init__(
+        self, storage: Storage, piece: str, identity: str | None, record_bytes: int
+    ) -> None:
         path, kind = layout.records_path(piece, record_bytes), layout.records_kind(record_bytes)
-        self._array = StoredArray(storage, path, kind, (0, record_bytes), 0, {"identity": identity})
+        self._array = StoredArray(
+            storage, path, kind, (0, record_bytes), 0, {"identity": identity}
+        )
         self._chunks = 0
         self._count = 0
         storage.delete_folder(path)
@@ -69,7 +73,9 @@ class RecordKeeper:
 class KeptRecords:
     """Reader of the records of a source whose pieces were all kept."""
 
-    def __init__(self, pieces: Sequence[tuple[int, StoredArray]], dtype: np.dtype[np.void]) -> None:
+    def __init__(
+        self, pieces: Sequence[tuple[int, StoredArray]], dtype: np.dtype[np.void]
+    ) -> None:
         self._pieces = pieces
         self._dtype = dtype
 
@@ -115,7 +121,10 @@ class RecordStore(StorePart):
             path = layout.records_path(piece.name, dtype.itemsize)
             array = arrays.find_array(self._storage, path, layout.records_kind(dtype.itemsize))
             expected: tuple[Any, ...] = (end, piece.count, piece.identity)
-            if array is None or (piece.start, array.rows, array.attributes.get("identity")) != expected:
+            if (
+                array is None
+                or (piece.start, array.rows, array.attributes.get("identity")) != expected
+            ):
                 return None
             piece_arrays.append((piece.start, array))
             end += array.rows

@@ -25,7 +25,9 @@ class SpoolStore(StorePart):
         path = layout.spool_path(piece)
         kind = layout.spool_kind(self.meta.has_rgb)
         self._storage.delete_folder(path)
-        array = arrays.write_metadata(self._storage, path, (len(block), record_type.itemsize), kind)
+        array = arrays.write_metadata(
+            self._storage, path, (len(block), record_type.itemsize), kind
+        )
         for chunk, start in enumerate(range(0, len(block), SPOOL_CHUNK)):
             part = block.take(slice(start, start + SPOOL_CHUNK))
             records = np.zeros(SPOOL_CHUNK, dtype=record_type)

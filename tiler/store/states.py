@@ -1,6 +1,7 @@
 """State of the run: JSON-able values by name.
 
-Areas, edits, breaklines and waters are states, too. A process caches the last ones that it read.
+Areas, edits, breaklines and waters are states, too. A process caches the last ones that it
+read.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ from tiler.store.part import StorePart
 Kept = TypeVar("Kept")
 
 _MAX_CACHED = 6
-"""Maximum number of areas, edits, breaklines and waters in `_cache`: no run uses more at the same time."""
+"""Maximum number of areas, edits, breaklines and waters in `_cache`: no run uses more at the
+same time."""
 _cache: dict[tuple[str, str], Any] = {}
 """Values by URL of the store and name. A name contains a digest of the content, so no value can be outdated.
 
-The cache belongs to the process and not to a `TileStore`, since each task opens the store again."""
+The cache belongs to the process and not to a `TileStore`, since each task opens the store
+again."""
 
 
 class StateStore(StorePart):
@@ -58,7 +61,8 @@ class StateStore(StorePart):
     def edits(self, key: str, bounds: Bounds, actions: Iterable[str]) -> Edits | None:
         """Return the edits kept under a key that have one of the actions and touch the bounds.
 
-        The result is None if there are no matching edits. Raise StoreError if the key is missing.
+        The result is None if there are no matching edits. Raise StoreError if the key is
+        missing.
         """
         edits = self._kept(f"edits-{key}", Edits.from_json).near(bounds, actions)
         return edits if edits.edits else None
@@ -78,7 +82,8 @@ class StateStore(StorePart):
     def waters(self, key: str | None, bounds: Bounds) -> Waters | None:
         """Return the bodies of water kept under a key that touch the bounds.
 
-        The result is None if no body touches the bounds or if ``key`` is None. Raise StoreError if the key is missing.
+        The result is None if no body touches the bounds or if ``key`` is None. Raise StoreError
+        if the key is missing.
         """
         if key is None:
             return None

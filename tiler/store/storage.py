@@ -1,7 +1,7 @@
 """Storage of a store: bytes by key, on a local path or at any fsspec URL, through zarr's stores.
 
-Every `put` is atomic (a rename on local disks, one PUT on object stores): a reader gets the old object, the new
-object, or no object.
+Every `put` is atomic (a rename on local disks, one PUT on object stores): a reader gets the old
+object, the new object, or no object.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from tiler.store import layout
 
 _REQUESTS_AT_ONCE = 64
 _FROM_START = OffsetByteRequest(0)
-"""Range of a whole object. Without a range, s3fs asks for the size first, and lists the key if there is no object."""
+"""Range of a whole object. Without a range, s3fs asks for the size first, and lists the key if
+there is no object."""
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 """Errors of file systems without hard links, as on memory sticks and some network shares."""
 
@@ -123,7 +124,9 @@ class Storage:
             if self.root is not None:
                 _write_file(f"{self.root}/{key}", data)
             else:
-                sync(self.zarr_store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
+                sync(
+                    self.zarr_store.set(key, default_buffer_prototype().buffer.from_bytes(data))
+                )
         except OSError as error:
             raise store_write_error(self.url, key, error) from error
 
@@ -138,7 +141,11 @@ class Storage:
         """
         data = _sealed(body)
         try:
-            sync(self.zarr_store.set_if_not_exists(key, default_buffer_prototype().buffer.from_bytes(data)))
+            sync(
+                self.zarr_store.set_if_not_exists(
+                    key, default_buffer_prototype().buffer.from_bytes(data)
+                )
+            )
         except OSError as error:
             if error.errno not in _NO_HARD_LINKS:
                 raise store_write_error(self.url, key, error) from error
@@ -161,7 +168,9 @@ class Storage:
         """
         if self.root is not None:
             try:
-                self._delete_files(self.root / prefix, lambda key: layout.is_ours(key) and key not in keep)
+                self._delete_files(
+                    self.root / prefix, lambda key: layout.is_ours(key) and key not in keep
+                )
             except OSError as error:
                 raise store_write_error(self.url, prefix, error) from error
             return
@@ -197,7 +206,9 @@ class Storage:
         """Return the sorted names of the objects and folders directly in ``prefix``."""
         if not self.exists():
             return []
-        return sorted(name.rstrip("/") for name in sync(_collected(self.zarr_store.list_dir(prefix))))
+        return sorted(
+            name.rstrip("/") for name in sync(_collected(self.zarr_store.list_dir(prefix)))
+        )
 
     def keys(self, folder: str) -> list[str]:
         """Return the keys of all objects in an existing folder, in any order."""
@@ -206,7 +217,8 @@ class Storage:
     def exists(self) -> bool:
         """Return whether the folder of a local store exists, or True for object stores, which have no folders.
 
-        Callers call this before they list, because the first request to zarr's local store would create the folder.
+        Callers call this before they list, because the first request to zarr's local store
+        would create the folder.
         """
         return self.root is None or self.root.is_dir()
 
@@ -239,14 +251,19 @@ def parse_json(data: bytes, where: str) -> Any:
         envelope = json.loads(data)
         body, crc = envelope["body"], envelope["crc32"]
     except (ValueError, KeyError, TypeError) as error:
-        raise StoreError(f"{where}: damaged, not valid JSON; delete it and run again") from error
+        raise StoreError(
+            f"{where}: damaged, not valid JSON; delete it and run again"
+        ) from error
     if zlib.crc32(_canonical(body).encode()) != crc:
-        raise StoreError(f"{where}: damaged, its checksum does not fit; delete it and run again")
+        raise StoreError(
+            f"{where}: damaged, its checksum does not fit; delete it and run again"
+        )
     return body
 
 
 SEAL = "tiler_crc32"
-"""Name of the attribute with a checksum of the rest of the metadata. Zarr itself does not write a checksum."""
+"""Name of the attribute with a checksum of the rest of the metadata. Zarr itself does not write
+a checksum."""
 
 
 def sealed(metadata: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,8 +22,9 @@ from tiler.store.storage import Storage, StoreSize
 class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, CommitStore):
     """Open store, made by `create_store` or `open_store`. Each part has its own class and module.
 
-    All calls block and may come from several processes at once, as long as each bucket, block, piece and
-    commit has one writer. Methods marked *coordinator* are only for the process that holds the `lock`.
+    All calls block and may come from several processes at once, as long as each bucket, block,
+    piece and commit has one writer. Methods marked *coordinator* are only for the process that
+    holds the `lock`.
 
     Attributes
     ----------
@@ -33,7 +34,9 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
         Settings that the first run decided for all later runs.
     """
 
-    def __init__(self, storage: Storage, meta: StoreMeta, settled: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, storage: Storage, meta: StoreMeta, settled: Mapping[str, Any] | None = None
+    ) -> None:
         super().__init__(storage, meta)
         self.settled = dict(settled or {})
 
@@ -53,8 +56,8 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
     def clean_up(self) -> None:
         """Remove what later runs do not need, and pack the commits (*coordinator*, while no task runs).
 
-        The spool is removed once rows are allocated to buckets. Kept records, older indices and the temporary files of
-        killed writes are removed, too.
+        The spool is removed once rows are allocated to buckets. Kept records, older indices and
+        the temporary files of killed writes are removed, too.
         """
         if index.remove_older(self._storage).rows:
             self.drop_spool()
@@ -74,7 +77,9 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
         key = f"trial/{name}"
         self._storage.put_json(key, name)
         if self._storage.get_json(key) != name:
-            raise StoreError(f"{self.url}: {key} was written but cannot be read; check the storage")
+            raise StoreError(
+                f"{self.url}: {key} was written but cannot be read; check the storage"
+            )
         self._storage.delete(key)
 
     def usage(self) -> StoreSize:

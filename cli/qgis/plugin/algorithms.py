@@ -31,13 +31,18 @@ class RunAlgorithm(CommandAlgorithm):
 
     def add_outputs(self) -> None:
         """Add the terrain and the report as outputs, for models and for the viewer of results."""
-        self.addParameter(QgsProcessingParameterBoolean(LOAD, "Add the results to the project", True))
+        self.addParameter(
+            QgsProcessingParameterBoolean(LOAD, "Add the results to the project", True)
+        )
         self.addOutput(QgsProcessingOutputRasterLayer("DTM", "Terrain model"))
         self.addOutput(QgsProcessingOutputFile("REPORT", "Report"))
 
     def outputs(self) -> dict[str, Any]:
         """Return the folder of the results, and those of its files that other algorithms can use."""
-        dtm, report = results.raster(self._place, "dtm"), results.existing(self._place, "report.html")
+        dtm, report = (
+            results.raster(self._place, "dtm"),
+            results.existing(self._place, "report.html"),
+        )
         outputs = {"OUTPUT": self._place, "DTM": dtm, "REPORT": report}
         return {name: path for name, path in outputs.items() if path}
 
@@ -68,7 +73,9 @@ class ApplyEdits(RunAlgorithm):
 
     def shortHelpString(self) -> str:
         """Return the help: the purpose of the algorithm and the meaning of the polygons."""
-        help = next(s["help"] for s in TABLE["commands"]["run"]["parameters"] if s["key"] == "edits")
+        help = next(
+            s["help"] for s in TABLE["commands"]["run"]["parameters"] if s["key"] == "edits"
+        )
         return (
             "<p>Runs tiler again on a folder of results, with its settings and these edits. Only the affected parts "
             "are computed again.</p><p>Draw polygons in the layer <i>edits</i> that a run adds to the project, "
@@ -85,7 +92,9 @@ class ApplyEdits(RunAlgorithm):
         """Add the folder, the polygons, and the clouds in case run.json does not name them."""
         self.addParameter(
             QgsProcessingParameterFile(
-                "OUTPUT", "Folder of the results of a run", QgsProcessingParameterFile.Behavior.Folder
+                "OUTPUT",
+                "Folder of the results of a run",
+                QgsProcessingParameterFile.Behavior.Folder,
             )
         )
         self.addParameter(
@@ -101,11 +110,15 @@ class ApplyEdits(RunAlgorithm):
         )
         super().add_outputs()
 
-    def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
+    def make_arguments(
+        self, parameters: dict[str, Any], context: QgsProcessingContext
+    ) -> list[str]:
         """Return the command of the earlier run with the edits."""
         self._place = absolute(self.parameterAsFile(parameters, "OUTPUT", context))
         run = results.read_run(self._place)
-        given = [path for path in self.parameterAsFileList(parameters, "INPUT", context) if path]
+        given = [
+            path for path in self.parameterAsFileList(parameters, "INPUT", context) if path
+        ]
         return [
             find_command(),
             "run",
@@ -123,10 +136,14 @@ class ApplyEdits(RunAlgorithm):
         """Return the file of the layer of edits."""
         layer = self.parameterAsVectorLayer(parameters, "EDITS", context)
         if layer is None:
-            raise CommandError(f"{parameters.get('EDITS')}: is not a layer of polygons; give the layer edits")
+            raise CommandError(
+                f"{parameters.get('EDITS')}: is not a layer of polygons; give the layer edits"
+            )
         path = layer.source().split("|")[0]
         if layer.isModified():
-            raise CommandError(f"{layer.name()}: has unsaved changes; save the layer, then run this again")
+            raise CommandError(
+                f"{layer.name()}: has unsaved changes; save the layer, then run this again"
+            )
         if not Path(path).is_file():
             raise CommandError(
                 f"{layer.name()}: is not stored in a file; save it as a GeoPackage, then run this again"

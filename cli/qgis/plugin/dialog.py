@@ -37,12 +37,16 @@ class CommandDialog(QDialog):
     parent : QWidget, optional
     """
 
-    def __init__(self, configured: str, save: Callable[[str], None], parent: Any = None) -> None:
+    def __init__(
+        self, configured: str, save: Callable[[str], None], parent: Any = None
+    ) -> None:
         super().__init__(parent)
         self._save = save
         self.setWindowTitle("tiler: the command")
         self.path = QLineEdit(configured)
-        self.path.setPlaceholderText(TABLE["command"] or "empty: searched in PATH and ~/.local/bin")
+        self.path.setPlaceholderText(
+            TABLE["command"] or "empty: searched in PATH and ~/.local/bin"
+        )
         self.install = QLineEdit(INSTALL)
         self.install.setReadOnly(True)
         self.status = QLabel()

@@ -34,7 +34,10 @@ def make_parameters(spec: dict[str, Any]) -> list[Any]:
         label = "... or a folder (all clouds in it and in its subfolders)"
         made.append(
             QgsProcessingParameterFile(
-                FOLDER, label, behavior=QgsProcessingParameterFile.Behavior.Folder, optional=True
+                FOLDER,
+                label,
+                behavior=QgsProcessingParameterFile.Behavior.Folder,
+                optional=True,
             )
         )
     if spec["kind"] in ("clouds", "files"):
@@ -44,7 +47,9 @@ def make_parameters(spec: dict[str, Any]) -> list[Any]:
     for parameter in made:
         parameter.setHelp(spec["help"])
         if spec["advanced"]:
-            parameter.setFlags(parameter.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced)
+            parameter.setFlags(
+                parameter.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced
+            )
     return made
 
 
@@ -60,12 +65,15 @@ def _parameter(spec: dict[str, Any]) -> Any:
         filter = TABLE["cloud_files"] if kind == "cloud" else ALL_FILES
         optional = not spec[
             "required"
-        ]  # A setting with a default is optional, too, because QGIS does not accept the default as a file.
+            # A setting with a default is optional, too, because QGIS does not accept the default as
+            # a file.
+        ]
         return QgsProcessingParameterFile(
             name, label, defaultValue=default, optional=optional, fileFilter=filter
         )
     if kind in ("new_folder", "new_plots"):
-        # A FolderDestination would offer a temporary folder, in which a stopped job cannot resume.
+        # A FolderDestination would offer a temporary folder, in which a stopped job cannot
+        # resume.
         return QgsProcessingParameterFile(
             name, label, behavior=QgsProcessingParameterFile.Behavior.Folder, optional=optional
         )
@@ -80,7 +88,8 @@ def _parameter(spec: dict[str, Any]) -> Any:
         )
     if (
         kind == "names"
-    ):  # The values are numbers, because the dialog of QGIS 3.22 loses names if several are given.
+        # The values are numbers, because the dialog of QGIS 3.22 loses names if several are given.
+    ):
         return QgsProcessingParameterEnum(
             name, label, spec["choices"], True, numbers_of_names(spec, default), optional
         )

@@ -20,7 +20,8 @@ PARTIAL = 5
 USAGE = 2
 INSTALL = "python -m pip install tiler-dtm"
 TEST_SECONDS = 60.0
-"""Time limit of ``--version``. The first start of a newly installed command takes some seconds."""
+"""Time limit of ``--version``. The first start of a newly installed command takes some
+seconds."""
 GRACE_SECONDS = 30.0
 """Time between the request to end and the kill of the process. A kill does not damage a run."""
 POLL_SECONDS = 0.1
@@ -33,7 +34,8 @@ QGIS_OWN = (
     "PROJ_LIB",
     "PROJ_DATA",
 )
-"""Variables for the Python and libraries of QGIS. With them the command would find the wrong ones."""
+"""Variables for the Python and libraries of QGIS. With them the command would find the wrong
+ones."""
 
 
 class CommandError(Exception):
@@ -193,7 +195,9 @@ def run_command(
 
 
 def _follow(
-    process: subprocess.Popen[bytes], tell: Callable[[dict[str, Any]], None], cancelled: Callable[[], bool]
+    process: subprocess.Popen[bytes],
+    tell: Callable[[dict[str, Any]], None],
+    cancelled: Callable[[], bool],
 ) -> tuple[str, bool]:
     """Pass on the events of a process until it ends.
 

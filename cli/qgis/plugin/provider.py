@@ -85,7 +85,8 @@ class Provider(QgsProcessingProvider):
     def load(self) -> bool:
         """Add the setting and the algorithms."""
         ProcessingConfig.settingIcons[self.name()] = self.icon()
-        # The setting is empty at first. QGIS saves the shown value, which would hide the path of a later installation.
+        # The setting is empty at first. QGIS saves the shown value, which would hide the path
+        # of a later installation.
         label = f"Path of the command tiler (empty: {TABLE['command'] or 'the one in PATH'})"
         setting = Setting(self.name(), COMMAND, label, "", valuetype=Setting.STRING)
         ProcessingConfig.addSetting(setting)

@@ -80,7 +80,10 @@ def clouds_of(folder: str, run: dict[str, Any]) -> list[str]:
 
 
 def load_folder(
-    folder: str, incomplete: bool, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    folder: str,
+    incomplete: bool,
+    context: QgsProcessingContext,
+    feedback: QgsProcessingFeedback,
 ) -> None:
     """Add the results in a folder to the project, and read layers again that the project already has."""
     if context.project() is None:
@@ -99,7 +102,9 @@ def load_folder(
     _add_clouds(folder, title, context, feedback)
 
 
-def load_cloud(path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
+def load_cloud(
+    path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+) -> None:
     """Add a classified cloud to the project, if this QGIS can show one."""
     if context.project() is None:
         return
@@ -116,12 +121,18 @@ def _cloud(path: str, key: str, name: str, shown: bool) -> Wanted | None:
     """Return the layer of a cloud, or None if this QGIS cannot show its format."""
     there = QgsProviderRegistry.instance().providerList()
     kinds = (
-        ("vpc",) if path.endswith(".vpc") else ("copc", "pdal") if path.endswith(".copc.laz") else ("pdal",)
+        ("vpc",)
+        if path.endswith(".vpc")
+        else ("copc", "pdal")
+        if path.endswith(".copc.laz")
+        else ("pdal",)
     )
     provider = next((kind for kind in kinds if kind in there), None)
     if provider is None:
         return None
-    return Wanted(key, name, lambda n: QgsPointCloudLayer(path, n, provider), styles.cloud, shown)
+    return Wanted(
+        key, name, lambda n: QgsPointCloudLayer(path, n, provider), styles.cloud, shown
+    )
 
 
 def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
@@ -133,7 +144,9 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
         source = f"{path}|layername={table}"
         if path and QgsVectorLayer(source, "", "ogr").isValid():
             key = f"{name}:{table}"
-            layers.append(Wanted(key, label, lambda n: QgsVectorLayer(source, n, "ogr"), style, True))
+            layers.append(
+                Wanted(key, label, lambda n: QgsVectorLayer(source, n, "ogr"), style, True)
+            )
 
     _make_edits(folder, feedback)
     for table in _tables(existing(folder, "edits.gpkg")):
@@ -148,17 +161,27 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
     if raster(folder, "hillshade"):
         layers.append(_raster(folder, "hillshade", "hillshade", styles.grey_shade, True))
     elif terrain:
-        layers.append(Wanted("shade", "hillshade", lambda n: QgsRasterLayer(terrain, n), styles.shade, True))
+        layers.append(
+            Wanted(
+                "shade", "hillshade", lambda n: QgsRasterLayer(terrain, n), styles.shade, True
+            )
+        )
     if raster(folder, "mask"):  # The mask lies below the hillshade and above the heights.
         layers.append(_raster(folder, "mask", "source of heights", styles.mask, False))
     if terrain:
         layers.append(_raster(folder, "dtm", "terrain", styles.heights, True))
     rest = (name for name in TABLE["products"] if name not in ("dtm", "hillshade", "mask"))
-    layers.extend(_raster(folder, name, name, styles.heights, False) for name in rest if raster(folder, name))
+    layers.extend(
+        _raster(folder, name, name, styles.heights, False)
+        for name in rest
+        if raster(folder, name)
+    )
     return layers
 
 
-def _raster(folder: str, name: str, label: str, style: Callable[..., None], shown: bool) -> Wanted:
+def _raster(
+    folder: str, name: str, label: str, style: Callable[..., None], shown: bool
+) -> Wanted:
     return Wanted(name, label, lambda n: QgsRasterLayer(raster(folder, name), n), style, shown)
 
 
@@ -167,7 +190,11 @@ def _tables(path: str) -> list[str]:
     if not path:
         return []
     layer = QgsVectorLayer(path, "", "ogr")
-    return [part.split("!!::!!")[1] for part in layer.dataProvider().subLayers()] if layer.isValid() else []
+    return (
+        [part.split("!!::!!")[1] for part in layer.dataProvider().subLayers()]
+        if layer.isValid()
+        else []
+    )
 
 
 def _make_edits(folder: str, feedback: QgsProcessingFeedback) -> None:
@@ -202,7 +229,9 @@ def _add_clouds(
         _add(f"{folder}|clouds", folder, title, LOWEST, layer, context)
 
 
-def _add(key: str, folder: str, title: str, rank: int, wanted: Wanted, context: QgsProcessingContext) -> None:
+def _add(
+    key: str, folder: str, title: str, rank: int, wanted: Wanted, context: QgsProcessingContext
+) -> None:
     """Register a layer to be added when the algorithm ends, or reload it if the project already has it."""
     for layer in context.project().mapLayers().values():
         if layer.customProperty(KEY) == key:
@@ -254,4 +283,6 @@ class _Placer(QgsProcessingLayerPostProcessorInterface):
 
 def _group_of(root: Any, folder: str) -> Any:
     """Return the group with the results of a folder, or None if there is no such group yet."""
-    return next((group for group in root.findGroups() if group.customProperty(KEY) == folder), None)
+    return next(
+        (group for group in root.findGroups() if group.customProperty(KEY) == folder), None
+    )

@@ -72,7 +72,9 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         paragraphs = (" ".join(p.split()) for p in command_entry["help"].split("\n\n"))
         text = "".join(f"<p>{html.escape(p)}</p>" for p in paragraphs)
         rows = ((p.description(), p.help()) for p in self.parameterDefinitions())
-        return text + "".join(f"<p><b>{html.escape(d)}</b><br>{html.escape(h)}</p>" for d, h in rows if h)
+        return text + "".join(
+            f"<p><b>{html.escape(d)}</b><br>{html.escape(h)}</p>" for d, h in rows if h
+        )
 
     def initAlgorithm(self, configuration: Any = None) -> None:
         """Make parameters and outputs."""
@@ -80,7 +82,9 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
             for parameter in make_parameters(spec):
                 self.addParameter(parameter)
         self.addOutput(
-            QgsProcessingOutputNumber("EXIT_CODE", "Exit code: 0 done; 5 done, but something was left out")
+            QgsProcessingOutputNumber(
+                "EXIT_CODE", "Exit code: 0 done; 5 done, but something was left out"
+            )
         )
         self.add_outputs()
 
@@ -91,7 +95,9 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
     def add_outputs(self) -> None:
         """Add further parameters and outputs. Derived classes override this method."""
 
-    def checkParameterValues(self, parameters: dict[str, Any], context: QgsProcessingContext) -> Any:
+    def checkParameterValues(
+        self, parameters: dict[str, Any], context: QgsProcessingContext
+    ) -> Any:
         """Check the values as QGIS does, but also accept the names of products instead of their numbers."""
         numbers = {
             spec["name"]: numbers_of_names(spec, parameters[spec["name"]])
@@ -101,7 +107,10 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         return super().checkParameterValues({**parameters, **numbers}, context)
 
     def prepareAlgorithm(
-        self, parameters: dict[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
     ) -> bool:
         """Read all parameters here, because layers may only be read in this method."""
         try:
@@ -112,7 +121,9 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         self._load = has_load and self.parameterAsBool(parameters, LOAD, context)
         return True
 
-    def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
+    def make_arguments(
+        self, parameters: dict[str, Any], context: QgsProcessingContext
+    ) -> list[str]:
         """Return the command line."""
         arguments = [find_command(), self.command]
         positionals: list[str] = []
@@ -137,11 +148,18 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         if self.shows_progress:
             arguments += ["--progress", "json"]
         if extent and parameters.get(extent[0]):
-            arguments += [extent[1], *self._edges(extent[0], parameters, context, [*arguments, *positionals])]
+            arguments += [
+                extent[1],
+                *self._edges(extent[0], parameters, context, [*arguments, *positionals]),
+            ]
         return [*arguments, *positionals]
 
     def _edges(
-        self, name: str, parameters: dict[str, Any], context: QgsProcessingContext, command: list[str]
+        self,
+        name: str,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        command: list[str],
     ) -> list[str]:
         """Return west, south, east and north of an extent in the CRS of the clouds, which `tiler plan` prints."""
         given = parameters[name]
@@ -152,15 +170,24 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
             plan_result = process.run_command(plan, lambda event: None, lambda: False)
             wkt = json.loads(plan_result.text)["crs"]
             extent_crs = self.parameterAsExtentCrs(parameters, name, context)
-            clouds = QgsCoordinateReferenceSystem.fromWkt(wkt) if wkt else QgsCoordinateReferenceSystem()
+            clouds = (
+                QgsCoordinateReferenceSystem.fromWkt(wkt)
+                if wkt
+                else QgsCoordinateReferenceSystem()
+            )
             if extent_crs.isValid() and clouds.isValid() and extent_crs != clouds:
-                transform = QgsCoordinateTransform(extent_crs, clouds, context.transformContext())
+                transform = QgsCoordinateTransform(
+                    extent_crs, clouds, context.transformContext()
+                )
                 extent = transform.transformBoundingBox(extent)
         edges = (extent.xMinimum(), extent.yMinimum(), extent.xMaximum(), extent.yMaximum())
         return [repr(float(edge)) for edge in edges]
 
     def processAlgorithm(
-        self, parameters: dict[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         """Run the command."""
         feedback.pushCommandInfo(shlex.join(self._arguments))
@@ -170,7 +197,9 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         except CommandError as error:
             raise QgsProcessingException(str(error)) from error
         if self._ended.cancelled:
-            feedback.pushWarning("stopped; run the same algorithm with the same folder again to resume")
+            feedback.pushWarning(
+                "stopped; run the same algorithm with the same folder again to resume"
+            )
             return {}
         for line in self._ended.text.splitlines():
             left_out = self._ended.code == PARTIAL and re.match(
@@ -198,10 +227,13 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         self.show_page(self._page, context, feedback)
         return {}
 
-    def show_page(self, path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
+    def show_page(
+        self, path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> None:
         """Put a page into the viewer of results.
 
-        The page is not an output of type HTML, because QGIS lists these as results even if the algorithm failed.
+        The page is not an output of type HTML, because QGIS lists these as results even if the
+        algorithm failed.
         """
         if path and context.project() is not None:
             resultsList.addResult(self.icon(), self.displayName(), time.localtime(), path)
@@ -229,11 +261,15 @@ class FeedbackListener:
             self._feedback.setProgressText(title)
         if event.get("message") is not None:
             warning = event.get("level") == "warning"
-            (self._feedback.pushWarning if warning else self._feedback.pushInfo)(str(event["message"]))
+            (self._feedback.pushWarning if warning else self._feedback.pushInfo)(
+                str(event["message"])
+            )
 
 
 def write_page(name: str, body: str) -> str:
     """Write a page into the temporary folder of QGIS, and return its path."""
     path = QgsProcessingUtils.generateTempFilename(f"{name}.html")
-    Path(path).write_text(f'<!doctype html><meta charset="utf-8"><title>{name}</title>{body}', "utf-8")
+    Path(path).write_text(
+        f'<!doctype html><meta charset="utf-8"><title>{name}</title>{body}', "utf-8"
+    )
     return str(path)

@@ -31,7 +31,13 @@ from qgis.PyQt.QtGui import QColor, QPainter
 
 from .process import TABLE
 
-GREEN_TO_WHITE = ((0.0, "#5b8c5a"), (0.25, "#a9bf7a"), (0.5, "#e8dca0"), (0.75, "#b98b5e"), (1.0, "#f4f1ee"))
+GREEN_TO_WHITE = (
+    (0.0, "#5b8c5a"),
+    (0.25, "#a9bf7a"),
+    (0.5, "#e8dca0"),
+    (0.75, "#b98b5e"),
+    (1.0, "#f4f1ee"),
+)
 """Colours of heights from low to high."""
 ACTIONS = {
     "not_ground": ("not_ground: no point inside is ground", "#d1495b"),
@@ -39,7 +45,18 @@ ACTIONS = {
     "void": ("void: no height inside", "#555555"),
     "flat": ("flat: the terrain inside has the height in column z", "#2a6f97"),
 }
-WATERS = ("lake", "pond", "reservoir", "basin", "sea", "lagoon", "river", "stream", "canal", "ditch")
+WATERS = (
+    "lake",
+    "pond",
+    "reservoir",
+    "basin",
+    "sea",
+    "lagoon",
+    "river",
+    "stream",
+    "canal",
+    "ditch",
+)
 CUT = 0.01
 """Share of the lowest and of the highest heights that get the first and the last colour."""
 BRIGHTER = 50
@@ -54,7 +71,9 @@ def heights(layer: Any) -> None:
     provider = layer.dataProvider()
     low, high = _range(layer)
     stops = [QgsGradientStop(at, QColor(colour)) for at, colour in GREEN_TO_WHITE[1:-1]]
-    ramp = QgsGradientColorRamp(QColor(GREEN_TO_WHITE[0][1]), QColor(GREEN_TO_WHITE[-1][1]), False, stops)
+    ramp = QgsGradientColorRamp(
+        QColor(GREEN_TO_WHITE[0][1]), QColor(GREEN_TO_WHITE[-1][1]), False, stops
+    )
     function = QgsColorRampShader(
         low,
         high,
@@ -74,8 +93,8 @@ def heights(layer: Any) -> None:
 def _range(layer: Any) -> tuple[float, float]:
     """Return the lowest and highest height of the colour ramp.
 
-    They come from a sample of pixels. GDAL would store its statistics in a file next to the raster, and use them even
-    after the raster has changed.
+    They come from a sample of pixels. GDAL would store its statistics in a file next to the
+    raster, and use them even after the raster has changed.
     """
     block = layer.dataProvider().block(1, layer.extent(), SAMPLE_PIXELS, SAMPLE_PIXELS)
     pixel_numbers = range(block.width() * block.height())
@@ -109,7 +128,9 @@ def mask(layer: Any) -> None:
     """Style the classes with their colours and names. Pixels outside are transparent."""
     classes = [
         QgsPalettedRasterRenderer.Class(
-            entry["value"], QColor(*entry["colour"], 255 if entry["value"] else 0), entry["label"]
+            entry["value"],
+            QColor(*entry["colour"], 255 if entry["value"] else 0),
+            entry["label"],
         )
         for entry in TABLE["mask"]
     ]
@@ -192,7 +213,9 @@ def _list(layer: Any, name: str, values: dict[str, str]) -> None:
     field_index = layer.fields().indexOf(name)
     if field_index >= 0:
         entries = [{label: value} for label, value in values.items()]
-        layer.setEditorWidgetSetup(field_index, QgsEditorWidgetSetup("ValueMap", {"map": entries}))
+        layer.setEditorWidgetSetup(
+            field_index, QgsEditorWidgetSetup("ValueMap", {"map": entries})
+        )
 
 
 def _label(layer: Any, column: str, filter: str, placement: Any) -> None:

@@ -11,10 +11,13 @@ from qgis.gui import QgsFileWidget, QgsGui
 class FilesWrapper(WidgetWrapper):
     """Widget with a line of quoted paths or URLs, and a button that selects files.
 
-    The widget of QGIS 3.22 tries to load each file as a layer, and drops files that are not layers.
+    The widget of QGIS 3.22 tries to load each file as a layer, and drops files that are not
+    layers.
     """
 
-    def __new__(cls, parameter: Any, dialog: Any, row: int = 0, column: int = 0, **settings: Any) -> Any:
+    def __new__(
+        cls, parameter: Any, dialog: Any, row: int = 0, column: int = 0, **settings: Any
+    ) -> Any:
         """Make this widget, or in the designer of models the widget of QGIS, which offers the inputs of the model."""
         if type(dialog).__name__ == "ModelerParametersDialog":
             registry = QgsGui.processingGuiRegistry()

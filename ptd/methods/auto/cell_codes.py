@@ -44,7 +44,9 @@ class CellCodes(Model):
         self.stats, self._certain = {"cells": int(x.size), **stats}, certain
         self._codes = np.append(codes, np.uint8(UNCLASSIFIED))
         self._uncertified = (
-            np.zeros(x.size + 1, np.bool_) if uncertified is None else np.append(uncertified, False)
+            np.zeros(x.size + 1, np.bool_)
+            if uncertified is None
+            else np.append(uncertified, False)
         )
         self._x, self._y, self._cells = x, y, cells
         self._index: CellIndex | None = None

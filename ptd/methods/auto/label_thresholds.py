@@ -1,6 +1,7 @@
 """Thresholds of the last pass of `auto`: distances from the surface up to which points are ground.
 
-They follow from the density of the place. The module also decides the source of the cloud. Notes report the decisions.
+They follow from the density of the place. The module also decides the source of the cloud.
+Notes report the decisions.
 """
 
 from __future__ import annotations
@@ -20,15 +21,19 @@ from ptd.passes import State
 from ptd.places import PLACES, Figures, field, span
 
 SPARSE_M2 = 1.0
-"""Density in points per square metre up to which the last pass uses the parameters unchanged."""
+"""Density in points per square metre up to which the last pass uses the parameters
+unchanged."""
 DENSE_M2 = 2.0
-"""Density in points per square metre from which on the last pass is as narrow as noise allows."""
+"""Density in points per square metre from which on the last pass is as narrow as noise
+allows."""
 DENSE_FLOOR_M = 0.12
-"""Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider floor from the measured
-noise would classify low plants as ground, because meadows and fields look planar too."""
+"""Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider
+floor from the measured noise would classify low plants as ground, because meadows and fields
+look planar too."""
 GIVEN_BASE_M = 0.05
-"""Constant part of the floor for dense clouds if the user gives the noise. The floor is this plus `GIVEN_SIGMAS` times
-the noise, but at least `DENSE_FLOOR_M` and at most `AutoParameters.label_floor_m`."""
+"""Constant part of the floor for dense clouds if the user gives the noise. The floor is this
+plus `GIVEN_SIGMAS` times the noise, but at least `DENSE_FLOOR_M` and at most
+`AutoParameters.label_floor_m`."""
 GIVEN_SIGMAS = 3.0
 """Multiple of the noise given by the user that is added to `GIVEN_BASE_M`."""
 DENSE_SLOPE = 0.5
@@ -101,7 +106,8 @@ def decided(
         return survey, [note]
     if survey["kind"] == DIM:
         noise, size_m = (
-            span([known(figures, figure) for figures in held], 2) for figure in (CELL_SIGMA, CELL_SIZE)
+            span([known(figures, figure) for figures in held], 2)
+            for figure in (CELL_SIGMA, CELL_SIZE)
         )
         line = (
             f"decided: ground is up to {GROUND_M:g} m plus twice the local noise from the surface, "

@@ -1,32 +1,36 @@
 """``auto``: decides the source of the cloud, and finds the ground of LiDAR and photogrammetric clouds differently.
 
-This is our own method and the default. The same settings serve all clouds, and the method derives all differences from
-the cloud itself. In photogrammetric clouds heights scatter to both sides and blunders lie below. So ground is found
-from a robust height per cell, by classifying large objects as a whole, and by a surface of limited curvature
-(`ptd.matched`).
+This is our own method and the default. The same settings serve all clouds, and the method
+derives all differences from the cloud itself. In photogrammetric clouds heights scatter to both
+sides and blunders lie below. So ground is found from a robust height per cell, by classifying
+large objects as a whole, and by a surface of limited curvature (`ptd.matched`).
 
-The passes below are for LiDAR clouds and work on the lowest point of each cell of 1 m. They find morphological seeds,
-densify in a few rounds, and remove what still rises like an object. ``docs/filters.md`` has figures, the reasons for
-the passes, and their radii.
+The passes below are for LiDAR clouds and work on the lowest point of each cell of 1 m. They
+find morphological seeds, densify in a few rounds, and remove what still rises like an object.
+``docs/filters.md`` has figures, the reasons for the passes, and their radii.
 
 survey
-    Decide between laser scanning and image matching by returns and penetration (`ptd.matched.survey`). Measure density
-    and noise of each place (`ptd.ground.noise_by_place`). The thresholds follow from the density (`label_thresholds`).
+    Decide between laser scanning and image matching by returns and penetration
+    (`ptd.matched.survey`). Measure density and noise of each place
+    (`ptd.ground.noise_by_place`). The thresholds follow from the density (`label_thresholds`).
 seeds
-    Remove low outliers. Cells that drop steeply in openings of growing radius (`objects`) are objects, and all other
-    cells are seeds.
+    Remove low outliers. Cells that drop steeply in openings of growing radius (`objects`) are
+    objects, and all other cells are seeds.
 densify
-    Add object cells to the TIN of the seeds if they fit it (`ptd.ground.densify`). They are edges and tops that the
-    openings cut.
+    Add object cells to the TIN of the seeds if they fit it (`ptd.ground.densify`). They are
+    edges and tops that the openings cut.
 refine
-    Subtract the mean of the ground and remove cells that rise from it: walls, cars, shrubs on slopes, and roofs onto
-    which densification climbed. Do this again among the remaining ground.
+    Subtract the mean of the ground and remove cells that rise from it: walls, cars, shrubs on
+    slopes, and roofs onto which densification climbed. Do this again among the remaining
+    ground.
 roofs
-    Remove roofs: connected ground of at most 200 m width that lies above nearly all ground around it
-    (`ptd.ground.plateaus`). Do this four times, because lower roofs lean on higher ones.
+    Remove roofs: connected ground of at most 200 m width that lies above nearly all ground
+    around it (`ptd.ground.plateaus`). Do this four times, because lower roofs lean on higher
+    ones.
 label
-    Add cells within half the distance and half the angle of `densify` to the TIN of the remaining ground, once. Then
-    classify each point by its height above the TIN, or above a finer surface where points are dense.
+    Add cells within half the distance and half the angle of `densify` to the TIN of the
+    remaining ground, once. Then classify each point by its height above the TIN, or above a
+    finer surface where points are dense.
 
 ====================  ==========================  ========  ============================================================
 parameter             origin                      default   reason
@@ -97,7 +101,8 @@ from ptd.tin.mesh import Tin
 ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
 
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
-"""Codes of cells between passes. Cells that stay ground after `refine` have the code `GROUND`."""
+"""Codes of cells between passes. Cells that stay ground after `refine` have the code
+`GROUND`."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +140,11 @@ class SurveyPass(survey.SurveyPass):
     params: Auto = field(kw_only=True)
 
     def decided(
-        self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
+        self,
+        found: Roughness,
+        seen: ReturnStatistics,
+        held: Sequence[Figures],
+        run: Mapping[str, Any],
     ) -> tuple[survey.Survey, list[str]]:
         """Return the survey and its notes (`label_thresholds.decided`)."""
         return decided(self.params, found, seen, held, run)
@@ -161,7 +170,9 @@ class SeedPass(LidarPass):
     title = "find the first ground"
     influence_radius_m: float | None = None
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CellCodes:
         """Open the minimum raster with growing disks."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
@@ -173,7 +184,10 @@ class SeedPass(LidarPass):
             present = ~outlier[index]
             rises = low.steep_objects(present, p.seed_drop, p.shape) & present
             codes[index[rises & inner]] = OBJECT
-        stats = {"low_outliers": int((codes == OUTLIER).sum()), "seeds": int((codes == SEED).sum())}
+        stats = {
+            "low_outliers": int((codes == OUTLIER).sum()),
+            "seeds": int((codes == SEED).sum()),
+        }
         return CellCodes(x, y, codes, cells, window.inside(cells, p.seed_reach), stats)
 
 
@@ -186,7 +200,9 @@ class DensifyPass(LidarPass):
     title = "densify the ground"
     columns: tuple[str, ...] = ("labels",)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CellCodes:
         """Densify the window's TIN."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
@@ -197,7 +213,9 @@ class DensifyPass(LidarPass):
             tin, region = first_tin(x, y, z, seed, known, scale)
             rest = np.where(codes == OUTLIER, np.uint8(REFUSED), np.uint8(WAITING))
             todo = np.where(seed, np.uint8(VERTEX), rest)
-            uncertified, rounds = densify(tin, Xyz(x, y, z), todo, p.limits(scale), p.rounds, region)
+            uncertified, rounds = densify(
+                tin, Xyz(x, y, z), todo, p.limits(scale), p.rounds, region
+            )
             codes = np.where((todo == VERTEX) & ~seed, np.uint8(DENSIFIED), codes)
         stats = {"rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
         return CellCodes(x, y, codes, cells, known, stats, uncertified)
@@ -213,7 +231,9 @@ class RefinePass(LidarPass):
     columns: tuple[str, ...] = ("labels",)
     influence_radius_m: float | None = None
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CellCodes:
         """Subtract the ground's mean and find the cells that rise from it, twice."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
@@ -247,7 +267,9 @@ class RoofPass(LidarPass):
     influence_radius_m: float | None
     columns: tuple[str, ...] = ("labels",)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CellCodes:
         """Compare each connected surface with the ground around it."""
         p = self.params
         cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
@@ -258,7 +280,9 @@ class RoofPass(LidarPass):
             if self.again and not earlier_roofs[index].any():
                 continue  # No roof was found before, so the result is the same.
             raster = CellRaster(x[index], y[index], wide)
-            roofs = on_plateaus(z[index], ground[index], earlier_roofs[index], raster, roof_rule)
+            roofs = on_plateaus(
+                z[index], ground[index], earlier_roofs[index], raster, roof_rule
+            )
             codes[index[roofs & inner]] = ROOF
         stats = {"roofs": int(ground.sum() - (codes == GROUND).sum())}
         return CellCodes(x, y, codes, cells, window.inside(cells, p.roof_reach), stats)
@@ -275,7 +299,9 @@ class LabelPass(LidarPass):
     label_margin_m: float = 0.0
     by_place: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> TinLabels:
         """Build the TIN and restore edges that were removed together with objects."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
@@ -288,7 +314,9 @@ class LabelPass(LidarPass):
         if not ground.any():
             return model
         tin, region = first_tin(x, y, z, ground, window.inside(cells), scale)
-        todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
+        todo = np.where(
+            ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)
+        ).astype(np.uint8)
         densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, region)
         rule = LabelRule(p.limits(scale), scale.counts(p.label_floor_m), heights_only=True)
         rule = with_fine_surface(rule, scale) if p.fine_surface else rule
@@ -304,12 +332,16 @@ def first_tin(
     The mask ``chosen`` is certified only within the known window.
     """
     cells = CellLattice.of(RING_M, scale)
-    region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    region = UncertifiedRegion(
+        known, known.inside(cells, RING), box_with_ring(x, y, cells), scale
+    )
     ring = choose_seeds(x, y, z, chosen, cells, region).virtual
     corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
     return Tin.build(*corners, max_vertices=x.size + len(ring)), region
 
 
 METHOD = Method(
-    "auto", "our own, for all clouds: morphological seeds, few rounds, then removal of objects", Auto
+    "auto",
+    "our own, for all clouds: morphological seeds, few rounds, then removal of objects",
+    Auto,
 )

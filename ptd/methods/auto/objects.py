@@ -1,13 +1,15 @@
 """Objects, distinguished from terrain by the steep drop of the lowest points of cells in morphological openings.
 
-An object drops steeply: an opening with a disk a little wider than the object removes its height, while terrain loses
-no more than its slope gives. So a cell belongs to an object if for some radius r (in metres)::
+An object drops steeply: an opening with a disk a little wider than the object removes its
+height, while terrain loses no more than its slope gives. So a cell belongs to an object if for
+some radius r (in metres)::
 
     drop(r) - allowance > (per_metre + per_slope * slope) * r
 
-Here drop(r) is the fall to the opening with r from that one cell smaller, both of the original raster. The slope is
-that of the surface after the last opening (for seeds) or of the ground (for residuals). For residuals the threshold
-also grows where there are few objects around. Heights beyond a fixed distance do not change any of these results.
+Here drop(r) is the fall to the opening with r from that one cell smaller, both of the original
+raster. The slope is that of the surface after the last opening (for seeds) or of the ground
+(for residuals). For residuals the threshold also grows where there are few objects around.
+Heights beyond a fixed distance do not change any of these results.
 """
 
 from __future__ import annotations
@@ -95,7 +97,9 @@ class Lowest:
     scale : Scale
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice, cell_m: float, scale: Scale) -> None:
+    def __init__(
+        self, x: Int32, y: Int32, z: Int32, cells: CellLattice, cell_m: float, scale: Scale
+    ) -> None:
         self.raster, self.z, self.scale = CellRaster(x, y, cells), z, scale
         self.unit = scale.counts_z(cell_m)
         """Rise in vertical counts over one cell at a slope of 1."""
@@ -107,22 +111,28 @@ class Lowest:
     def steep_objects(self, mask: Bool, drop: Drop, shape: Shape) -> Bool:
         """Return a mask of the points where the surface of the chosen points drops like an object: bool [n]."""
         steepest, opened = steepest_drops(
-            self.heights(mask), range(1, shape.radius + 1), self.scale.counts_z(drop.allowance_m)
+            self.heights(mask),
+            range(1, shape.radius + 1),
+            self.scale.counts_z(drop.allowance_m),
         )
         keys = self.raster.keys
-        allowed = drop.per_metre * self.unit + drop.per_slope * Boxes(opened).slopes(shape.slope, keys)
+        allowed = drop.per_metre * self.unit + drop.per_slope * Boxes(opened).slopes(
+            shape.slope, keys
+        )
         is_object: Bool = steepest.reshape(-1)[keys] > allowed
         return is_object
 
     def residual_objects(self, ground: Bool, present: Bool, limits: Residuals) -> Bool:
         """Return a mask of the points that rise like objects after subtracting the mean of the ground: bool [n].
 
-        Once the mean is subtracted, slopes do not hide low objects, so small radii and thresholds suffice. Where there
-        are no objects around, a rise is more likely a bump of the terrain, so the threshold grows (`lack`).
+        Once the mean is subtracted, slopes do not hide low objects, so small radii and
+        thresholds suffice. Where there are no objects around, a rise is more likely a bump of
+        the terrain, so the threshold grows (`lack`).
         """
         boxes, drop, keys = Boxes(self.heights(ground)), limits.drop, self.raster.keys
         means = boxes.means(limits.trend, keys)
-        trend = np.where(np.isnan(means), self.z, np.rint(means))  # Without ground, a point is its own trend.
+        # Without ground, a point is its own trend.
+        trend = np.where(np.isnan(means), self.z, np.rint(means))
         residuals = self.raster.lowest((self.z - trend).astype(np.int32), present)
         steepest, _ = steepest_drops(
             residuals, range(1, limits.radius + 1), self.scale.counts_z(drop.allowance_m)

@@ -1,7 +1,8 @@
 """Parameters of `auto`, and constants that need no setting.
 
-Eighteen parameters can be set. The constants were measured (table in ``docs/filters.md``). No visible property of a
-cloud shows how to change them, so they are listed here with their reasons.
+Eighteen parameters can be set. The constants were measured (table in ``docs/filters.md``). No
+visible property of a cloud shows how to change them, so they are listed here with their
+reasons.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ RING_M = 20.0
 ROUND_HALO_M = 8.0
 """Distance by which the uncertified region grows in a round; it seldom grows farther."""
 TERRAIN_ANGLE_DEG = 88.0
-"""Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean error by 0.01
-percentage points."""
+"""Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean error
+by 0.01 percentage points."""
 REGROWTH = 0.5
-"""Share of the iteration distance and angle within which the last TIN adds edges of banks that were removed with
-objects. Shares of 0.3 and 0.7 gain less; with 0.7, low roofs and shrubs return as well."""
+"""Share of the iteration distance and angle within which the last TIN adds edges of banks that
+were removed with objects. Shares of 0.3 and 0.7 gain less; with 0.7, low roofs and shrubs
+return as well."""
 SEED_DROP_M = 0.05
 """Drop by noise that is allowed when seeds are chosen."""
 
@@ -74,12 +76,14 @@ class Rise:
 
 
 LACK = 2.0
-"""Extra rise allowed where no objects are around, because a bump is more likely terrain there."""
+"""Extra rise allowed where no objects are around, because a bump is more likely terrain
+there."""
 OBJECTS = Rise(drop_m=0.2, per_slope=0.2, enough=0.3)
-"""Limits among all cells. In clouds up to 1 point/m2 a drop below 0.2 m is within the floor of the last pass."""
+"""Limits among all cells. In clouds up to 1 point/m2 a drop below 0.2 m is within the floor of
+the last pass."""
 BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
-"""Limits among the remaining cells of ground. Their mean no longer contains removed objects, so a smaller drop is
-allowed, but more per unit of slope."""
+"""Limits among the remaining cells of ground. Their mean no longer contains removed objects, so
+a smaller drop is allowed, but more per unit of slope."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,11 @@ class AutoParameters:
     iteration_angle_deg: float = like(Progressive, "iteration_angle_deg", 28.0)
     edge_length_reduce_m: float = like(Progressive, "edge_length_reduce_m")
     object_size_m: float = parameter(
-        12.0, "widest object (car, shrub, wall) that is removed from the ground", 2.0, 1000.0, "m"
+        12.0,
+        "widest object (car, shrub, wall) that is removed from the ground",
+        2.0,
+        1000.0,
+        "m",
     )
     object_rise: float = parameter(
         0.1, "steepest rise of ground above the mean around it, metres per metre. Lower it if low objects stay, raise "
@@ -127,7 +135,9 @@ class AutoParameters:
         "m",
     )
     label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
-    label_slope_m: float = parameter(1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m")
+    label_slope_m: float = parameter(
+        1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m"
+    )
     refine: bool = parameter(
         True, "photogrammetric clouds: reclassify points near the edge of the ground with decision trees that were "
         "trained on scenes with reference classes; no: classify by the height above the surface only",
@@ -161,7 +171,9 @@ class AutoParameters:
     @property
     def shape(self) -> Shape:
         """Sizes of the rule for seeds."""
-        return Shape(self._cells(self.max_building_size_m / 2), self._cells(self.reaches.slope_m))
+        return Shape(
+            self._cells(self.max_building_size_m / 2), self._cells(self.reaches.slope_m)
+        )
 
     @property
     def objects(self) -> Residuals:
@@ -193,7 +205,9 @@ class AutoParameters:
     @property
     def roof_reach(self) -> int:
         """Distance in thinning cells beyond which points do not change the code of a cell in a pass `roofs`."""
-        return math.ceil((Plateaus.of(Scale(), self.roof_size_m).reach + 1) * ROOF_CELL_M / self.thin_cell_m)
+        return math.ceil(
+            (Plateaus.of(Scale(), self.roof_size_m).reach + 1) * ROOF_CELL_M / self.thin_cell_m
+        )
 
     @property
     def halo_m(self) -> float:

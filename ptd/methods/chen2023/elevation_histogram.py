@@ -55,9 +55,10 @@ def merged(parts: Iterable[Mapping[int, int]]) -> Histogram:
 def find_tails(counts: Histogram, gap_bins: int, share: float) -> Tails | None:
     """Cut both tails of a histogram at gaps.
 
-    The paper chooses from a plot of the histogram. Here a tail is the part beyond at least ``gap_bins`` empty bins, if
-    it has at most ``share`` of all points. Terrain fills its elevations without gaps, so a lonely peak stays, however
-    few points it has. A second survey area far above the first stays because of its share.
+    The paper chooses from a plot of the histogram. Here a tail is the part beyond at least
+    ``gap_bins`` empty bins, if it has at most ``share`` of all points. Terrain fills its
+    elevations without gaps, so a lonely peak stays, however few points it has. A second survey
+    area far above the first stays because of its share.
 
     Returns
     -------
@@ -138,4 +139,8 @@ class ElevationsPass(Pass):
             for n, side, level in cut
             if n
         )
-        return {**state, "tails": [tails.low_bin, tails.high_bin], "notes": add_notes(state, *notes)}
+        return {
+            **state,
+            "tails": [tails.low_bin, tails.high_bin],
+            "notes": add_notes(state, *notes),
+        }

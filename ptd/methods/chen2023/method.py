@@ -1,7 +1,8 @@
 """``chen2023``: seeds by a progressive morphological opening, cleaned in their TIN, then densification in batches.
 
-Paper: Chen, Wang, He, Ding and Kong (2023), Frontiers in Earth Science 10:1015153. Its six parameters are the first six
-of the table. The paper gives no values, neither for these nor for the rest. Figures are in ``docs/filters.md``.
+Paper: Chen, Wang, He, Ding and Kong (2023), Frontiers in Earth Science 10:1015153. Its six
+parameters are the first six of the table. The paper gives no values, neither for these nor for
+the rest. Figures are in ``docs/filters.md``.
 
 ===================  ==========================  ========  =============================================================
 parameter            paper's name                default   reason
@@ -101,7 +102,9 @@ class ChenPass(Pass):
     name: str = "chen2023"
     title = "find the ground, label all points"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> ChenModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> ChenModel:
         """Find the seeds and densify the window's TIN."""
         return ChenModel(self.params, points, window, scale, state.get("tails"))
 
@@ -144,12 +147,15 @@ class ChenModel(TinLabels):
         p, scale = self.params, self._scale
         limits = p.limits(scale)
         ring_cells = CellLattice.of(p.ring_cell_m, scale)
-        # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
+        # In a cell cut by the window another point may be the lowest. Outliers are certain one
+        # search radius inside.
         known = window.inside(self._cells, p.margin_cells)
         region = UncertifiedRegion(
             known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale
         )
-        seeds, uncertified = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
+        seeds, uncertified = potential_seeds(
+            x, y, z, ~outlier, self._cells, p.opening(scale), known
+        )
         region.add_points(x, y, uncertified)
         ring = choose_seeds(x, y, z, seeds, ring_cells, region, uncertified).virtual
         tin = _triangulate(x, y, z, seeds, ring)
@@ -163,7 +169,9 @@ class ChenModel(TinLabels):
         floor = 0.0
         if p.label_pass:
             floor = scale.counts(p.label_floor_m)
-        self.finish(tin, region.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass))
+        self.finish(
+            tin, region.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass)
+        )
         self.stats.update(rounds=rounds)
 
     def _noise(
@@ -177,11 +185,18 @@ class ChenModel(TinLabels):
     ) -> npt.NDArray[np.intp]:
         """Step 4: return the seeds that are noise. Positions of seeds for which this is open become uncertified."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
-        # Seeds share no position with one another, nor with the ring, which lies in cells without seeds.
-        real = np.isin(position_keys(vx, vy), position_keys(ring[:, 0], ring[:, 1]), invert=True)
-        noise, uncertified = noisy_seeds(tin, real, self.params.clusters(self._scale), region.triangles(tin))
+        # Seeds share no position with one another, nor with the ring, which lies in cells
+        # without seeds.
+        real = np.isin(
+            position_keys(vx, vy), position_keys(ring[:, 0], ring[:, 1]), invert=True
+        )
+        noise, uncertified = noisy_seeds(
+            tin, real, self.params.clusters(self._scale), region.triangles(tin)
+        )
         region.add_points(vx, vy, uncertified)
-        return seeds[np.isin(position_keys(x[seeds], y[seeds]), position_keys(vx[noise], vy[noise]))]
+        return seeds[
+            np.isin(position_keys(x[seeds], y[seeds]), position_keys(vx[noise], vy[noise]))
+        ]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points of the window, and return a mask of the uncertified labels too."""
@@ -197,4 +212,6 @@ def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:
     return Tin.build(*columns, max_vertices=int(x.size) + len(ring))
 
 
-METHOD = Method("chen2023", "morphological seeds cleaned in their TIN, then batches (Chen 2023)", Chen2023)
+METHOD = Method(
+    "chen2023", "morphological seeds cleaned in their TIN, then batches (Chen 2023)", Chen2023
+)

@@ -15,7 +15,9 @@ Int64 = npt.NDArray[np.int64]
 
 
 @kernel
-def _neighbours_of(heights: Int32, row: int, column: int, layers: Int32, k: int) -> tuple[Any, Any, Any]:
+def _neighbours_of(
+    heights: Int32, row: int, column: int, layers: Int32, k: int
+) -> tuple[Any, Any, Any]:
     """Sum, number and minimum of the 8-neighbours in layers before k."""
     total, n, lowest = np.int64(0), np.int64(0), np.int64(EMPTY)
     for r in range(max(row - 1, 0), min(row + 2, heights.shape[0])):
@@ -64,10 +66,10 @@ def _grow(heights: Int32, layers: Int32, queue: Int64, mean_layers: int, last: i
 def fill_empty(heights: Int32, mean_layers: int, last: int) -> tuple[Int32, Int32]:
     """Fill empty cells layer by layer around the filled ones.
 
-    In the first layers a cell takes the mean of its filled 8-neighbours, rounded down to a count. In later layers it
-    takes the height of the nearest filled cell. Distance is the larger of the differences in row and column; among
-    equally near cells the lowest counts. The paper gives cells beyond its interpolation the height 0, a pit that no
-    opening closes.
+    In the first layers a cell takes the mean of its filled 8-neighbours, rounded down to a
+    count. In later layers it takes the height of the nearest filled cell. Distance is the
+    larger of the differences in row and column; among equally near cells the lowest counts. The
+    paper gives cells beyond its interpolation the height 0, a pit that no opening closes.
 
     Parameters
     ----------

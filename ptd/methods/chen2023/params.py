@@ -33,18 +33,29 @@ class Chen2023Parameters(Progressive):
         maximum=10.0, source="Chen 2023, 2.2 A",
     )  # fmt: skip
     initial_window: int = parameter(
-        1, "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...", 1, 1000, source="Chen 2023, 3.2 (2), eq. 1"
+        1,
+        "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...",
+        1,
+        1000,
+        source="Chen 2023, 3.2 (2), eq. 1",
     )
     rounds: int = like(Classic, "rounds", 4)
     exponential_windows: bool = parameter(
-        False, "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more", source="Chen 2023, eq. 2"
+        False,
+        "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more",
+        source="Chen 2023, eq. 2",
     )
     terrain_slope: float = parameter(
         0.3, "s: largest drop of ground per metre by which the window grows", minimum=0.0, maximum=10.0,
         source="Chen 2023, eq. 3",
     )  # fmt: skip
     initial_drop_m: float = parameter(
-        0.3, "h_0: drop of ground that any window allows", 0.0, 100.0, "m", source="Chen 2023, eq. 3"
+        0.3,
+        "h_0: drop of ground that any window allows",
+        0.0,
+        100.0,
+        "m",
+        source="Chen 2023, eq. 3",
     )
     largest_drop_m: float = parameter(
         2.5, "h_max: largest drop of ground from one window to the next", unit="m", minimum=0.01,
@@ -89,7 +100,9 @@ class Chen2023Parameters(Progressive):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.exponential_windows and self.initial_window < 2:
-            raise ValueError("initial_window 1: exponential windows never grow from 1; use 2 or more")
+            raise ValueError(
+                "initial_window 1: exponential windows never grow from 1; use 2 or more"
+            )
         if self.thin_cell_m > self.max_building_size_m:
             raise ValueError(
                 f"thin_cell_m {self.thin_cell_m:g}: windows are made of such cells; use at most max_building_size_m, "
@@ -120,7 +133,8 @@ class Chen2023Parameters(Progressive):
     def margin_cells(self) -> int:
         """Number of cells around a point in which the searches for outliers look.
 
-        It is at least one, so that each candidate of a core is known and counts in one tile only.
+        It is at least one, so that each candidate of a core is known and counts in one tile
+        only.
         """
         return search_margin(self.low_radius_m, 1, self.thin_cell_m)
 
@@ -132,7 +146,11 @@ class Chen2023Parameters(Progressive):
     def opening(self, scale: Scale) -> Opening:
         """Windows and thresholds in counts."""
         drops = height_thresholds(
-            self.widths, self.terrain_slope, self.thin_cell_m, self.initial_drop_m, self.largest_drop_m
+            self.widths,
+            self.terrain_slope,
+            self.thin_cell_m,
+            self.initial_drop_m,
+            self.largest_drop_m,
         )
         return Opening(self.widths, [scale.counts_z(drop) for drop in drops], self.mean_layers)
 
@@ -143,4 +161,6 @@ class Chen2023Parameters(Progressive):
             math.cos(math.radians(self.narrow_angle_deg)),
         )
         prominence = scale.counts_z(self.prominence_m)
-        return ClusterLimits(scale.counts(side), cosine, self.cluster_seeds, prominence, scale.z_ratio)
+        return ClusterLimits(
+            scale.counts(side), cosine, self.cluster_seeds, prominence, scale.z_ratio
+        )

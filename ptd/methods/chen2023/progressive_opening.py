@@ -1,9 +1,10 @@
 """Progressive morphological opening of a minimum raster, which finds cells of objects (Chen 2023, 2.2 B).
 
-The paper opens the surface with growing square windows, and each opening starts from the result of the last one. An
-opening with a square after one with a smaller square equals the opening of the first surface with the larger square,
-because a square is a union of smaller ones. So each surface here is an opening of the first one, and only cells within
-one window's width decide on a cell, however many windows there are.
+The paper opens the surface with growing square windows, and each opening starts from the result
+of the last one. An opening with a square after one with a smaller square equals the opening of
+the first surface with the larger square, because a square is a union of smaller ones. So each
+surface here is an opening of the first one, and only cells within one window's width decide on
+a cell, however many windows there are.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from ptd.methods.chen2023.minimum_grid import fill_empty
 
 Bool = npt.NDArray[np.bool_]
 BLOCK_CELLS = 512
-"""Side of the blocks in which rasters are processed, so that memory does not grow with the extent."""
+"""Side of the blocks in which rasters are processed, so that memory does not grow with the
+extent."""
 
 
 def window_widths(initial: int, exponential: bool, building_cells: Fraction) -> list[int]:
@@ -154,7 +156,9 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
     surface = filled[inner]
     previous_surface = surface[inner].astype(np.int64)
     objects = np.zeros(previous_surface.shape, np.bool_)
-    for opened, drop in zip(opened_surfaces(surface, opening.widths), opening.drops, strict=True):
+    for opened, drop in zip(
+        opened_surfaces(surface, opening.widths), opening.drops, strict=True
+    ):
         objects |= previous_surface - opened > drop
         previous_surface = opened.astype(np.int64)
     uncertified = np.zeros(objects.shape, np.bool_)
@@ -166,7 +170,13 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
 
 
 def potential_seeds(
-    x: Int32, y: Int32, z: Int32, eligible: Bool, cells: CellLattice, opening: Opening, known: Window
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    eligible: Bool,
+    cells: CellLattice,
+    opening: Opening,
+    known: Window,
 ) -> tuple[Bool, Bool]:
     """Find the points whose cell does not rise above the ground.
 
@@ -198,12 +208,17 @@ def potential_seeds(
         inner_points = near[inner]
         row, column = rows[inner_points].min() - rim, columns[inner_points].min() - rim
         heights = np.full(
-            (np.ptp(rows[inner_points]) + 1 + 2 * rim, np.ptp(columns[inner_points]) + 1 + 2 * rim),
+            (
+                np.ptp(rows[inner_points]) + 1 + 2 * rim,
+                np.ptp(columns[inner_points]) + 1 + 2 * rim,
+            ),
             EMPTY,
             np.int32,
         )
         taken = near[eligible[near]]
-        within = (rows[taken] - row < heights.shape[0]) & (columns[taken] - column < heights.shape[1])
+        within = (rows[taken] - row < heights.shape[0]) & (
+            columns[taken] - column < heights.shape[1]
+        )
         within &= (rows[taken] >= row) & (columns[taken] >= column)
         taken = taken[within]
         heights[rows[taken] - row, columns[taken] - column] = z[taken]

@@ -43,7 +43,9 @@ class ClusterLimits(NamedTuple):
 
 
 @kernel
-def _sides(vertices: Int32Array, facet: Int32Array, z_ratio: float) -> tuple[float, float, float]:
+def _sides(
+    vertices: Int32Array, facet: Int32Array, z_ratio: float
+) -> tuple[float, float, float]:
     """Return the squared sides of a facet in space, growing, with bits that do not depend on the order of corners."""
     short, middle, longest = np.inf, np.inf, -np.inf
     for k in range(3):
@@ -75,7 +77,12 @@ def _highest(vertices: Int32Array, facet: Int32Array) -> int:
 
 @kernel
 def _judge_facets(
-    vertices: Int32Array, facets: Int32Array, real: Bool, long_side: float, narrow_cos: float, z_ratio: float
+    vertices: Int32Array,
+    facets: Int32Array,
+    real: Bool,
+    long_side: float,
+    narrow_cos: float,
+    z_ratio: float,
 ) -> tuple[Int32Array, Bool]:
     """Return, for each facet, the corner that is noise (-1: none), and whether it joins its corners to a cluster."""
     tips = np.full(facets.shape[0], -1, np.int32)
@@ -88,7 +95,9 @@ def _judge_facets(
                 tips[i] = top
         if real[facets[i, 0]] and real[facets[i, 1]] and real[facets[i, 2]]:
             # The smallest angle lies between the two longer sides.
-            joins[i] = middle + longest - short <= 2.0 * math.sqrt(middle * longest) * narrow_cos
+            joins[i] = (
+                middle + longest - short <= 2.0 * math.sqrt(middle * longest) * narrow_cos
+            )
     return tips, joins
 
 
@@ -141,17 +150,19 @@ def _sums(
     return size, total, around, total_around
 
 
-def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, uncertified: UInt8) -> tuple[Bool, Bool]:
+def noisy_seeds(
+    tin: Tin, real: Bool, limits: ClusterLimits, uncertified: UInt8
+) -> tuple[Bool, Bool]:
     """Return masks of the seeds that are noise, and of those for which that is uncertified.
 
     1. If a facet has an over-long side in space, its highest corner is noise. All facets are judged in one TIN.
     2. Facets that are not narrow and hold no such noise join their corners to clusters. A small cluster that lies
        higher than its neighbours, on average, is noise.
 
-    The paper gives neither the limits nor the reference of "locally prominent". Here it is the mean height of the seeds
-    that share a facet with the cluster, each counted once per facet and corner of the cluster in it. Facets join over
-    common corners, so each seed belongs to one cluster. Virtual seeds are never noise, join nothing, and are not
-    compared with.
+    The paper gives neither the limits nor the reference of "locally prominent". Here it is the
+    mean height of the seeds that share a facet with the cluster, each counted once per facet
+    and corner of the cluster in it. Facets join over common corners, so each seed belongs to
+    one cluster. Virtual seeds are never noise, join nothing, and are not compared with.
 
     Parameters
     ----------
@@ -174,7 +185,9 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, uncertified: UInt8)
     uncertified_corners = corners[
         uncertified != 0
     ]  # also beyond the hull, where a vertex may have unknown facets
-    tips, joins = _judge_facets(vertices, facets, real, limits.long_side, limits.narrow_cos, limits.z_ratio)
+    tips, joins = _judge_facets(
+        vertices, facets, real, limits.long_side, limits.narrow_cos, limits.z_ratio
+    )
     noise = np.zeros(real.size, np.bool_)
     noise[tips[tips >= 0]] = True
     uncertified_seeds = np.zeros(real.size, np.bool_)
@@ -191,7 +204,8 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, uncertified: UInt8)
     is_noise = noise | ((small & (rise > limits.prominence))[clusters] & real)
     if uncertified_facets.any():
         uncertified_seeds |= (
-            _uncertified_clusters(facets, joins, uncertified_facets, clusters, limits.small) & real
+            _uncertified_clusters(facets, joins, uncertified_facets, clusters, limits.small)
+            & real
         )
     return is_noise, uncertified_seeds
 

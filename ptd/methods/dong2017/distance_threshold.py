@@ -1,7 +1,7 @@
 """The first threshold of a run from its histogram of distances.
 
-Source: Dong 2017 (004), section 3.3.3. The paper only shows a picture; `second_difference_jump` explains how it is read
-here.
+Source: Dong 2017 (004), section 3.3.3. The paper only shows a picture; `second_difference_jump`
+explains how it is read here.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ SETTLED_SHARE = 0.05
 def second_difference_jump(counts: Sequence[int]) -> int | None:
     """Number of bins of the first population of a histogram, by the second difference of its accumulated counts.
 
-    Distances of ground to the seeds' TIN are small. On facades the distance "will sharply become big" (3.3.3), and the
-    accumulated histogram bends from a steep climb to a slow one. Its second difference is the change of the counts from
-    bin to bin. It jumps down where the ground thins out, and returns to about zero where the ground ends, which is the
-    threshold. For normal noise it jumps at one sigma, and returns to a twentieth of its depth at three sigma.
+    Distances of ground to the seeds' TIN are small. On facades the distance "will sharply
+    become big" (3.3.3), and the accumulated histogram bends from a steep climb to a slow one.
+    Its second difference is the change of the counts from bin to bin. It jumps down where the
+    ground thins out, and returns to about zero where the ground ends, which is the threshold.
+    For normal noise it jumps at one sigma, and returns to a twentieth of its depth at three
+    sigma.
 
     Parameters
     ----------

@@ -70,13 +70,15 @@ def density_of(points_by_count: Mapping[int, int], cell_area_m2: float) -> float
     return 0.0
 
 
-def facade_threshold(density_m2: float, height_m: float, cell_m: float, glass_factor: float) -> float:
+def facade_threshold(
+    density_m2: float, height_m: float, cell_m: float, glass_factor: float
+) -> float:
     """Points of a cell that a facade crosses, ``(DEN h g + DEN g^2) c`` (004, equation 3).
 
-    The equation is printed without DEN in its second term. Both terms are areas (of the facade, of the ground) times
-    points per area. The factor c accounts for glass, which is not matched (section 3.3.2). Ours: the threshold is at
-    least the mean of a cell of flat ground plus `CHANCE` standard deviations. Otherwise all cells of a sparse cloud
-    would be facades.
+    The equation is printed without DEN in its second term. Both terms are areas (of the facade,
+    of the ground) times points per area. The factor c accounts for glass, which is not matched
+    (section 3.3.2). Ours: the threshold is at least the mean of a cell of flat ground plus
+    `CHANCE` standard deviations. Otherwise all cells of a sparse cloud would be facades.
     """
     flat = density_m2 * cell_m * cell_m
     facade = glass_factor * (density_m2 * height_m * cell_m + flat)
@@ -94,7 +96,9 @@ def _median_point(x: Int32, y: Int32, z: Int32, order: Int64, first: int, last: 
     best = -1
     for k in range(first, last):
         i = order[k]
-        if z[i] == middle and (best < 0 or x[i] < x[best] or (x[i] == x[best] and y[i] < y[best])):
+        if z[i] == middle and (
+            best < 0 or x[i] < x[best] or (x[i] == x[best] and y[i] < y[best])
+        ):
             best = i
     return int(best)
 
@@ -112,7 +116,9 @@ def _clearance2(table: CellTable, facade: Bool, column: int, row: int, reach: in
 
 
 @kernel
-def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, rule: FacadeRule) -> Int32:
+def _road_points(
+    x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, rule: FacadeRule
+) -> Int32:
     """The median point of the road cell of each facade cell, -1 where there is none: int32 [cells]."""
     keys, starts, width = table.keys, table.starts, table.width
     median = np.full(keys.size, -2, np.int32)
@@ -143,7 +149,9 @@ def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, r
             if abs(float(z0) - float(z1)) < rule.min_drop or facade[road]:
                 continue
             sign = 1 - 2 * lower
-            clear = _clearance2(table, facade, column + sign * dx, row + sign * dy, rule.straight)
+            clear = _clearance2(
+                table, facade, column + sign * dx, row + sign * dy, rule.straight
+            )
             here = median[road]
             if clear > farthest or (clear == farthest and z[here] < z[chosen[s]]):
                 farthest = clear
@@ -153,11 +161,19 @@ def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, r
 
 @kernel
 def _variation(
-    x: Int32, y: Int32, z: Int32, table: CellTable, column: int, row: int, origin: int, z_ratio: float
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    table: CellTable,
+    column: int,
+    row: int,
+    origin: int,
+    z_ratio: float,
 ) -> float:
     """Return the root mean square of the residuals of a plane through a block of cells, or inf without a plane.
 
-    Sums are of integers, relative to a point of the block, so the order of the points changes no bit.
+    Sums are of integers, relative to a point of the block, so the order of the points changes
+    no bit.
     """
     s = np.zeros(MOMENTS, np.int64)
     for r in range(row - BLOCK, row + BLOCK + 1):
@@ -178,12 +194,17 @@ def _variation(
 
 
 @kernel
-def _flat(points: Xyz, table: CellTable, seeds: Int32, cells: tuple[Int64, Int64], rule: FacadeRule) -> Bool:
+def _flat(
+    points: Xyz, table: CellTable, seeds: Int32, cells: tuple[Int64, Int64], rule: FacadeRule
+) -> Bool:
     x, y, z = points
     columns, rows = cells
     out = np.zeros(seeds.size, np.bool_)
     for k in range(seeds.size):
-        out[k] = _variation(x, y, z, table, columns[k], rows[k], seeds[k], rule.z_ratio) < rule.variation
+        out[k] = (
+            _variation(x, y, z, table, columns[k], rows[k], seeds[k], rule.z_ratio)
+            < rule.variation
+        )
     return out
 
 
@@ -199,7 +220,9 @@ class Facades:
         Threshold of `facade_threshold`.
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice, min_points: float) -> None:
+    def __init__(
+        self, x: Int32, y: Int32, z: Int32, cells: CellLattice, min_points: float
+    ) -> None:
         self.x, self.y, self.z = x, y, z
         self.index = CellIndex(x, y, cells)
         self.holds = np.diff(self.index.table.starts) > min_points
@@ -213,11 +236,12 @@ class Facades:
     def seeds(self, rule: FacadeRule) -> Int32:
         """Find the points on roads next to facades (004, 3.1, step 3): int32 [m], indices by cell of facade.
 
-        Four lines cross a facade cell, along the axes and diagonals of the lattice, with a cell at the same distance
-        on both sides. The lower of these two cells is the road. The line whose road is farthest from all facade cells
-        counts, because it is most nearly perpendicular to the facade. Of equally far roads the lower one counts. The
-        seed is the point of median height in its cell, as the lowest point is a blunder or at the lower end of the
-        noise. It is dropped unless the points around it lie on a plane within the noise.
+        Four lines cross a facade cell, along the axes and diagonals of the lattice, with a cell
+        at the same distance on both sides. The lower of these two cells is the road. The line
+        whose road is farthest from all facade cells counts, because it is most nearly
+        perpendicular to the facade. Of equally far roads the lower one counts. The seed is the
+        point of median height in its cell, as the lowest point is a blunder or at the lower end
+        of the noise. It is dropped unless the points around it lie on a plane within the noise.
         """
         x, y, z, table = self.x, self.y, self.z, self.index.table
         road_points = _road_points(x, y, z, table, self.holds, rule)

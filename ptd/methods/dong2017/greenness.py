@@ -1,8 +1,8 @@
 """Vegetation by colour: the green leaf index, a test for two modes, and Otsu's threshold between them.
 
-Sources: Dong 2017 (004), equation 2 and section 3.3.1; Otsu (1979), A threshold selection method from gray-level
-histograms. All of it is arithmetic on whole numbers, so order, tiles and the range of the colours (8 or 16 bits) change
-nothing.
+Sources: Dong 2017 (004), equation 2 and section 3.3.1; Otsu (1979), A threshold selection
+method from gray-level histograms. All of it is arithmetic on whole numbers, so order, tiles and
+the range of the colours (8 or 16 bits) change nothing.
 """
 
 from __future__ import annotations
@@ -83,11 +83,12 @@ def smoothed(counts: Sequence[int]) -> list[int]:
 def two_modes(counts: Sequence[int]) -> tuple[int, int] | None:
     """Bins of a grey and a green mode beside each other, or None.
 
-    The check is needed because Otsu's threshold splits any histogram, even one with a single mode.
+    The check is needed because Otsu's threshold splits any histogram, even one with a single
+    mode.
 
-    The highest smoothed counts to the left and right of a bin are compared with its own count. The valley is the bin
-    whose count lies farthest below the lower one. Only colours greener than grey count; otherwise red roofs beside grey
-    streets would make the streets green.
+    The highest smoothed counts to the left and right of a bin are compared with its own count.
+    The valley is the bin whose count lies farthest below the lower one. Only colours greener
+    than grey count; otherwise red roofs beside grey streets would make the streets green.
 
     Parameters
     ----------
@@ -124,7 +125,8 @@ def _nearest_mode(values: Sequence[int], valley: int, step: int) -> int:
 def otsu(counts: Sequence[int]) -> int:
     """The first bin of the upper class of Otsu's two classes.
 
-    The split maximises the variance between the classes; among equal splits the lowest is taken.
+    The split maximises the variance between the classes; among equal splits the lowest is
+    taken.
 
     Parameters
     ----------
@@ -147,7 +149,8 @@ def otsu(counts: Sequence[int]) -> int:
 def green_from(counts: Sequence[int]) -> int | None:
     """Return the first bin that is vegetation, at least `GREY`, or None if the histogram has no separate green mode.
 
-    It is Otsu's threshold of the part between the grey and the green mode, so a third mode (red roofs) has no effect.
+    It is Otsu's threshold of the part between the grey and the green mode, so a third mode (red
+    roofs) has no effect.
     """
     modes = two_modes(counts)
     if modes is None:

@@ -16,11 +16,21 @@ from ptd.methods.dong2017.distance_threshold import second_difference_jump
 from ptd.methods.dong2017.growth import Growth, Stage, picks
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.seed_passes import VEGETATION
-from ptd.passes import MethodRefusal, Partial, Pass, Points, State, StatisticsModel, UInt8, add_notes
+from ptd.passes import (
+    MethodRefusal,
+    Partial,
+    Pass,
+    Points,
+    State,
+    StatisticsModel,
+    UInt8,
+    add_notes,
+)
 from ptd.tin.mesh import Tin
 
 HISTOGRAM_BINS = Bins(0.025, 120, 0.01, 60)
-"""Histogram of distances and angles, which covers eight times the published distance and twice the angle."""
+"""Histogram of distances and angles, which covers eight times the published distance and twice
+the angle."""
 
 JUMP_BINS = 2
 """Bins of distance that are merged before the search for the jump."""
@@ -78,7 +88,9 @@ class FirstGround(Pass):
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Growth:
         """Build the TIN of the seeds."""
         return Growth(self.stage, Threshold(**state["threshold"]), points, window, scale)
 
@@ -101,7 +113,9 @@ class Measurement(Pass):
     ) -> StatisticsModel:
         """Count the ground points of the core that are not vertices."""
         ground = points.known_labels() == GROUND
-        vertices = points.xyz[:, picks(points, ground, CellLattice.of(self.spacing_m, scale), 0)]
+        vertices = points.xyz[
+            :, picks(points, ground, CellLattice.of(self.spacing_m, scale), 0)
+        ]
         trial = Trial(Tin.build(*vertices), scale, MEASURED_CELLS * self.spacing_m)
         return _measured(trial, points, core, ground)
 
@@ -130,7 +144,9 @@ class Densification(Pass):
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Growth:
         """Build the TINs."""
         threshold = Threshold(**state["threshold"])
         if self.last:
@@ -169,7 +185,9 @@ def _contour(plane: Int64, level: float) -> Threshold | None:
     contour_bins = contour_reach(plane, max(level * plane.max(), 1.0))
     if contour_bins is None:
         return None
-    return Threshold(contour_bins[0] * HISTOGRAM_BINS.distance_m, contour_bins[1] * HISTOGRAM_BINS.angle_rad)
+    return Threshold(
+        contour_bins[0] * HISTOGRAM_BINS.distance_m, contour_bins[1] * HISTOGRAM_BINS.angle_rad
+    )
 
 
 def _with_threshold(state: State, where: str, found: Threshold, denser: bool = True) -> State:

@@ -21,7 +21,8 @@ from ptd.passes import Model, Points
 from ptd.tin.mesh import Tin
 
 MAX_WIDTH_CELLS = 1.5
-"""Largest circumradius of a facet that tests points, in cells. Within the rim it is at most sqrt(2)."""
+"""Largest circumradius of a facet that tests points, in cells. Within the rim it is at most
+sqrt(2)."""
 
 
 class Stage(NamedTuple):
@@ -54,8 +55,8 @@ class Stage(NamedTuple):
     def reach_m(self) -> float:
         """Margin in metres with which a core's ground is seldom uncertified, or never for one TIN without a rim.
 
-        It is the sum of a facet's circle, the cells cut by the edge and those of the rim, and 3.5 cells for each
-        further TIN, as measured.
+        It is the sum of a facet's circle, the cells cut by the edge and those of the rim, and
+        3.5 cells for each further TIN, as measured.
         """
         rim_m = 0.0
         if self.rim:
@@ -66,9 +67,10 @@ class Stage(NamedTuple):
 class Growth(Model):
     """Ground of a window, and the TINs that extend it.
 
-    Each TIN holds a random point of every cell with ground, a new choice each time. A point that passes is ground for
-    the next TIN. Effects of points outside the window are tracked as in `ptd.ground.densify`: a cell with an
-    uncertified point may get another vertex or none, and the empty cells around it another rim.
+    Each TIN holds a random point of every cell with ground, a new choice each time. A point
+    that passes is ground for the next TIN. Effects of points outside the window are tracked as
+    in `ptd.ground.densify`: a cell with an uncertified point may get another vertex or none,
+    and the empty cells around it another rim.
 
     Parameters
     ----------
@@ -134,7 +136,12 @@ def picks(points: Points, ground: Bool, cells: CellLattice, salt: int) -> Int64:
 
 
 def _add_uncertified_cells(
-    region: UncertifiedRegion, cells: CellLattice, x: Int32, y: Int32, ground: Bool, uncertified: Bool
+    region: UncertifiedRegion,
+    cells: CellLattice,
+    x: Int32,
+    y: Int32,
+    ground: Bool,
+    uncertified: Bool,
 ) -> None:
     """Make the cells of uncertified points uncertified, and the empty cells around them."""
     if not region.active or not uncertified.any():

@@ -1,7 +1,7 @@
 """``dong2017``: coloured image matching of towns, after Dong et al. (ISPRS Archives XLII-2/W7:703, 2017, paper 004).
 
-Vegetation is recognised by colour, seeds lie on the roads beside facades, and ground grows by tests against TINs of
-growing density. Their thresholds are estimated from the run.
+Vegetation is recognised by colour, seeds lie on the roads beside facades, and ground grows by
+tests against TINs of growing density. Their thresholds are estimated from the run.
 
 =====================  ==============================  ========  =================================================
 parameter              paper's name and value          default   reason
@@ -25,9 +25,10 @@ robust_cells           none                            on        ours, for photo
                                                                  the paper's rule
 =====================  ==============================  ========  =================================================
 
-The paper gets sigma from planes picked by hand; here ``--sigma`` gives it, or `ptd.ground.roughness` finds it. The
-threshold of greenness (GLI) is Otsu's (3.3.1), the first distance is the jump of the second difference (3.3.3), and the
-later thresholds come from the histogram of angles and distances (3.3.4). None of them is a parameter.
+The paper gets sigma from planes picked by hand; here ``--sigma`` gives it, or
+`ptd.ground.roughness` finds it. The threshold of greenness (GLI) is Otsu's (3.3.1), the first
+distance is the jump of the second difference (3.3.3), and the later thresholds come from the
+histogram of angles and distances (3.3.4). None of them is a parameter.
 
 **Photogrammetric clouds**, the paper's subject, are filtered differently by default. Vegetation, facades and seeds are
 found among the points, as above. Then ground grows on one robust height per cell of 1 m (`ptd.matched.cells`), starting
@@ -40,14 +41,15 @@ Deviations:
 
 - Otsu's threshold is used only between a grey and a green mode of the histogram.
 - A cell holds a facade only if chance does not explain its number of points.
-- A seed is dropped for a lower one only if ground cannot be so steep (equation 1). Otherwise only the lowest seed of a
-  slope would stay.
-- The paper does not explain the first angle. Here it is the largest angle of the contour of the points within the
-  first distance.
-- The smallest of a point's angles counts, as the paper says in 3.3.4 (Axelsson takes the largest).
-- The paper tests only ground between facades. Here each TIN holds the points that passed in earlier ones of the same
-  density, and a rim of virtual points on the planes of the ground, so ground grows beyond the facades. Facets across
-  more than a few cells test nothing.
+- A seed is dropped for a lower one only if ground cannot be so steep (equation 1). Otherwise
+  only the lowest seed of a slope would stay.
+- The paper does not explain the first angle. Here it is the largest angle of the contour of the
+  points within the first distance.
+- The smallest of a point's angles counts, as the paper says in 3.3.4 (Axelsson takes the
+  largest).
+- The paper tests only ground between facades. Here each TIN holds the points that passed in
+  earlier ones of the same density, and a rim of virtual points on the planes of the ground, so
+  ground grows beyond the facades. Facets across more than a few cells test nothing.
 """
 
 from __future__ import annotations
@@ -72,14 +74,14 @@ from ptd.methods.dong2017.seed_passes import ColourPass, SeedPass
 from ptd.passes import Method, Pass
 
 BLOCK_CELLS = 2
-"""Number of cells beyond `seed_distance` that the block around a seed needs: one that is cut, and one next to it."""
+"""Number of cells beyond `seed_distance` that the block around a seed needs: one that is cut,
+and one next to it."""
 
 MEASURED_SEEDS = 1.5
-"""Largest circumradius, in seed cells, of a facet of neighbouring seeds whose points are measured."""
+"""Largest circumradius, in seed cells, of a facet of neighbouring seeds whose points are
+measured."""
 
-ON_CELLS = (
-    "decided: facades and seeds are found among points; ground grows on the cells, green points may be ground"
-)
+ON_CELLS = "decided: facades and seeds are found among points; ground grows on the cells, green points may be ground"
 """Note for runs on a photogrammetric cloud."""
 
 SLACK_M = 1.0
@@ -92,7 +94,8 @@ Wide TINs continue beyond a bank that only the finest TINs climbed.
 """
 
 MAX_SEED_CELLS = 3.0
-"""Largest circumradius, in seed cells, of a facet of seeds that tests points: seeds lie along streets."""
+"""Largest circumradius, in seed cells, of a facet of seeds that tests points: seeds lie along
+streets."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,10 @@ class Dong2017(Dong2017Parameters):
             *seeds,
             *(OnLidar.of(step) for step in self._growing_on_points()),
             SeedCellPass(),
-            *(OnMatchedCells.of(step, f"{step.name}-of-cells") for step in self._growing_on_cells()),
+            *(
+                OnMatchedCells.of(step, f"{step.name}-of-cells")
+                for step in self._growing_on_cells()
+            ),
             NearGroundPass(),
         )
 
@@ -151,7 +157,9 @@ class Dong2017(Dong2017Parameters):
     def _densification(self, spacing_m: float, again: str = "", last: bool = False) -> Pass:
         stage = Stage.of_ground(spacing_m, self.tins)
         title = f"densify a TIN of {spacing_m:g} m"
-        return Densification(stage, last, f"densify-{spacing_m:g}m{again}", title, stage.reach_m)
+        return Densification(
+            stage, last, f"densify-{spacing_m:g}m{again}", title, stage.reach_m
+        )
 
     @property
     def first_stage(self) -> Stage:
@@ -182,13 +190,16 @@ class Dong2017(Dong2017Parameters):
     def seed_reach_m(self) -> float:
         """Metres from a point within which points decide whether it is a seed.
 
-        It covers the way over the facade to the flatness block on the other side, and the same for all seeds in the
-        podium radius and in the seed cell.
+        It covers the way over the facade to the flatness block on the other side, and the same
+        for all seeds in the podium radius and in the seed cell.
         """
         point_reach_m = 2 * self.seed_distance_m + 2 * BLOCK_CELLS * self.facade_cell_m
         return point_reach_m + self.podium_radius_m + math.sqrt(2) * self.seed_cell_m
 
 
 METHOD = Method(
-    "dong2017", "coloured image matching of towns: seeds beside facades (Dong 2017)", Dong2017, needs=("rgb",)
+    "dong2017",
+    "coloured image matching of towns: seeds beside facades (Dong 2017)",
+    Dong2017,
+    needs=("rgb",),
 )

@@ -35,7 +35,11 @@ class Dong2017Parameters:
         4.0, "distance of a seed from the facade", 1.0, 30.0, "m", source="Dong 2017, 3.1: d"
     )
     seed_variation: float = parameter(
-        2.0, "largest noise around a seed, in multiples of sigma", 0.5, 10.0, source="Dong 2017, 3.1: 2 sigma"
+        2.0,
+        "largest noise around a seed, in multiples of sigma",
+        0.5,
+        10.0,
+        source="Dong 2017, 3.1: 2 sigma",
     )
     podium_radius_m: float = parameter(
         15.0, "a seed is dropped if a much lower one lies within this distance", unit="m", minimum=1.0,
@@ -45,13 +49,20 @@ class Dong2017Parameters:
         0.3, "steepest slope between two seeds that are both ground", minimum=0.0, maximum=5.0,
         source="Dong 2017, equation 1: 0.3",
     )  # fmt: skip
-    seed_cell_m: float = parameter(15.0, "one seed, the lowest, per cell of this size", 2.0, 200.0, "m")
+    seed_cell_m: float = parameter(
+        15.0, "one seed, the lowest, per cell of this size", 2.0, 200.0, "m"
+    )
     first_spacing_m: float = parameter(
         4.0, "size of the cells of the first TIN of ground, halved until the last", unit="m", minimum=0.5,
         maximum=50.0, source="Dong 2017, table 4: 4 m",
     )  # fmt: skip
     last_spacing_m: float = parameter(
-        1.0, "size of the cells of the last TIN of ground", 0.25, 50.0, "m", source="Dong 2017, table 4: 2 m"
+        1.0,
+        "size of the cells of the last TIN of ground",
+        0.25,
+        50.0,
+        "m",
+        source="Dong 2017, table 4: 2 m",
     )
     tins: int = parameter(
         8,

@@ -17,7 +17,8 @@ from ptd.kernel import kernel
 Bool = npt.NDArray[np.bool_]
 
 NOISE_QUANTILE = 1.65
-"""One-sided 95 % quantile in equation 1 for a difference of two heights, which varies by sqrt(2) sigma."""
+"""One-sided 95 % quantile in equation 1 for a difference of two heights, which varies by
+sqrt(2) sigma."""
 
 
 @kernel

@@ -22,7 +22,9 @@ class SeedCellPass(CellPass):
     columns: tuple[str, ...] = ("labels",)
     gives_labels: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> SeedCells:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> SeedCells:
         """Find all cells, and those with seeds."""
         heights = super().fit(points, window, core, scale, state)
         seeds = points.known_labels() == GROUND

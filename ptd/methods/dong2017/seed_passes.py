@@ -20,7 +20,17 @@ from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade
 from ptd.methods.dong2017.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.podiums import on_podium
-from ptd.passes import MethodRefusal, Model, Partial, Pass, Points, State, StatisticsModel, UInt8, add_notes
+from ptd.passes import (
+    MethodRefusal,
+    Model,
+    Partial,
+    Pass,
+    Points,
+    State,
+    StatisticsModel,
+    UInt8,
+    add_notes,
+)
 
 VEGETATION = 5
 """Label of vegetation between passes. Seeds are `GROUND`, all other points `UNCLASSIFIED`."""
@@ -38,7 +48,9 @@ class ColourPass(Pass):
     every_point: bool = True
     gives_labels: bool = False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         """Count greenness and points per cell, and measure planar patches."""
         is_in_core = core.contains(points.xyz[0], points.xyz[1])
         bins = gli_bins(_rgb(points))
@@ -69,18 +81,20 @@ class ColourPass(Pass):
         green = green_from(gli.tolist())
         density = density_of(cells, self.params.facade_cell_m**2)
         sigma, origin = _sigma(state, patches)
-        vegetation = "vegetation by colour: none, the histogram of greenness (GLI) has no two modes"
+        vegetation = (
+            "vegetation by colour: none, the histogram of greenness (GLI) has no two modes"
+        )
         if green is not None:
             share = gli[green:].sum() / gli.sum()
-            vegetation = (
-                f"vegetation by colour: GLI above {index_of_bin(green):.3f} (Otsu), {share:.1%} of the points"
-            )
+            vegetation = f"vegetation by colour: GLI above {index_of_bin(green):.3f} (Otsu), {share:.1%} of the points"
         return {
             **state,
             "green_from": green,
             "density_m2": density,
             "sigma_m": sigma,
-            "notes": add_notes(state, vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"),
+            "notes": add_notes(
+                state, vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"
+            ),
         }
 
 
@@ -95,7 +109,9 @@ class SeedPass(Pass):
     columns: tuple[str, ...] = ("rgb",)
     every_point: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> SeedModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> SeedModel:
         """Find the window's seeds."""
         return SeedModel(self.params, points, core, scale, state)
 
@@ -106,7 +122,9 @@ class SeedPass(Pass):
             total.update(partial)
         p = self.params
         if not total["facade_points"]:
-            least = facade_threshold(state["density_m2"], p.facade_height_m, p.facade_cell_m, p.glass_factor)
+            least = facade_threshold(
+                state["density_m2"], p.facade_height_m, p.facade_cell_m, p.glass_factor
+            )
             raise MethodRefusal(
                 f"no facade found: no cell of {p.facade_cell_m:g} m holds more than {least:.0f} points (the cloud has "
                 f"{state['density_m2']:.1f}/m2); seeds lie beside facades, so use another method, or --set "
@@ -118,9 +136,7 @@ class SeedPass(Pass):
                 f"{p.seed_distance_m:g} m from one; use another method, change --set seed_distance, or give a larger "
                 "--sigma"
             )
-        note = (
-            f"facades: {total['facade_points']:,} points in dense cells; {total['seeds']:,} seeds beside them"
-        )
+        note = f"facades: {total['facade_points']:,} points in dense cells; {total['seeds']:,} seeds beside them"
         return {**state, "seeds": total["seeds"], "notes": add_notes(state, note)}
 
 
@@ -128,7 +144,12 @@ class SeedModel(Model):
     """Seeds of a window."""
 
     def __init__(
-        self, params: Dong2017Parameters, points: Points, core: Window, scale: Scale, state: State
+        self,
+        params: Dong2017Parameters,
+        points: Points,
+        core: Window,
+        scale: Scale,
+        state: State,
     ) -> None:
         self.green = state["green_from"]
         keep = ~_green(points, self.green)
@@ -137,7 +158,10 @@ class SeedModel(Model):
         chosen = np.zeros(0, np.int32)
         if x.size:
             least = facade_threshold(
-                state["density_m2"], params.facade_height_m, params.facade_cell_m, params.glass_factor
+                state["density_m2"],
+                params.facade_height_m,
+                params.facade_cell_m,
+                params.glass_factor,
             )
             facades = Facades(x, y, z, CellLattice.of(params.facade_cell_m, scale), least)
             inside = facades.points()
@@ -183,9 +207,13 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
     x, y, z = facades.x, facades.y, facades.z
     seeds = facades.seeds(rule)
     seeds = seeds[
-        ~on_podium(x[seeds], y[seeds], z[seeds], scale, p.podium_radius_m, p.terrain_slope, sigma_m)
+        ~on_podium(
+            x[seeds], y[seeds], z[seeds], scale, p.podium_radius_m, p.terrain_slope, sigma_m
+        )
     ]
-    return seeds[lowest_per_cell(x[seeds], y[seeds], z[seeds], CellLattice.of(p.seed_cell_m, scale))]
+    return seeds[
+        lowest_per_cell(x[seeds], y[seeds], z[seeds], CellLattice.of(p.seed_cell_m, scale))
+    ]
 
 
 def _sigma(state: State, patches: Sequence[noise_sums.PatchCounts]) -> tuple[float, str]:
@@ -199,7 +227,9 @@ def _sigma(state: State, patches: Sequence[noise_sums.PatchCounts]) -> tuple[flo
         measured = noise_sums.merge(patches)
         sigma, origin = measured.sigma_m, f"from {measured.patches:,} planar patches"
     if sigma is None:
-        raise MethodRefusal("no planar patch to measure the noise of heights; give it with --sigma (metres)")
+        raise MethodRefusal(
+            "no planar patch to measure the noise of heights; give it with --sigma (metres)"
+        )
     return sigma, origin
 
 
@@ -208,7 +238,9 @@ def _points_by_count(x: Int32, y: Int32, cells: CellLattice, own: Bool) -> list[
     if not x.size:
         return []
     columns, rows = cells.cell_indices(x, y)
-    keys = (rows - rows.min()) * (int(columns.max() - columns.min()) + 1) + columns - columns.min()
+    keys = (
+        (rows - rows.min()) * (int(columns.max() - columns.min()) + 1) + columns - columns.min()
+    )
     _, slot, counts = np.unique(keys, return_inverse=True, return_counts=True)
     points_per_cell, points = np.unique(counts[slot[own]], return_counts=True)
     return [[int(n), int(p)] for n, p in zip(points_per_cell, points, strict=True)]

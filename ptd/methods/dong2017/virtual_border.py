@@ -1,7 +1,8 @@
 """Virtual points that extend a TIN a little beyond its outermost points, along its planes.
 
-They resemble the ring of seeds (`ptd.ground.seeds`), but their heights follow the slope of the ground. Where ground
-grows outward or along a hillside, a level ring would be too high or too low within a few metres.
+They resemble the ring of seeds (`ptd.ground.seeds`), but their heights follow the slope of the
+ground. Where ground grows outward or along a hillside, a level ring would be too high or too
+low within a few metres.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ MIN_CELLS = 4
 
 
 @kernel
-def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: Int64, cy: Int64) -> Int64:
+def _heights(
+    table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: Int64, cy: Int64
+) -> Int64:
     """Heights of planes through the filled cells around empty ones."""
     out = np.empty(empty.size, np.int64)
     s = np.zeros(MOMENTS, np.int64)
@@ -53,9 +56,10 @@ def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: I
 def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """Virtual points at the middle of each empty cell within `RING` cells of a filled one.
 
-    Therefore an empty circle through a position in such a cell, or in a filled one, has at most a cell's diagonal as
-    its radius (``docs/filters.md``: the ring bounds circles). A height is that of the plane through the points of the
-    cells up to `REACH` away, in whole counts. Cells farther away have no effect.
+    Therefore an empty circle through a position in such a cell, or in a filled one, has at most
+    a cell's diagonal as its radius (``docs/filters.md``: the ring bounds circles). A height is
+    that of the plane through the points of the cells up to `REACH` away, in whole counts. Cells
+    farther away have no effect.
 
     Parameters
     ----------
@@ -82,7 +86,11 @@ def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     half = cells.p // (2 * cells.q)
     cx = half - (-(empty % width + col0) * cells.p) // cells.q - cells.origin_x
     cy = half - (-(empty // width + row0) * cells.p) // cells.q - cells.origin_y
-    table = CellTable(np.zeros(0, np.int32), keys, np.arange(keys.size + 1), order, width, height)
+    table = CellTable(
+        np.zeros(0, np.int32), keys, np.arange(keys.size + 1), order, width, height
+    )
     x64, y64, z64 = (column.astype(np.int64) for column in (x, y, z))
     heights = _heights(table, x64, y64, z64, empty, cx, cy)
-    return np.stack([cx, cy, np.clip(heights, -(2**31) + 1, 2**31 - 1)], axis=1).astype(np.int32)
+    return np.stack([cx, cy, np.clip(heights, -(2**31) + 1, 2**31 - 1)], axis=1).astype(
+        np.int32
+    )

@@ -14,9 +14,11 @@ from ptd.ground.random_choice import random_per_cell
 from ptd.tin.mesh import Tin
 
 MAX_WIDTH_M = 20.0
-"""Largest circumradius of a facet that tests points; larger ones lie under objects or across voids."""
+"""Largest circumradius of a facet that tests points; larger ones lie under objects or across
+voids."""
 
-DISTANCE_BIN_M = 0.02  # A fine bin compared with the noise of photogrammetric clouds, about 0.1 m.
+# A fine bin compared with the noise of photogrammetric clouds, about 0.1 m.
+DISTANCE_BIN_M = 0.02
 ANGLE_BIN_DEG = 1.0
 BINS = Bins(DISTANCE_BIN_M, 150, math.radians(ANGLE_BIN_DEG), 90)
 
@@ -43,7 +45,14 @@ class EvenTin:
     """
 
     def __init__(
-        self, x: Int32, y: Int32, z: Int32, ground: Bool, scale_m: float, window: Window, scale: Scale
+        self,
+        x: Int32,
+        y: Int32,
+        z: Int32,
+        ground: Bool,
+        scale_m: float,
+        window: Window,
+        scale: Scale,
     ) -> None:
         index = np.flatnonzero(ground)
         cells = CellLattice.of(scale_m, scale)

@@ -1,8 +1,8 @@
 """``dong2018``: two stages, the second from the noise of the points (Dong et al. 2018, paper 000).
 
-In a dense TIN the noise of heights makes larger angles than the iteration angle, and Axelsson's test loses ground. So
-densification stops at the density at which noise decides, and continues with thresholds read from the ground points
-themselves, scale by scale.
+In a dense TIN the noise of heights makes larger angles than the iteration angle, and Axelsson's
+test loses ground. So densification stops at the density at which noise decides, and continues
+with thresholds read from the ground points themselves, scale by scale.
 
 1. Noise sigma from planar patches (`ptd.ground.roughness`, eq. 1), or ``--sigma``.
 2. ``DEN_thr = k tan^2(alpha) / (3 sqrt(3) sigma^2)`` (eq. 3): in a denser TIN, noise decides.
@@ -42,21 +42,24 @@ around them. These heights are sparse means of many points, so by equation 3 noi
 omitted, because the last pass recovers the ground that noise would lose. ``--set robust_cells=no`` gives the steps
 above, which are also those for LiDAR clouds.
 
-Figures are in ``docs/filters.md``. Deviations, and answers to questions that the paper leaves open:
+Figures are in ``docs/filters.md``. Deviations, and answers to questions that the paper leaves
+open:
 
-- The paper's seeds were picked by hand. Ours are the lowest points per cell that do not lie in a pit (`pits`), because
-  photogrammetric clouds have a blunder below the ground under nearly every cell.
-- "Until the TIN's density passes DEN_thr" is decided facet by facet. In batches, the mean density of a run would pass
-  it in the first round, before slopes and corners are reached.
-- If densification ends before the TIN reaches DEN_thr, stage two follows as well, because noise ended stage one.
-- Points are thinned in stage one, so that the TIN can just pass DEN_thr. A thinning cell that cannot reach it is
-  refused.
-- A random choice is a hash of the point's absolute position. Facets of a circumradius above 20 m test no points in
-  stage two.
-- n is counted over all tiles between two passes. On a city it never stops a run; per tile it would stop some tiles and
-  not their neighbours, and so show the edges of tiles.
-- Both thresholds are reported for each scale, with a warning if the angle does not grow or the distance does not
-  shrink. The thresholds are used as they are.
+- The paper's seeds were picked by hand. Ours are the lowest points per cell that do not lie in
+  a pit (`pits`), because photogrammetric clouds have a blunder below the ground under nearly
+  every cell.
+- "Until the TIN's density passes DEN_thr" is decided facet by facet. In batches, the mean
+  density of a run would pass it in the first round, before slopes and corners are reached.
+- If densification ends before the TIN reaches DEN_thr, stage two follows as well, because noise
+  ended stage one.
+- Points are thinned in stage one, so that the TIN can just pass DEN_thr. A thinning cell that
+  cannot reach it is refused.
+- A random choice is a hash of the point's absolute position. Facets of a circumradius above 20
+  m test no points in stage two.
+- n is counted over all tiles between two passes. On a city it never stops a run; per tile it
+  would stop some tiles and not their neighbours, and so show the edges of tiles.
+- Both thresholds are reported for each scale, with a warning if the angle does not grow or the
+  distance does not shrink. The thresholds are used as they are.
 """
 
 from __future__ import annotations
@@ -100,7 +103,10 @@ class Dong2018(Dong2018Parameters):
     @property
     def halo_m(self) -> float:
         """Two seed cells and 8 m for each round of stage one, as in `classic`, without the margin."""
-        return max(2.0 * self.max_building_size_m + 8.0 * min(self.rounds or 30, 30) - self.margin_m, 0.0)
+        return max(
+            2.0 * self.max_building_size_m + 8.0 * min(self.rounds or 30, 30) - self.margin_m,
+            0.0,
+        )
 
     @property
     def margin_m(self) -> float:

@@ -32,9 +32,15 @@ class Dong2018Parameters(Progressive):
         4.0, "stage two: largest cells, each gives one vertex; halved from scale to scale", unit="m",
         minimum=1.0, maximum=64.0, source="Dong 2018, 2.5.3",
     )  # fmt: skip
-    last_scale_m: float = parameter(1.0, "s_thr: smallest cells", 0.25, 1.0, "m", source="Dong 2018, 2.5.3")
+    last_scale_m: float = parameter(
+        1.0, "s_thr: smallest cells", 0.25, 1.0, "m", source="Dong 2018, 2.5.3"
+    )
     min_joined: int = parameter(
-        2000, "n: stage two ends when fewer points of the run join", 0, 10**9, source="Dong 2018, 2.5.3"
+        2000,
+        "n: stage two ends when fewer points of the run join",
+        0,
+        10**9,
+        source="Dong 2018, 2.5.3",
     )
     contour_share: float = parameter(
         0.01, "level of the outer contour as a share of the histogram's fullest bin", minimum=0.0001, maximum=0.9,
@@ -56,7 +62,9 @@ class Dong2018Parameters(Progressive):
     def classic(self) -> Classic:
         """`classic` with the same parameters."""
         shared = {
-            field.name: getattr(self, field.name) for field in fields(Classic) if hasattr(self, field.name)
+            field.name: getattr(self, field.name)
+            for field in fields(Classic)
+            if hasattr(self, field.name)
         }
         return Classic(**{**shared, "thin_cell_m": self.thin_cell_m or 1.0})
 

@@ -35,9 +35,10 @@ def _around(keys: Int64, heights: Int64, wanted: Int64, sign: int, out: Int64) -
 def pits(x: Int32, y: Int32, z: Int32, depth_m: float, scale: Scale) -> LowNoise:
     """Heights below which points lie in pits, by cell.
 
-    The surface of the lowest points per cell is closed with a square of 3 x 3 cells, which fills hollows that are
-    narrower than the square. A slope stays unchanged at any inclination, so a depth of a few times the noise suffices.
-    Squares may lie partly outside the data; otherwise the lower border of the data would count as a pit.
+    The surface of the lowest points per cell is closed with a square of 3 x 3 cells, which
+    fills hollows that are narrower than the square. A slope stays unchanged at any inclination,
+    so a depth of a few times the noise suffices. Squares may lie partly outside the data;
+    otherwise the lower border of the data would count as a pit.
 
     Parameters
     ----------
@@ -67,4 +68,6 @@ def pits(x: Int32, y: Int32, z: Int32, depth_m: float, scale: Scale) -> LowNoise
     _around(keys, heights, centres, 1, highest)
     _around(centres, highest, keys, -1, closed)
     limit = closed - int(np.ceil(scale.counts_z(depth_m)))
-    return LowNoise(x[order], y[order], np.maximum(limit, np.iinfo(np.int32).min).astype(np.int32), cells)
+    return LowNoise(
+        x[order], y[order], np.maximum(limit, np.iinfo(np.int32).min).astype(np.int32), cells
+    )

@@ -19,7 +19,17 @@ from ptd.methods.classic import ClassicPass, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
 from ptd.params import DECIMALS
-from ptd.passes import MethodRefusal, Model, Partial, Pass, Points, State, StatisticsModel, UInt8, add_notes
+from ptd.passes import (
+    MethodRefusal,
+    Model,
+    Partial,
+    Pass,
+    Points,
+    State,
+    StatisticsModel,
+    UInt8,
+    add_notes,
+)
 
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise has an effect."""
@@ -46,7 +56,8 @@ class NoisePass(Pass):
     def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add the figures of the run to the state.
 
-        These are ``density_m2``, ``cells``, ``sigma_m``, ``patches``, ``threshold_m2``, ``thin_cell_m`` and ``dense``.
+        These are ``density_m2``, ``cells``, ``sigma_m``, ``patches``, ``threshold_m2``,
+        ``thin_cell_m`` and ``dense``.
 
         Raises
         ------
@@ -75,7 +86,9 @@ class NoisePass(Pass):
         least = self.params.threshold_m2(assumed)
         if measured.density_m2 < SPARSE_M2 or (sigma is None and measured.density_m2 <= least):
             return with_notes(
-                state, figures, f"{density}: too sparse for noise to matter, so the result is classic's"
+                state,
+                figures,
+                f"{density}: too sparse for noise to matter, so the result is classic's",
             )
         if sigma is None:
             raise MethodRefusal(
@@ -86,7 +99,9 @@ class NoisePass(Pass):
         summary = f"sigma {sigma:.3g} m ({origin}), {density}, DEN_thr {least:.3g} points/m2"
         figures["threshold_m2"] = least
         if measured.density_m2 <= least:
-            return with_notes(state, figures, f"{summary}: sparser than that, so the result is classic's")
+            return with_notes(
+                state, figures, f"{summary}: sparser than that, so the result is classic's"
+            )
         cell = self.params.thin_cell_m or _thin_cell(least)
         if 1.0 / cell**2 <= least:
             raise MethodRefusal(
@@ -95,7 +110,9 @@ class NoisePass(Pass):
             )
         figures.update(dense=True, thin_cell_m=cell)
         return with_notes(
-            state, figures, f"{summary}: two stages, vertices of stage one thinned to {cell:g} m"
+            state,
+            figures,
+            f"{summary}: two stages, vertices of stage one thinned to {cell:g} m",
         )
 
 
@@ -107,7 +124,11 @@ def _thin_cell(threshold_m2: float) -> float:
 
 def with_notes(state: State, figures: Mapping[str, Any], *lines: str) -> State:
     """The state with more figures, and with notes about them."""
-    return {**state, **figures, "notes": add_notes(state, *(f"dong2018: {line}" for line in lines))}
+    return {
+        **state,
+        **figures,
+        "notes": add_notes(state, *(f"dong2018: {line}" for line in lines)),
+    }
 
 
 def even_edge_m(density_m2: float) -> float:
@@ -124,7 +145,9 @@ class StageOnePass(Pass):
     title = "find the first terrain"
     every_point: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> Model:
         """Densify the window's TIN."""
         if not state["dense"]:
             return ClassicPass(self.params.classic()).fit(points, window, core, scale, state)
@@ -135,9 +158,16 @@ class StageOneModel(TinLabels):
     """The TIN of a window after stage one."""
 
     def __init__(
-        self, params: Dong2018Parameters, points: Points, window: Window, scale: Scale, state: State
+        self,
+        params: Dong2018Parameters,
+        points: Points,
+        window: Window,
+        scale: Scale,
+        state: State,
     ) -> None:
-        super().__init__(window.closed, {"candidates": 0, "rounds": 0, "pit_points": 0, "vertices": 0})
+        super().__init__(
+            window.closed, {"candidates": 0, "rounds": 0, "pit_points": 0, "vertices": 0}
+        )
         x, y, z = points.columns()
         if not x.size:
             return
@@ -147,9 +177,13 @@ class StageOneModel(TinLabels):
         cell = float(state["thin_cell_m"])
         x, y, z = thinned((x[~low], y[~low], z[~low]), cell, scale)
         edge = min(round(even_edge_m(state["threshold_m2"]), DECIMALS), MAX_STOP_M)
-        limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
+        limits = replace(
+            params, edge_length_stop_m=max(params.edge_length_stop_m, edge)
+        ).limits(scale)
         cells = CellLattice.of(cell, scale)
-        known = window.inside(CellLattice.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)
+        known = window.inside(CellLattice.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(
+            cells
+        )
         tin, uncertified, rounds = densify_seeds(
             Xyz(x, y, z),
             np.zeros(x.size, np.bool_),

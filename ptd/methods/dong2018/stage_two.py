@@ -19,7 +19,8 @@ from ptd.methods.dong2018.stage_one import with_notes
 from ptd.passes import Model, Partial, Pass, Points, State, StatisticsModel, UInt8
 
 JOINED = 4
-"""Label of points that joined at the most recent scale; other labels between passes are ASPRS classes."""
+"""Label of points that joined at the most recent scale; other labels between passes are ASPRS
+classes."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,9 @@ class MeasurePass(Pass):
             "ground": int(np.count_nonzero(is_in_core & ground)),
             "bins": [[int(i), int(counts.flat[i])] for i in bins],
         }
-        return StatisticsModel(partial, {"vertices": even.vertices, "left_out": int(counts.sum())})
+        return StatisticsModel(
+            partial, {"vertices": even.vertices, "left_out": int(counts.sum())}
+        )
 
     def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add the thresholds and figures of this scale to the state.
@@ -73,11 +76,15 @@ class MeasurePass(Pass):
         previous_scales, lines = list(state.get("scales", [])), []
         if previous_scales:
             previous_scales[-1] = {**previous_scales[-1], "joined": joined}
-            lines.append(f"{joined} points joined at the scale of {previous_scales[-1]['scale_m']:g} m")
+            lines.append(
+                f"{joined} points joined at the scale of {previous_scales[-1]['scale_m']:g} m"
+            )
             if joined < self.params.min_joined:
                 why = f"fewer than {self.params.min_joined}"
                 return with_notes(
-                    state, {"scales": previous_scales, "stopped": why}, f"{lines[0]}, {why}: stage two ends"
+                    state,
+                    {"scales": previous_scales, "stopped": why},
+                    f"{lines[0]}, {why}: stage two ends",
                 )
         else:
             density = ground / (state["cells"] * noise_sums.PATCH_M**2)
@@ -85,7 +92,9 @@ class MeasurePass(Pass):
             if density <= state["threshold_m2"]:
                 short = "; nothing more passed"
             lines.append(f"stage one ended with {density:.3g} points/m2 in the TIN{short}")
-        reach_bins = contour_reach(counts, max(self.params.contour_share * float(counts.max()), 1e-9))
+        reach_bins = contour_reach(
+            counts, max(self.params.contour_share * float(counts.max()), 1e-9)
+        )
         if reach_bins is None:
             lines.append(
                 f"no ground is left out of the TIN at the scale of {self.scale_m:g} m: stage two ends"
@@ -122,7 +131,9 @@ class JoinPass(Pass):
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> JoinModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> JoinModel:
         """Build the even TIN again."""
         if not _goes_on(state):
             return JoinModel(None, 0.0, 0.0, True)
@@ -136,7 +147,9 @@ class JoinPass(Pass):
 class JoinModel(Model):
     """Model that tests points against a window's even TIN. Without a TIN labels stay unchanged."""
 
-    def __init__(self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool) -> None:
+    def __init__(
+        self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool
+    ) -> None:
         self._even, self._distance_m, self._angle_deg = even, distance_m, angle_deg
         self._label = JOINED
         if last:
@@ -153,7 +166,9 @@ class JoinModel(Model):
             return labels, np.zeros(len(points), np.bool_)
         x, y, z = points.columns()
         waiting = previous_labels == UNCLASSIFIED
-        passed, uncertified_labels = self._even.near(x, y, z, waiting, self._distance_m, self._angle_deg)
+        passed, uncertified_labels = self._even.near(
+            x, y, z, waiting, self._distance_m, self._angle_deg
+        )
         labels[passed] = self._label
         return labels, uncertified_labels
 

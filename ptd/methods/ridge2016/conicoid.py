@@ -1,12 +1,13 @@
 """Test seeds against a curved surface (conicoid) fitted to their neighbours.
 
-Source: Remote Sensing 8(1):71 (2016), section 2.2. The heights of a seed and its neighbours in the TIN are observations
-of ``z = b0 + b1 x + b2 y + b3 x2 + b4 xy + b5 y2`` (equations 2-5). A seed is a gross error if its normalised residual
-lies outside the confidence interval of the t distribution (equations 6-10).
+Source: Remote Sensing 8(1):71 (2016), section 2.2. The heights of a seed and its neighbours in
+the TIN are observations of ``z = b0 + b1 x + b2 y + b3 x2 + b4 xy + b5 y2`` (equations 2-5). A
+seed is a gross error if its normalised residual lies outside the confidence interval of the t
+distribution (equations 6-10).
 
-One kernel fits seed by seed: coordinates are relative to the judged seed, neighbours are in the order of (x, y), and
-modified Gram-Schmidt uses plain sums. So equal neighbours give equal bits. Neither the tile, nor the order of the
-points, nor a linear algebra library has an effect.
+One kernel fits seed by seed: coordinates are relative to the judged seed, neighbours are in the
+order of (x, y), and modified Gram-Schmidt uses plain sums. So equal neighbours give equal bits.
+Neither the tile, nor the order of the points, nor a linear algebra library has an effect.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ MIN_NEIGHBOURS = 10
 DEPENDENT = 1e-6
 """Smallest share of a column that has to be independent of the other columns.
 
-Otherwise the conicoid is undetermined. If 1 - leverage of the seed is at most this share, its own height determines
-the fit, and there is no residual. In both cases the seed stays.
+Otherwise the conicoid is undetermined. If 1 - leverage of the seed is at most this share, its
+own height determines the fit, and there is no residual. In both cases the seed stays.
 """
 
 
@@ -113,7 +114,8 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
     squares = 0.0
     for i in range(n):
         squares += rows[i, UNKNOWNS] * rows[i, UNKNOWNS]
-    # All columns except the constant are 0 in the judged point, so the constant alone makes its leverage.
+    # All columns except the constant are 0 in the judged point, so the constant alone makes its
+    # leverage.
     return rows[0, UNKNOWNS], rows[0, UNKNOWNS - 1] * rows[0, UNKNOWNS - 1], squares
 
 
@@ -127,7 +129,10 @@ def _statistics(
     """
     vertices = mesh[0]
     statistic, residual = np.zeros(n_vertices), np.zeros(n_vertices)
-    observations, uncertified_vertices = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
+    observations, uncertified_vertices = (
+        np.zeros(n_vertices, np.int32),
+        np.zeros(n_vertices, np.bool_),
+    )
     seen = np.full(n_vertices, -1, np.int32)
     neighbours = np.empty(n_vertices, np.int32)
     rows = np.empty((64, UNKNOWNS + 1), np.float64)
@@ -169,15 +174,21 @@ def _statistics(
 
 
 def conicoid_outliers(
-    tin: Tin, data: Bool, length: float, confidence: float, least: float, region: UncertifiedRegion
+    tin: Tin,
+    data: Bool,
+    length: float,
+    confidence: float,
+    least: float,
+    region: UncertifiedRegion,
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the seeds that do not fit the conicoid through their neighbours, all in the same TIN.
 
-    The observations are the seed itself and the data vertices up to two edges away, over data vertices only. The paper
-    judges one seed after the other, in the TIN that earlier decisions left, which depends on their order.
+    The observations are the seed itself and the data vertices up to two edges away, over data
+    vertices only. The paper judges one seed after the other, in the TIN that earlier decisions
+    left, which depends on their order.
 
-    With n observations the normalised residual cannot exceed the root of n - u - 1 (equations 8 and 9). So at 98 % no
-    seed with fewer than 16 observations is contradicted.
+    With n observations the normalised residual cannot exceed the root of n - u - 1 (equations 8
+    and 9). So at 98 % no seed with fewer than 16 observations is contradicted.
 
     Parameters
     ----------
@@ -208,7 +219,9 @@ def conicoid_outliers(
         tin.mesh, n, data, uncertified, length
     )
     xyz = tin.vertices
-    region.add_points(np.ascontiguousarray(xyz[:, 0]), np.ascontiguousarray(xyz[:, 1]), uncertified_vertices)
+    region.add_points(
+        np.ascontiguousarray(xyz[:, 0]), np.ascontiguousarray(xyz[:, 1]), uncertified_vertices
+    )
     freedom = np.maximum(observations - UNKNOWNS - 1, 1)
     limit = stdtrit(freedom, 0.5 + 0.5 * confidence)
     is_outlier: Bool = data & (statistic > limit) & (abs(residual) > least)

@@ -1,6 +1,7 @@
 """``ridge2016``: progressive TIN densification for steep mountains beside settlements.
 
-Remote Sensing 8(1):71 (2016); file 003. Parameters that are not in the table are those of `classic`.
+Remote Sensing 8(1):71 (2016); file 003. Parameters that are not in the table are those of
+`classic`.
 
 ====================  =============================  ========  =======================================================
 parameter             paper's name and value         default   reason
@@ -28,21 +29,23 @@ robust_cells          none                           on        ours, for photogr
 Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ridges`); seed refinement (2.2, equations 2-10,
 `conicoid`); densification (2.3, equations 11 and 12, `thinned_densification`).
 
-Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both numbers belong to the run
-and are unknown in a tile. So a first pass runs all rounds and counts, in each, the points of its tile's core that join
-the class. The sums over all tiles determine the last round. The labels of the first pass say in which round a point
-became a vertex. A vertex is replaced only by a lower one of its cell, and never returns, so these labels give the
-second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an uncertified count is
-repeated with a wider halo. The remaining uncertified points are summed as well. If they could change the last round, a
-note reports it.
+Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both
+numbers belong to the run and are unknown in a tile. So a first pass runs all rounds and counts,
+in each, the points of its tile's core that join the class. The sums over all tiles determine
+the last round. The labels of the first pass say in which round a point became a vertex. A
+vertex is replaced only by a lower one of its cell, and never returns, so these labels give the
+second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an
+uncertified count is repeated with a wider halo. The remaining uncertified points are summed as
+well. If they could change the last round, a note reports it.
 
 Deviations:
 
-- Seeds are judged against one TIN and dropped together, because judging one after the other depends on their order.
+- Seeds are judged against one TIN and dropped together, because judging one after the other
+  depends on their order.
 - Virtual seeds around the data (`ptd.ground.seeds`) neither make ridges nor take part in fits.
-- Growth is the number of points that join the class. Points that leave it are not subtracted, because the facet test
-  gets stricter next to new vertices: in the second round the class often shrinks while the TIN grows. The class is that
-  of the last pass, with its floor.
+- Growth is the number of points that join the class. Points that leave it are not subtracted,
+  because the facet test gets stricter next to new vertices: in the second round the class often
+  shrinks while the TIN grows. The class is that of the last pass, with its floor.
 - Low outliers are removed first; the paper does not mention them.
 """
 

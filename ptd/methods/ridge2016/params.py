@@ -43,7 +43,9 @@ class Ridge2016Parameters(Progressive):
         0.98, "1 - alpha: seeds whose residual from a conicoid through their neighbours is less probable than alpha "
         "are dropped; 1: none", minimum=0.5, maximum=1.0, source="Ridge 2016, 2.2",
     )  # fmt: skip
-    seed_residual_m: float = parameter(0.0, "seeds with a smaller residual are always kept", 0.0, 100.0, "m")
+    seed_residual_m: float = parameter(
+        0.0, "seeds with a smaller residual are always kept", 0.0, 100.0, "m"
+    )
     growth: float = parameter(
         0.001, "p_min: rounds end when the terrain grows by at most this share of the run's points; 0: never",
         minimum=0.0, maximum=1.0, source="Ridge 2016, equation 11",

@@ -30,7 +30,8 @@ SEED = 8
 """
 
 TERRAIN_HALO_CELLS = 4.0
-"""Margin of a tile, in seed cells, that circles of the last TIN seldom leave. Circles of the ring need three."""
+"""Margin of a tile, in seed cells, that circles of the last TIN seldom leave. Circles of the
+ring need three."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,17 @@ class GrowthPass(Pass):
     name: str = "growth"
     title = "find when growth ends"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GrowthModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> GrowthModel:
         """Densify in all rounds."""
         return GrowthModel(self.params, points, window, core, scale)
 
     def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add the key ``ridge2016`` to the state.
 
-        It holds the number of ``rounds`` to run, and ``points``, ``gained`` and ``unsure`` of the run.
+        It holds the number of ``rounds`` to run, and ``points``, ``gained`` and ``unsure`` of
+        the run.
         """
         points, gained, uncertified = 0, [0] * self.params.rounds, [0] * self.params.rounds
         for part in partials:
@@ -56,7 +60,12 @@ class GrowthPass(Pass):
             gained = [a + b for a, b in zip(gained, part["gained"], strict=True)]
             uncertified = [a + b for a, b in zip(uncertified, part["unsure"], strict=True)]
         last, note = last_round(points, gained, uncertified, self.params.growth)
-        figures = {"rounds": last, "points": points, "gained": gained[:last], "unsure": uncertified[:last]}
+        figures = {
+            "rounds": last,
+            "points": points,
+            "gained": gained[:last],
+            "unsure": uncertified[:last],
+        }
         return {**state, "ridge2016": figures, "notes": add_notes(state, note)}
 
 
@@ -65,7 +74,9 @@ def max_growth(points: int, growth: float) -> Fraction:
     return Fraction(repr(float(growth))) * points
 
 
-def last_round(points: int, gained: list[int], uncertified: list[int], growth: float) -> tuple[int, str]:
+def last_round(
+    points: int, gained: list[int], uncertified: list[int], growth: float
+) -> tuple[int, str]:
     """The first round in which few enough points joined the terrain class, and a note on it.
 
     Parameters
@@ -85,7 +96,9 @@ def last_round(points: int, gained: list[int], uncertified: list[int], growth: f
     if gained[last - 1] > limit:
         note += f": still more than {100 * growth:g} %, but no more rounds were allowed"
     slack = [before + after for before, after in pairwise([0, *uncertified[:last]])]
-    if any((n - s <= limit) != (n + s <= limit) for n, s in zip(gained[:last], slack, strict=True)):
+    if any(
+        (n - s <= limit) != (n + s <= limit) for n, s in zip(gained[:last], slack, strict=True)
+    ):
         note += "; points near tile edges could change that: a wider halo makes it certain"
     return last, note
 
@@ -94,7 +107,12 @@ class GrowthModel(TinLabels):
     """Model that counts the points of a core that join the terrain class in each round, and labels new vertices."""
 
     def __init__(
-        self, params: Ridge2016Parameters, points: Points, window: Window, core: Window, scale: Scale
+        self,
+        params: Ridge2016Parameters,
+        points: Points,
+        window: Window,
+        core: Window,
+        scale: Scale,
     ) -> None:
         super().__init__(window.closed, {"points": len(points), "rounds": 0})
         self._points = int(core.contains(points.xyz[0], points.xyz[1]).sum())
@@ -103,14 +121,16 @@ class GrowthModel(TinLabels):
         self._prepared: Prepared | None = None
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
-            # If the window is the whole run, its last round is known. Further rounds are run without counting, because
-            # `--statistics` of another run may ask for them.
+            # If the window is the whole run, its last round is known. Further rounds are run
+            # without counting, because `--statistics` of another run may ask for them.
             alone = not window.closed and self._points == len(points)
             enough = -1
             if alone:
                 enough = int(max_growth(self._points, params.growth))
             self._codes = np.full(self._prepared.stacks.x.size, UNCLASSIFIED, np.uint8)
-            self.stats.update(self._prepared.counts, rounds=self._count(self._prepared, core, enough))
+            self.stats.update(
+                self._prepared.counts, rounds=self._count(self._prepared, core, enough)
+            )
 
     def _count(self, prepared: Prepared, core: Window, enough: int) -> int:
         s = prepared.stacks
@@ -129,7 +149,8 @@ class GrowthModel(TinLabels):
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
             if k == 0 or self._gained[k - 1] > enough:
-                # Fill `_uncertified` up to the end, because rounds that are not run would not change these points.
+                # Fill `_uncertified` up to the end, because rounds that are not run would not
+                # change these points.
                 self._gained[k], self._uncertified[k:] = tally.count(step.tin, step.uncertified)
             done = k + 1
         return done
@@ -149,7 +170,11 @@ class GrowthModel(TinLabels):
 
     def partial(self) -> Partial:
         """Number of ``points`` in the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
-        return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._uncertified.tolist()}
+        return {
+            "points": self._points,
+            "gained": self._gained.tolist(),
+            "unsure": self._uncertified.tolist(),
+        }
 
     def uncertain(self) -> int:
         """Number of points whose label is uncertified after some round."""
@@ -170,7 +195,9 @@ class TerrainPass(Pass):
         """Metres around a tile within which the circles of the last TIN lie. No round follows."""
         return TERRAIN_HALO_CELLS * self.params.max_building_size_m
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TerrainModel:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> TerrainModel:
         """Build the TIN."""
         return TerrainModel(self.params, points, window, scale, state["ridge2016"]["rounds"])
 
@@ -179,25 +206,38 @@ class TerrainModel(TinLabels):
     """Model that labels the points of a window by the TIN of a round."""
 
     def __init__(
-        self, params: Ridge2016Parameters, points: Points, window: Window, scale: Scale, rounds: int
+        self,
+        params: Ridge2016Parameters,
+        points: Points,
+        window: Window,
+        scale: Scale,
+        rounds: int,
     ) -> None:
-        super().__init__(window.closed, {"points": len(points), "rounds": rounds, "vertices": 0})
+        super().__init__(
+            window.closed, {"points": len(points), "rounds": rounds, "vertices": 0}
+        )
         labels = points.known_labels()
         x, y, z = points.take(labels != LOW_NOISE).columns()
         if not x.size:
             return
         thin, cells = (
-            CellLattice.of(size, scale) for size in (params.thin_cell_m, params.max_building_size_m)
+            CellLattice.of(size, scale)
+            for size in (params.thin_cell_m, params.max_building_size_m)
         )
         known = window.inside(thin)
-        region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        region = UncertifiedRegion(
+            known, known.inside(cells, RING), box_with_ring(x, y, cells), scale
+        )
         virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, region).virtual
         vertices = points.take((labels >= SEED) & (labels < SEED + rounds)).columns()
-        # In the first TIN all seeds are vertices, also several per cell. Later TINs have one per cell.
+        # In the first TIN all seeds are vertices, also several per cell. Later TINs have one
+        # per cell.
         if rounds > 1:
             lowest = lowest_per_cell(*vertices, thin)
             vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
-        tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))
+        tin = Tin.build(
+            *(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True))
+        )
         rule = LabelRule(params.limits(scale), scale.counts(params.label_floor_m))
         self.finish(tin, region.triangles(tin), rule)
 
@@ -219,13 +259,17 @@ class RidgePass(Pass):
     name: str = "ridge2016"
     title = "grow the terrain, label all points"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> TinLabels:
         """Densify by all rounds."""
         model = TinLabels(window.closed, {"points": len(points), "rounds": 0})
         if not len(points):
             return model
         prepared = Prepared(self.params, points.columns(), window, scale)
-        done, last = deque(enumerate(islice(prepared.rounds(), self.params.rounds), 1), maxlen=1).pop()
+        done, last = deque(
+            enumerate(islice(prepared.rounds(), self.params.rounds), 1), maxlen=1
+        ).pop()
         model.low = prepared.low
         model.stats.update(prepared.counts, rounds=done)
         model.finish(last.tin, last.uncertified, LabelRule(prepared.limits, prepared.floor))

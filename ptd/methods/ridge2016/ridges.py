@@ -1,7 +1,8 @@
 """Ridge points: additional seeds where the TIN of the seeds cuts off a ridge.
 
-Source: Remote Sensing 8(1):71 (2016), section 2.1. A cell's lowest point lies on a slope, never on the ridge above it.
-So the seeds of both slopes are connected by facets with long sides, from which the surroundings fall away.
+Source: Remote Sensing 8(1):71 (2016), section 2.1. A cell's lowest point lies on a slope, never
+on the ridge above it. So the seeds of both slopes are connected by facets with long sides, from
+which the surroundings fall away.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
 AROUND = 9
-"""Largest number of facets around a facet: three beside it, and two more beside each of those."""
+"""Largest number of facets around a facet: three beside it, and two more beside each of
+those."""
 
 
 class RidgeRule(NamedTuple):
@@ -80,7 +82,12 @@ def _has_long_side(vertices: Int32Array, triangles: Int32Array, t: int, side: fl
 
 @kernel
 def _falls_away(
-    vertices: Int32Array, triangles: Int32Array, t: int, other: int, cosine: float, z_ratio: float
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    other: int,
+    cosine: float,
+    z_ratio: float,
 ) -> bool:
     """Assumption 2, (i) and (ii): the dihedral angle exceeds the limit, `other`'s centre lies below t's plane."""
     nx, ny, nz = _normal(vertices, triangles, t, z_ratio)
@@ -90,10 +97,24 @@ def _falls_away(
     if dot >= cosine * lengths:
         return False
     a = 4 * canonical_facet(vertices, triangles, t)[0]
-    i, j, k = 4 * triangles[8 * other + 4], 4 * triangles[8 * other + 5], 4 * triangles[8 * other + 6]
+    i, j, k = (
+        4 * triangles[8 * other + 4],
+        4 * triangles[8 * other + 5],
+        4 * triangles[8 * other + 6],
+    )
     dx = np.int64(vertices[i]) + vertices[j] + vertices[k] - 3 * np.int64(vertices[a])
-    dy = np.int64(vertices[i + 1]) + vertices[j + 1] + vertices[k + 1] - 3 * np.int64(vertices[a + 1])
-    dz = np.int64(vertices[i + 2]) + vertices[j + 2] + vertices[k + 2] - 3 * np.int64(vertices[a + 2])
+    dy = (
+        np.int64(vertices[i + 1])
+        + vertices[j + 1]
+        + vertices[k + 1]
+        - 3 * np.int64(vertices[a + 1])
+    )
+    dz = (
+        np.int64(vertices[i + 2])
+        + vertices[j + 2]
+        + vertices[k + 2]
+        - 3 * np.int64(vertices[a + 2])
+    )
     return nx * float(dx) + ny * float(dy) + nz * (float(dz) * z_ratio) < 0.0
 
 
@@ -105,7 +126,9 @@ def _of_data(triangles: Int32Array, t: int, data: Bool) -> bool:
 
 
 @kernel
-def _long_facet(vertices: Int32Array, triangles: Int32Array, t: int, data: Bool, side: float) -> bool:
+def _long_facet(
+    vertices: Int32Array, triangles: Int32Array, t: int, data: Bool, side: float
+) -> bool:
     """Assumption 1, for facets without virtual corners."""
     return _of_data(triangles, t, data) and _has_long_side(vertices, triangles, t, side)
 
@@ -139,7 +162,12 @@ def _around(triangles: Int32Array, t: int, found: Int32Array) -> int:
 
 @kernel
 def ridge_facet(
-    vertices: Int32Array, triangles: Int32Array, t: int, data: Bool, rule: RidgeRule, found: Int32Array
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    data: Bool,
+    rule: RidgeRule,
+    found: Int32Array,
 ) -> bool:
     """Whether a real facet lies on a ridge.
 
@@ -158,10 +186,13 @@ def ridge_facet(
     falling = 0
     for k in range(_around(triangles, t, found)):
         s = found[k]
-        if _of_data(triangles, s, data) and _falls_away(vertices, triangles, t, s, rule.cosine, rule.z_ratio):
+        if _of_data(triangles, s, data) and _falls_away(
+            vertices, triangles, t, s, rule.cosine, rule.z_ratio
+        ):
             found[falling] = s
             falling += 1
-    for i in range(falling):  # (iii): two of them share no point, so they lie on different sides
+    # (iii): two of them share no point, so they lie on different sides
+    for i in range(falling):
         for j in range(i):
             if not _share_a_vertex(triangles, found[i], found[j]):
                 return True
@@ -183,7 +214,11 @@ def _ridge_points(
     vertices, triangles = mesh
     x, y, z = stacks
     west, south, east, north = known
-    points, uncertified_points, chosen = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.bool_)
+    points, uncertified_points, chosen = (
+        np.empty(n, np.int32),
+        np.empty(n, np.bool_),
+        np.empty(n, np.bool_),
+    )
     triangles_around = np.empty(AROUND, np.int32)
     m = 0
     for t in range(n):
@@ -212,7 +247,9 @@ def _ridge_points(
     return points[:m].copy(), uncertified_points[:m].copy(), chosen[:m].copy()
 
 
-def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, region: UncertifiedRegion) -> Int32:
+def ridge_points(
+    tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, region: UncertifiedRegion
+) -> Int32:
     """Indices of the lowest points near the centres of facets on ridges: int32, ascending, without repetition.
 
     Parameters

@@ -41,7 +41,11 @@ class Prepared:
     """
 
     def __init__(
-        self, params: Ridge2016Parameters, columns: tuple[Int32, Int32, Int32], window: Window, scale: Scale
+        self,
+        params: Ridge2016Parameters,
+        columns: tuple[Int32, Int32, Int32],
+        window: Window,
+        scale: Scale,
     ) -> None:
         p = params
         self.limits = p.limits(scale)
@@ -58,9 +62,16 @@ class Prepared:
         self.stacks = Stacks(x, y, z, thin)
         cells = CellLattice.of(p.max_building_size_m, scale)
         known = window.inside(thin, p.margin_cells)
-        self.region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        self.region = UncertifiedRegion(
+            known, known.inside(cells, RING), box_with_ring(x, y, cells), scale
+        )
         selection = choose_seeds(
-            self.stacks.x, self.stacks.y, self.stacks.z, np.ones(x.size, np.bool_), cells, self.region
+            self.stacks.x,
+            self.stacks.y,
+            self.stacks.z,
+            np.ones(x.size, np.bool_),
+            cells,
+            self.region,
         )
         self.virtual = selection.virtual
         ridge = self._ridge_points(params, selection.chosen, scale)
@@ -81,13 +92,17 @@ class Prepared:
     def _tin(self, seeds: Int32) -> tuple[Tin, npt.NDArray[np.bool_]]:
         """TIN of seeds and virtual seeds, and a mask of its vertices that are not virtual."""
         s, v = self.stacks, self.virtual
-        tin = Tin.build(*(np.concatenate([c[seeds], v[:, k]]) for k, c in enumerate((s.x, s.y, s.z))))
+        tin = Tin.build(
+            *(np.concatenate([c[seeds], v[:, k]]) for k, c in enumerate((s.x, s.y, s.z)))
+        )
         virtual = position_keys(v[:, 0], v[:, 1])
         return tin, np.isin(position_keys(*tin.vertices.T[:2]), virtual, invert=True)
 
     def _ridge_points(self, p: Ridge2016Parameters, seeds: Int32, scale: Scale) -> Int32:
         side_m = p.ridge_side * p.max_building_size_m
-        rule = RidgeRule.of(scale, side_m=side_m, angle_deg=p.ridge_angle_deg, radius_m=p.ridge_radius_m)
+        rule = RidgeRule.of(
+            scale, side_m=side_m, angle_deg=p.ridge_angle_deg, radius_m=p.ridge_radius_m
+        )
         return ridge_points(*self._tin(seeds), self.stacks, rule, self.region)
 
     def _refined(self, p: Ridge2016Parameters, seeds: Int32, scale: Scale) -> Int32:
@@ -96,4 +111,8 @@ class Prepared:
         least = scale.counts_z(p.seed_residual_m)
         wrong = conicoid_outliers(tin, data, length, p.seed_confidence, least, self.region)
         dropped = position_keys(*tin.vertices[wrong].T[:2])
-        return seeds[np.isin(position_keys(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True)]
+        return seeds[
+            np.isin(
+                position_keys(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True
+            )
+        ]

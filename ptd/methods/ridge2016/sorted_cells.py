@@ -72,10 +72,13 @@ class Stacks:
 
 
 @kernel
-def lowest_within(x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3: int, radius: float) -> int:
+def lowest_within(
+    x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3: int, radius: float
+) -> int:
     """The lowest point within a radius of the position (x3 / 3, y3 / 3), or -1.
 
-    Among equal heights the lexicographically smallest (x, y) is taken. Distances are compared exactly.
+    Among equal heights the lexicographically smallest (x, y) is taken. Distances are compared
+    exactly.
 
     Parameters
     ----------
@@ -91,8 +94,12 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3:
     x0, y0 = x3 // 3 - half_width + raster.origin_x, y3 // 3 - half_width + raster.origin_y
     limit2 = 9.0 * radius * radius
     best = -1
-    for row in range(y0 * raster.q // raster.p, (y0 + 2 * half_width) * raster.q // raster.p + 1):
-        for column in range(x0 * raster.q // raster.p, (x0 + 2 * half_width) * raster.q // raster.p + 1):
+    for row in range(
+        y0 * raster.q // raster.p, (y0 + 2 * half_width) * raster.q // raster.p + 1
+    ):
+        for column in range(
+            x0 * raster.q // raster.p, (x0 + 2 * half_width) * raster.q // raster.p + 1
+        ):
             slot = slot_of(raster.table, column - raster.col0, row - raster.row0)
             if slot < 0:
                 continue

@@ -1,7 +1,8 @@
 """Densification in little memory: after each round only the lowest terrain point of a cell stays in the TIN.
 
-Source: Remote Sensing 8(1):71 (2016), section 2.3. All other points are tested again in each round. In a cloud that was
-thinned beforehand, a lowest point that is not terrain could hide a terrain point of its cell.
+Source: Remote Sensing 8(1):71 (2016), section 2.3. All other points are tested again in each
+round. In a cloud that was thinned beforehand, a lowest point that is not terrain could hide a
+terrain point of its cell.
 """
 
 from __future__ import annotations
@@ -28,7 +29,12 @@ Bool = npt.NDArray[np.bool_]
 
 @kernel
 def _test_stacks(
-    mesh: CheckedMesh, points: Xyz, starts: Int64, limits: FacetLimits, vertex: Bool, uncertified_points: Bool
+    mesh: CheckedMesh,
+    points: Xyz,
+    starts: Int64,
+    limits: FacetLimits,
+    vertex: Bool,
+    uncertified_points: Bool,
 ) -> Bool:
     """One round: mask of the lowest terrain points of their cells.
 
@@ -168,7 +174,9 @@ class GrowthCounter:
         self, x: Int32, y: Int32, z: Int32, limits: FacetLimits, floor: float, terrain: Bool
     ) -> None:
         self._points, self._limits, self._floor = Xyz(x, y, z), limits, floor
-        self._labelled = _Labelled(np.full(x.size, -1, np.int32), np.zeros(x.size, np.bool_), terrain)
+        self._labelled = _Labelled(
+            np.full(x.size, -1, np.int32), np.zeros(x.size, np.bool_), terrain
+        )
         self._tin: Tin | None = None
 
     def count(self, tin: Tin, uncertified: UInt8) -> tuple[int, int]:
@@ -203,9 +211,9 @@ def densify_thinned(
 ) -> Iterator[Round]:
     """The TINs of successive rounds: first that of the seeds, then of the lowest terrain points per cell.
 
-    The rounds end when the next TIN would be the same, here and beyond the window. A vertex stays until a lower point
-    of its cell becomes one, and never returns. So the rounds in which points became vertices determine the vertices of
-    each round.
+    The rounds end when the next TIN would be the same, here and beyond the window. A vertex
+    stays until a lower point of its cell becomes one, and never returns. So the rounds in which
+    points became vertices determine the vertices of each round.
 
     Parameters
     ----------
@@ -232,11 +240,15 @@ def densify_thinned(
     uncertified_points[seeds] = region.covers(x[seeds], y[seeds])
     while True:
         chosen = np.flatnonzero(vertex)
-        tin = Tin.build(*(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z))))
+        tin = Tin.build(
+            *(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z)))
+        )
         uncertified = region.triangles(tin)
         yield Round(tin, uncertified, vertex)
         mesh = CheckedMesh(*tin.mesh, uncertified)
-        kept = _test_stacks(mesh, Xyz(x, y, z), stacks.starts, limits, vertex, uncertified_points)
+        kept = _test_stacks(
+            mesh, Xyz(x, y, z), stacks.starts, limits, vertex, uncertified_points
+        )
         spread = region.add_points(x, y, uncertified_points)
         if not spread and np.array_equal(kept, vertex):
             return

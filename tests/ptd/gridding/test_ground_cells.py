@@ -41,14 +41,19 @@ def test_variances_are_those_of_least_squares(n: int, height: int) -> None:
     xyz = cloud(n, n, height)
     found = plane_variance(xyz, window(), HALVES)
     rows, columns = found.shape
-    slow = [[slow_variance(xyz, r + MARGIN, c + MARGIN) for c in range(columns)] for r in range(rows)]
+    slow = [
+        [slow_variance(xyz, r + MARGIN, c + MARGIN) for c in range(columns)]
+        for r in range(rows)
+    ]
     assert found == pytest.approx(np.array(slow), rel=1e-6, nan_ok=True)
 
 
 def test_neither_the_order_nor_the_frame_matters() -> None:
     xyz = cloud(400, 5)
     usual = plane_variance(xyz, window(), HALVES)
-    shuffled = plane_variance(xyz[:, np.random.default_rng(1).permutation(400)], window(), HALVES)
+    shuffled = plane_variance(
+        xyz[:, np.random.default_rng(1).permutation(400)], window(), HALVES
+    )
     far = plane_variance(xyz, window((5_000_000, 480_000_000)), HALVES)
     assert usual.tobytes() == shuffled.tobytes() == far.tobytes()
 
@@ -69,4 +74,6 @@ def test_windows_are_sums_of_cells() -> None:
     assert found.shape == (7, 12)
     for row in range(7):
         for column in range(12):
-            assert found[row, column] == counts[row + 2 : row + 7, column + 2 : column + 7].sum()
+            assert (
+                found[row, column] == counts[row + 2 : row + 7, column + 2 : column + 7].sum()
+            )

@@ -10,11 +10,15 @@ from ptd.gridding.highest_returns import NOTHING, HighestReturns
 ROWS, COLUMNS = 6, 7
 
 
-def surface(returns: list[tuple[int, int, int]], reach: int = 1, spike: float = 50.0) -> np.ndarray:
+def surface(
+    returns: list[tuple[int, int, int]], reach: int = 1, spike: float = 50.0
+) -> np.ndarray:
     """Heights from (row, column, z), each return at a place of its own."""
     highest = HighestReturns(ROWS, COLUMNS)
     cells = np.array([r * COLUMNS + c for r, c, _ in returns], np.int64)
-    xyz = np.array([(i, -i, z) for i, (_, _, z) in enumerate(returns)], np.int32).reshape(-1, 3).T
+    xyz = (
+        np.array([(i, -i, z) for i, (_, _, z) in enumerate(returns)], np.int32).reshape(-1, 3).T
+    )
     for part in (slice(0, None, 2), slice(1, None, 2)):
         highest.add(cells[part], np.ascontiguousarray(xyz[:, part]))
     return highest.supported(reach, spike)[..., 2]

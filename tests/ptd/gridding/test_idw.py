@@ -35,7 +35,9 @@ def test_heights_equal_the_plain_sum() -> None:
                     continue
                 with np.errstate(divide="ignore"):
                     weight = 1 / d2[near]
-                truth = z[near[0]] if d2[near[0]] == 0 else (weight * z[near]).sum() / weight.sum()
+                truth = (
+                    z[near[0]] if d2[near[0]] == 0 else (weight * z[near]).sum() / weight.sum()
+                )
                 assert abs(heights[row, column] - truth) < 1e-6
                 reach = np.sqrt(d2[near[-1]]) if len(near) == NEIGHBOURS else 600
                 assert distance[row, column] == reach
@@ -45,7 +47,9 @@ def test_order_has_no_effect() -> None:
     x, y, z = cloud(300, 2)
     order = np.random.default_rng(0).permutation(300)
     one, _ = inverse_distance(x, y, z, PIXELS, 600.0)
-    two, _ = inverse_distance(*(np.ascontiguousarray(axis[order]) for axis in (x, y, z)), PIXELS, 600.0)
+    two, _ = inverse_distance(
+        *(np.ascontiguousarray(axis[order]) for axis in (x, y, z)), PIXELS, 600.0
+    )
     assert one.tobytes() == two.tobytes()
 
 
@@ -58,7 +62,8 @@ def test_no_points_no_heights() -> None:
 def test_ground_beside_objects_by_definition() -> None:
     rng = np.random.default_rng(7)
     ground, objects = (
-        rng.integers((-900, -900, 0), (900, 900, 400), (n, 3)).T.astype(np.int32) for n in (500, 40)
+        rng.integers((-900, -900, 0), (900, 900, 400), (n, 3)).T.astype(np.int32)
+        for n in (500, 40)
     )
     for reach in (Fraction(90), Fraction(1000, 7), Fraction("0.3333333333333333") * 1000):
         found = near_objects(ground, objects, reach, 150, (-77, 12_345))

@@ -16,7 +16,9 @@ BLOCKS = {
 }
 
 
-def obvious(xyz: np.ndarray, pixels: Pixels, k: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def obvious(
+    xyz: np.ndarray, pixels: Pixels, k: int, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
     squared = np.full((pixels.rows, pixels.columns, k), np.iinfo(np.int64).max)
     index = np.full(squared.shape, NONE)
     lattice = pixels.lattice
@@ -27,7 +29,10 @@ def obvious(xyz: np.ndarray, pixels: Pixels, k: int, reach: float) -> tuple[np.n
             d2 = (xyz[0] - cx) ** 2 + (xyz[1] - cy) ** 2
             order = np.lexsort((xyz[2], xyz[1], xyz[0], d2))
             order = order[d2[order] <= reach**2][:k]
-            squared[row, column, : len(order)], index[row, column, : len(order)] = d2[order], order
+            squared[row, column, : len(order)], index[row, column, : len(order)] = (
+                d2[order],
+                order,
+            )
     return squared, index
 
 

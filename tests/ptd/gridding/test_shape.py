@@ -39,7 +39,9 @@ def hills(rows: int, columns: int) -> np.ndarray:
     return heights
 
 
-@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (0.5, 0.0), (0.0, -1.0), (-0.75, 0.25)])
+@pytest.mark.parametrize(
+    ("east", "north"), [(0.0, 0.0), (0.5, 0.0), (0.0, -1.0), (-0.75, 0.25)]
+)
 @pytest.mark.parametrize("shape", ["full", "ragged", "corner", "hole"])
 def test_a_plane_is_exact_to_its_last_pixel(east: float, north: float, shape: str) -> None:
     heights = plane(12, 17, east, north)
@@ -95,7 +97,9 @@ def test_gdal_says_the_same(kind: str, tmp_path: Path) -> None:
     with rasterio.open(source, "w", driver="GTiff", **grid, **values) as raster:
         raster.write(np.where(np.isnan(heights), NODATA, heights).astype(np.float32), 1)
     options = ["-multidirectional"] if kind == "hillshade" else []
-    subprocess.run([gdaldem, kind, str(source), str(target), *options], check=True, capture_output=True)
+    subprocess.run(
+        [gdaldem, kind, str(source), str(target), *options], check=True, capture_output=True
+    )
     with rasterio.open(target) as raster:
         theirs = raster.read(1).astype(np.float64)
         theirs[theirs == raster.nodata] = np.nan
@@ -114,20 +118,29 @@ def test_blocks_do_not_show_and_units_count(product: str, tmp_path: Path) -> Non
     found = []
     cases = ((Units(), 1.0), (Units(METRE, FOOT), 1 / 0.3048), (Units(FOOT, METRE), 0.3048))
     for number, (units, scale) in enumerate(cases):
-        meta = StoreMeta(CoordFrame(units), Lattice(Fraction(50_000)), Lattice(Fraction(500)), has_rgb=False)
+        meta = StoreMeta(
+            CoordFrame(units), Lattice(Fraction(50_000)), Lattice(Fraction(500)), has_rgb=False
+        )
         store = create_store(str(tmp_path / f"{number}.zarr"), meta)
-        spec, fill = RasterSpec(Lattice(Fraction(1000)), -100, 400, 600, 530), PRODUCTS[product].nodata
+        spec, fill = (
+            RasterSpec(Lattice(Fraction(1000)), -100, 400, 600, 530),
+            PRODUCTS[product].nodata,
+        )
         store.create_raster("dtm", 600, 530)
         store.create_raster(product, 600, 530, fill)
         values = np.where(np.isnan(heights), NODATA, heights * scale).astype(np.float32)
         for b in spec.blocks(512):
-            store.write_block("dtm", b, values[b.row : b.row + b.height, b.col : b.col + b.width])
+            store.write_block(
+                "dtm", b, values[b.row : b.row + b.height, b.col : b.col + b.width]
+            )
         for b in spec.blocks(512):
             work = DeriveBlock(name=product, spec=spec, block=b, sources=("dtm",), fill=fill)
             derive_block(store.url, work)
         found += [store.read_block(product, b) for b in spec.blocks(1024)]
     e, n = gradients(padded(heights.astype(np.float32).astype(np.float64)), 1.0)
-    truth = (multidirectional_hillshade if product == "hillshade" else slope_deg)(e, n).astype(np.float32)
+    truth = (multidirectional_hillshade if product == "hillshade" else slope_deg)(e, n).astype(
+        np.float32
+    )
     truth = np.where(np.isnan(truth), fill, truth).astype(np.float32)
     assert found[0].tobytes() == truth.tobytes()
     for other in found[1:]:

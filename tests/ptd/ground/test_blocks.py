@@ -28,5 +28,8 @@ def test_blocks_hold_each_point_once_and_all_within_reach() -> None:
 
 def test_points_far_apart_take_no_raster_between_them() -> None:
     x = np.array([0, 2_000_000_000], np.int32)
-    assert [index.tolist() for index, _ in blocks(x, np.zeros(2, np.int32), CELLS, 50)] == [[0], [1]]
+    assert [index.tolist() for index, _ in blocks(x, np.zeros(2, np.int32), CELLS, 50)] == [
+        [0],
+        [1],
+    ]
     assert list(blocks(x[:0], x[:0], CELLS, 50)) == []

@@ -24,20 +24,30 @@ DEFAULTS = Classic()
 VARIANTS = {
     "defaults": DEFAULTS,
     "mirrored": replace(DEFAULTS, terrain_angle_deg=20.0, iteration_angle_deg=15.0),
-    "every point, to convergence": replace(DEFAULTS, thin_cell_m=0.0, rounds=0, iteration_angle_deg=10.0),
+    "every point, to convergence": replace(
+        DEFAULTS, thin_cell_m=0.0, rounds=0, iteration_angle_deg=10.0
+    ),
     "lattices that do not nest": replace(
-        DEFAULTS, thin_cell_m=0.7, max_building_size_m=12.5, low_radius_m=3.3, edge_length_stop_m=1.0
+        DEFAULTS,
+        thin_cell_m=0.7,
+        max_building_size_m=12.5,
+        low_radius_m=3.3,
+        edge_length_stop_m=1.0,
     ),
     "no outliers, no last pass": replace(DEFAULTS, low_group=0, label_pass=False, rounds=3),
 }
 
 
-def run(params: Classic, cloud: Cloud, window: Window, scale: Scale = SCALE) -> tuple[np.ndarray, np.ndarray]:
+def run(
+    params: Classic, cloud: Cloud, window: Window, scale: Scale = SCALE
+) -> tuple[np.ndarray, np.ndarray]:
     """Labels and marks."""
     return params.passes[0].fit(Points(cloud), window, window, scale, {}).label(Points(cloud))
 
 
-def share_marked(params: Classic, cloud: Cloud, truth: np.ndarray, window: Window, core: Window) -> float:
+def share_marked(
+    params: Classic, cloud: Cloud, truth: np.ndarray, window: Window, core: Window
+) -> float:
     """Compare with the untiled labels; the share of marked points in the core."""
     window = opened(cloud, window)
     inside = cut(cloud, window)
@@ -72,7 +82,9 @@ def test_marks_fall_to_zero_as_the_halo_grows(scene: str) -> None:
     cloud = SCENES[scene](rng)
     truth, _ = run(DEFAULTS, cloud, Window.everything())
     core = Window(60 * CM, 40 * CM, 80 * CM, 60 * CM)
-    shares = [share_marked(DEFAULTS, cloud, truth, pad(core, halo), core) for halo in (0, 60, 300)]
+    shares = [
+        share_marked(DEFAULTS, cloud, truth, pad(core, halo), core) for halo in (0, 60, 300)
+    ]
     assert shares[2] == 0.0
     assert shares[1] <= shares[0]
 
@@ -111,16 +123,27 @@ def test_any_window_of_any_scene(
 
 @settings(max_examples=25, deadline=None)
 @given(
-    seed=st.integers(0, 10**6), n=st.integers(1, 60), side=st.integers(500, 12000), step=st.integers(1, 700)
+    seed=st.integers(0, 10**6),
+    n=st.integers(1, 60),
+    side=st.integers(500, 12000),
+    step=st.integers(1, 700),
 )
 def test_any_window_of_a_few_points(seed: int, n: int, side: int, step: int) -> None:
     rng = np.random.default_rng(seed)
     cloud = rng.integers(0, side, (3, n)).astype(np.int32) // step * step
     cloud[2] = cloud[2] % 900
-    params = replace(VARIANTS["mirrored"], low_group=int(rng.integers(0, 3)), max_building_size_m=5.0)
+    params = replace(
+        VARIANTS["mirrored"], low_group=int(rng.integers(0, 3)), max_building_size_m=5.0
+    )
     truth, _ = run(params, cloud, Window.everything())
     x0, y0 = (int(v) for v in rng.integers(0, side, 2))
-    share_marked(params, cloud, truth, Window(x0, y0, x0 + side // 2, y0 + side // 2), Window.everything())
+    share_marked(
+        params,
+        cloud,
+        truth,
+        Window(x0, y0, x0 + side // 2, y0 + side // 2),
+        Window.everything(),
+    )
 
 
 def small_cells(seed: int) -> tuple[Classic, Cloud, Window]:
@@ -129,7 +152,11 @@ def small_cells(seed: int) -> tuple[Classic, Cloud, Window]:
     n, step = int(rng.integers(1500, 6000)), int(rng.choice([1, 1, 100, 250, 500]))
     cloud = (rng.integers(0, SIDE, (3, n)) // step * step).astype(np.int32)
     x, y = cloud[:2] / CM
-    z = rng.choice([0, 8]) * (x // 17 % 2) + 3 * np.sin(x / 9) + rng.choice([0.3, 1.5, 4.0]) * rng.random(n)
+    z = (
+        rng.choice([0, 8]) * (x // 17 % 2)
+        + 3 * np.sin(x / 9)
+        + rng.choice([0.3, 1.5, 4.0]) * rng.random(n)
+    )
     z[rng.random(n) < 0.05] -= rng.uniform(2, 9)
     height = 50 if step > 1 else 1
     cloud[2] = np.rint(z * CM / height) * height
@@ -147,8 +174,15 @@ def small_cells(seed: int) -> tuple[Classic, Cloud, Window]:
         low_group=int(rng.choice([0, 1, 5])),
         label_pass=bool(rng.random() < 0.7),
     )
-    (west, south), (wide, high) = rng.integers(0, SIDE, 2), rng.integers(SIDE // 4, SIDE // 2, 2)
-    return params, cloud, Window(int(west - wide), int(south - high), int(west + wide), int(south + high))
+    (west, south), (wide, high) = (
+        rng.integers(0, SIDE, 2),
+        rng.integers(SIDE // 4, SIDE // 2, 2),
+    )
+    return (
+        params,
+        cloud,
+        Window(int(west - wide), int(south - high), int(west + wide), int(south + high)),
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -171,7 +205,10 @@ def test_points_in_cells_that_the_window_cuts_are_marked() -> None:
     inside = cloud[:, cut(cloud, window)]
     x = inside[0]
     searching = replace(DEFAULTS, low_radius_m=2.0, max_building_size_m=2.0)
-    for params, first, last in ((replace(searching, low_group=0), 2_100, 9_900), (searching, 2_300, 9_700)):
+    for params, first, last in (
+        (replace(searching, low_group=0), 2_100, 9_900),
+        (searching, 2_300, 9_700),
+    ):
         _, marked = run(params, inside, window, Scale(Fraction(1, CM), Fraction(1, CM)))
         assert marked[(x < first) | (x >= last)].all()
         assert not marked[(x >= first + 2_000) & (x < last - 2_000)].any()
@@ -179,7 +216,9 @@ def test_points_in_cells_that_the_window_cuts_are_marked() -> None:
 
 def test_a_window_without_candidates_knows_nothing() -> None:
     window = Window(0, 0, 10, 10)
-    model = DEFAULTS.passes[0].fit(Points(np.zeros((3, 0), np.int32)), window, window, SCALE, {})
+    model = DEFAULTS.passes[0].fit(
+        Points(np.zeros((3, 0), np.int32)), window, window, SCALE, {}
+    )
     labels, marked = model.label(Points(np.array([[5], [5], [0]], np.int32)))
     assert labels.tolist() == [1]
     assert marked.tolist() == [True]
@@ -210,7 +249,9 @@ RIGHT = ((-5000, 0), (5000, 0), (0, 5000))
         (Window(-OPEN, -5100, OPEN, OPEN), False),
     ],
 )
-def test_a_circle_that_leaves_the_window_is_uncertified(known: Window, uncertified: bool) -> None:
+def test_a_circle_that_leaves_the_window_is_uncertified(
+    known: Window, uncertified: bool
+) -> None:
     region = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
     assert uncertified_of(triangle(*RIGHT), region) == [uncertified]
 
@@ -218,9 +259,13 @@ def test_a_circle_that_leaves_the_window_is_uncertified(known: Window, uncertifi
 def test_a_circle_that_leaves_the_raster_is_uncertified_where_seeds_may_appear() -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
     box = (-30000, -30000, 3000, 30000)
-    assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, known, box, Scale())) == [False]
+    assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, known, box, Scale())) == [
+        False
+    ]
     deep = Window(-OPEN, -OPEN, 4500, OPEN)
-    assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, deep, box, Scale())) == [True]
+    assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, deep, box, Scale())) == [
+        True
+    ]
 
 
 @pytest.mark.parametrize("position", [(0, 0), (4900, 0), (3530, -3530), (-4000, 2900)])
@@ -263,7 +308,9 @@ def test_across_gives_the_triangle_behind_an_edge() -> None:
     home = triangle_at(tin, 5, 5)
     arrays = tin.vertex_array, tin.triangle_array
     assert {across(*arrays, home, np.int32(5), np.int32(5)), home} == set(real)
-    assert across(*arrays, triangle_at(tin, 2, 2), np.int32(2), np.int32(2)) == triangle_at(tin, 2, 2)
+    assert across(*arrays, triangle_at(tin, 2, 2), np.int32(2), np.int32(2)) == triangle_at(
+        tin, 2, 2
+    )
     assert across(*arrays, home, np.int32(10), np.int32(0)) == home
     assert outside(tin, across(*arrays, triangle_at(tin, 5, 0), np.int32(5), np.int32(0)))
 
@@ -287,7 +334,11 @@ def test_window_inside_whole_cells() -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(corners=corners_of_one, reach=st.sampled_from([0.0, 2000.0, 5000.0]), seed=st.integers(0, 10**6))
+@given(
+    corners=corners_of_one,
+    reach=st.sampled_from([0.0, 2000.0, 5000.0]),
+    seed=st.integers(0, 10**6),
+)
 def test_positions_near_triangles_are_uncertified(
     corners: list[tuple[int, int]], reach: float, seed: int
 ) -> None:
@@ -317,4 +368,6 @@ def test_positions_beyond_the_known_window_are_uncertified() -> None:
     x, y = np.array([-1, 0, 8999, 9000], np.int32), np.full(4, 10_000, np.int32)
     assert region.covers(x, y).tolist() == [True, False, False, True]
     everything = Window.everything()
-    assert not UncertifiedRegion(everything, everything, (0, 0, 9, 9), Scale()).covers(x, y).any()
+    assert (
+        not UncertifiedRegion(everything, everything, (0, 0, 9, 9), Scale()).covers(x, y).any()
+    )

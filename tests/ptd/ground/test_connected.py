@@ -58,4 +58,6 @@ def test_surfaces_are_components_of_the_graph_of_neighbours(gap: int) -> None:
     expected = connected_components(graph, directed=False)[1].reshape(z.shape)[z != EMPTY]
     surface, n = connected_surfaces(z, 2.0, 3.0, gap, (tilts[0], tilts[1]), 4)
     found = surface[z != EMPTY]
-    assert n == len(set(expected)) == len(set(zip(found.tolist(), expected.tolist(), strict=True)))
+    assert (
+        n == len(set(expected)) == len(set(zip(found.tolist(), expected.tolist(), strict=True)))
+    )

@@ -29,23 +29,34 @@ def in_counts(*values: int) -> tuple[np.int32, ...]:
     return tuple(np.int32(value) for value in values)
 
 
-def measure(tin: Tin, x: int, y: int, z: int, ratio: float = 1.0) -> tuple[float, float, float, float]:
+def measure(
+    tin: Tin, x: int, y: int, z: int, ratio: float = 1.0
+) -> tuple[float, float, float, float]:
     return facet_measures(
         tin.vertex_array, tin.triangle_array, triangle_at(tin, x, y), *in_counts(x, y, z), ratio
     )
 
 
 def limits(**values: float) -> FacetLimits:
-    return FacetLimits.of(Scale(), **{"distance_m": 1.4, "angle_deg": 25.0, "terrain_deg": 88.0, **values})
+    return FacetLimits.of(
+        Scale(), **{"distance_m": 1.4, "angle_deg": 25.0, "terrain_deg": 88.0, **values}
+    )
 
 
 def judge(
-    tin: Tin, x: int, y: int, z: int, uncertified_facets: set[int] = frozenset(), **values: float
+    tin: Tin,
+    x: int,
+    y: int,
+    z: int,
+    uncertified_facets: set[int] = frozenset(),
+    **values: float,
 ) -> tuple[bool, bool, bool]:  # type: ignore[assignment]
     """Passed, elsewhere, is uncertified."""
     uncertified = np.array([t in uncertified_facets for t in range(tin.n_triangles)], np.uint8)
     t = triangle_at(tin, x, y)
-    return accepts(*CheckedMesh(*tin.mesh, uncertified), t, in_counts(x, y, z), limits(**values))
+    return accepts(
+        *CheckedMesh(*tin.mesh, uncertified), t, in_counts(x, y, z), limits(**values)
+    )
 
 
 # Equilateral, 10 m in plan to within a millimetre; the middle is 5774 mm from each corner.
@@ -65,7 +76,11 @@ def test_a_metre_above_the_middle_of_an_equilateral_facet() -> None:
 @pytest.mark.parametrize(("angle", "passed"), [(9.8, False), (9.9, True)])
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_angle_decides(angle: float, passed: bool, side: int) -> None:
-    assert judge(tin_of(*EQUILATERAL), *MIDDLE, side * 1000, angle_deg=angle) == (passed, False, False)
+    assert judge(tin_of(*EQUILATERAL), *MIDDLE, side * 1000, angle_deg=angle) == (
+        passed,
+        False,
+        False,
+    )
 
 
 @pytest.mark.parametrize(("distance", "passed"), [(0.999, False), (1.0, True)])
@@ -84,7 +99,9 @@ def test_the_distance_is_that_to_the_plane() -> None:
 @pytest.mark.parametrize(("reduce", "passed"), [(9.9, True), (10.0, True), (11.0, False)])
 def test_short_edges_reduce_the_angle(reduce: float, passed: bool) -> None:
     """10 degrees suffice on an edge of 10 m; in proportion to 11 m they are 9.1."""
-    assert judge(tin_of(*EQUILATERAL), *MIDDLE, 1000, angle_deg=10.0, reduce_m=reduce)[0] == passed
+    assert (
+        judge(tin_of(*EQUILATERAL), *MIDDLE, 1000, angle_deg=10.0, reduce_m=reduce)[0] == passed
+    )
 
 
 @pytest.mark.parametrize(("stop", "passed"), [(10.0, True), (10.001, False)])
@@ -98,7 +115,9 @@ def test_on_a_vertex_only_the_vertex_passes(z: int, passed: bool) -> None:
     tin = tin_of((0, 0, 0), (9000, 0, 2000), (0, 9000, 3000), (-9000, 0, 100), (0, -9000, 0))
     found = set()
     for t in range(tin.n_triangles):
-        if 0 in (tin.vertices[v, :2].any() for v in corners_of(tin, t) if v >= 0) and not outside(tin, t):
+        if 0 in (
+            tin.vertices[v, :2].any() for v in corners_of(tin, t) if v >= 0
+        ) and not outside(tin, t):
             mesh = CheckedMesh(*tin.mesh, np.zeros(tin.n_triangles, np.uint8))
             found.add(accepts(*mesh, t, in_counts(0, 0, z), limits()))
     assert found == {(passed, False, False)}
@@ -135,7 +154,9 @@ def test_on_a_steep_facet_a_point_is_tested_where_its_mirror_image_lies() -> Non
     arrays = tin.vertex_array, tin.triangle_array
     assert measure(tin, x, y, 0)[2] < math.cos(math.radians(60)) ** 2
     other, mx, my = mirror_facet(*arrays, triangle_at(tin, x, y), *in_counts(x, y))
-    top = next(v for v in ((6_000, 0), (6_000, 12_000)) if (2 * v[0] - x, 2 * v[1] - y) == (mx, my))
+    top = next(
+        v for v in ((6_000, 0), (6_000, 12_000)) if (2 * v[0] - x, 2 * v[1] - y) == (mx, my)
+    )
     assert top in ((6_000, 0), (6_000, 12_000))
     assert mx == 6_500
     assert other == triangle_at(tin, mx, my)
@@ -167,7 +188,9 @@ def test_mirrored_out_of_the_hull_a_point_is_refused() -> None:
 
 
 def test_mirrored_on_a_vertex_only_its_height_passes() -> None:
-    tin = tin_of((0, 0, 0), (1_000, 0, 5_000), (0, 1_000, 0), (1_700, -200, 5_300), (3_000, 3_000, 5_000))
+    tin = tin_of(
+        (0, 0, 0), (1_000, 0, 5_000), (0, 1_000, 0), (1_700, -200, 5_300), (3_000, 3_000, 5_000)
+    )
     assert judge(tin, 300, 200, 5_300, terrain_deg=60.0) == (True, True, False)
     assert judge(tin, 300, 200, 5_299, terrain_deg=60.0) == (False, True, False)
 
@@ -178,7 +201,11 @@ def test_an_uncertified_answer() -> None:
     flat = triangle_at(tin, 1_000, 3_000)
     assert judge(tin, 1_000, 3_000, 0) == (True, False, False)
     assert judge(tin, 1_000, 3_000, 0, {flat}) == (True, False, True)
-    assert judge(tin, 1_000, 3_000, 0, set(range(tin.n_triangles)) - {flat}) == (True, False, False)
+    assert judge(tin, 1_000, 3_000, 0, set(range(tin.n_triangles)) - {flat}) == (
+        True,
+        False,
+        False,
+    )
 
     home, behind = (
         triangle_at(tin, 5_000, 6_000),
@@ -192,7 +219,9 @@ def test_an_uncertified_answer() -> None:
     assert outside(tin, image)
     for t in range(tin.n_triangles):
         is_uncertified = judge(tin, 5_500, 7_000, 0, {t}, terrain_deg=60.0)[2]
-        top = mirror_facet(tin.vertex_array, tin.triangle_array, steep, *in_counts(5_500, 7_000))[0]
+        top = mirror_facet(
+            tin.vertex_array, tin.triangle_array, steep, *in_counts(5_500, 7_000)
+        )[0]
         assert is_uncertified == (t in (steep, top))
 
 
@@ -201,7 +230,11 @@ points = st.tuples(counts, counts, counts)
 
 
 @settings(max_examples=200, deadline=None)
-@given(corners=st.tuples(points, points, points), point=points, shift=st.tuples(counts, counts, counts))
+@given(
+    corners=st.tuples(points, points, points),
+    point=points,
+    shift=st.tuples(counts, counts, counts),
+)
 def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     corners: tuple[Point, Point, Point], point: Point, shift: Point
 ) -> None:
@@ -220,7 +253,9 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     size = float((abs(normal) * abs(p - a)).sum()) / math.sqrt(n2)
     distance = math.copysign(math.sqrt(Fraction(height * height, n2)), height)
     assert got[0] == pytest.approx(distance, abs=1e-12 * size + 1e-9)
-    assert got[1] == pytest.approx(math.sqrt(min(int(((p - q) ** 2).sum()) for q in (a, b, c))), rel=1e-14)
+    assert got[1] == pytest.approx(
+        math.sqrt(min(int(((p - q) ** 2).sum()) for q in (a, b, c))), rel=1e-14
+    )
     assert got[2] == pytest.approx(float(Fraction(int(normal[2]) ** 2, n2)), rel=1e-12)
     edges = [int(((q - r)[:2] ** 2).sum()) for q, r in ((a, b), (b, c), (c, a))]
     assert got[3] == pytest.approx(math.sqrt(max(edges)), rel=1e-15)
@@ -228,7 +263,9 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     moved = tin_of(*(tuple(np.add(q, shift)) for q in (corners[2], corners[0], corners[1])))
     t = next(t for t in range(4) if not outside(moved, t))
     at = tuple(int(v) for v in np.add(point, shift))
-    assert facet_measures(moved.vertex_array, moved.triangle_array, t, *in_counts(*at), 1.0) == got
+    assert (
+        facet_measures(moved.vertex_array, moved.triangle_array, t, *in_counts(*at), 1.0) == got
+    )
 
 
 def test_within_its_limits() -> None:

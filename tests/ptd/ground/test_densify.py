@@ -44,7 +44,9 @@ def test_the_vertices_are_those_of_the_naive_way(
 ) -> None:
     seeds, candidates = scene(seed, 80, rough)
     edges = {"reduce_m": reduce, "stop_m": stop}
-    limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, **edges)
+    limits = FacetLimits.of(
+        Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, **edges
+    )
     got, tin, _ = run(seeds, candidates, limits, rounds)
     assert np.array_equal(got, naive(seeds, candidates, limits, rounds))
     assert tin.n_vertices == len(seeds) + got.sum()
@@ -76,7 +78,9 @@ def test_the_order_of_the_candidates_changes_nothing(step: int) -> None:
     one, tin, _ = run(seeds, candidates, LIMITS, 4)
     other, shuffled, _ = run(seeds, candidates[order], LIMITS, 4)
     assert np.array_equal(one[order], other)
-    assert np.array_equal(tin.vertices[real_triangles(tin)], shuffled.vertices[real_triangles(shuffled)])
+    assert np.array_equal(
+        tin.vertices[real_triangles(tin)], shuffled.vertices[real_triangles(shuffled)]
+    )
 
 
 def test_refused_candidates_stay_out() -> None:

@@ -39,7 +39,8 @@ def test_distance_and_smallest_angle_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("threshold", "passes"), [((0.31, 0.036), True), ((0.29, 0.036), False), ((0.31, 0.034), False)]
+    ("threshold", "passes"),
+    [((0.31, 0.036), True), ((0.29, 0.036), False), ((0.31, 0.034), False)],
 )
 def test_both_thresholds_hold(threshold: tuple[float, float], passes: bool) -> None:
     """0.3 m and atan(0.3 / sqrt(73)) = 0.0351."""
@@ -57,12 +58,16 @@ def test_largest_angle_by_hand() -> None:
     counts = trial.count(*point, np.ones(1, bool), bins)
     assert np.argwhere(counts).tolist() == [[3, int(math.atan(0.15) / 0.005)]]
     for angle, passes in ((0.150, True), (0.148, False)):
-        assert trial.test(*point, np.ones(1, bool), Threshold(0.31, angle), SURE)[0].tolist() == [passes]
+        assert trial.test(*point, np.ones(1, bool), Threshold(0.31, angle), SURE)[
+            0
+        ].tolist() == [passes]
 
 
 def test_on_a_vertex_the_height_counts_alone() -> None:
     point = columns((600, 0, 120), (600, 0, 140))
-    found, _ = Trial(right_triangle(), SCALE, 10.0).test(*point, np.ones(2, bool), Threshold(0.3, 1e-6), SURE)
+    found, _ = Trial(right_triangle(), SCALE, 10.0).test(
+        *point, np.ones(2, bool), Threshold(0.3, 1e-6), SURE
+    )
     assert found.tolist() == [True, False]
 
 
@@ -95,7 +100,9 @@ def test_heights_may_have_another_unit() -> None:
     fine = replace(SCALE, metres_z=Fraction(1, 1000))
     tin = Tin.build(np.array([0, 600, 0]), np.array([0, 0, 800]), np.array([1000] * 3))
     point = columns((300, 10, 1290))
-    found, _ = Trial(tin, fine, 10.0).test(*point, np.ones(1, bool), Threshold(0.3, 0.036), SURE)
+    found, _ = Trial(tin, fine, 10.0).test(
+        *point, np.ones(1, bool), Threshold(0.3, 0.036), SURE
+    )
     assert found.all()
 
 
@@ -105,10 +112,16 @@ def test_certified_points_that_pass_do_so_whatever_lies_beyond_the_window() -> N
     threshold, certain = Threshold(0.5, 0.3), 0
     for _ in range(40):
         side, n = 4000, int(rng.integers(20, 400))
-        vertices = rng.integers(0, side, (3, n)).astype(np.int32) // np.array([[1], [1], [30]], np.int32)
-        tests = rng.integers(0, side, (3, 300)).astype(np.int32) // np.array([[1], [1], [30]], np.int32)
+        vertices = rng.integers(0, side, (3, n)).astype(np.int32) // np.array(
+            [[1], [1], [30]], np.int32
+        )
+        tests = rng.integers(0, side, (3, 300)).astype(np.int32) // np.array(
+            [[1], [1], [30]], np.int32
+        )
         x0, y0 = (int(v) for v in rng.integers(-500, side, 2))
-        window = Window(x0, y0, x0 + int(rng.integers(500, side)), y0 + int(rng.integers(500, side)))
+        window = Window(
+            x0, y0, x0 + int(rng.integers(500, side)), y0 + int(rng.integers(500, side))
+        )
         widest = float(rng.uniform(0.5, 8.0))
         trial = Trial(Tin.build(*vertices), SCALE, widest)
         truth, _ = trial.test(*tests, np.ones(300, bool), threshold, SURE)

@@ -26,9 +26,13 @@ class Cloud:
     z: np.ndarray
 
     def points(self, which: np.ndarray) -> Xyz:
-        return Xyz(*(np.round(1000 * c[which]).astype(np.int32) for c in (self.x, self.y, self.z)))
+        return Xyz(
+            *(np.round(1000 * c[which]).astype(np.int32) for c in (self.x, self.y, self.z))
+        )
 
-    def judged(self, which: np.ndarray | None = None, marked: np.ndarray | None = None) -> tuple:
+    def judged(
+        self, which: np.ndarray | None = None, marked: np.ndarray | None = None
+    ) -> tuple:
         which = np.arange(self.x.size) if which is None else which
         z = np.round(1000 * self.z[which]) / 1000
         close = (abs(z) <= 0.4).astype(np.uint8) * CROP
@@ -73,13 +77,17 @@ def twin(points: Xyz, close: np.ndarray, ground: np.ndarray) -> np.ndarray:
     def plane(cell: tuple[int, int], cells: dict[tuple[int, int], int]) -> tuple | None:
         for steps, enough in ((1, 6), (2, 9)):
             around = [
-                i for (c, r), i in cells.items() if abs(c - cell[0]) <= steps and abs(r - cell[1]) <= steps
+                i
+                for (c, r), i in cells.items()
+                if abs(c - cell[0]) <= steps and abs(r - cell[1]) <= steps
             ]
             j = lowest[cell]
             if len(around) < enough:
                 continue
             a = np.stack([x[around] - x[j], y[around] - y[j], np.ones(len(around))], axis=1)
-            (east, north, height), *_ = np.linalg.lstsq(a, (z[around] - z[j]).astype(float), rcond=None)
+            (east, north, height), *_ = np.linalg.lstsq(
+                a, (z[around] - z[j]).astype(float), rcond=None
+            )
             off = z[around] - z[j] - a @ (east, north, height)
             return east, north, height, np.sqrt((off**2).sum() / (len(around) - 3))
         return None
@@ -94,7 +102,9 @@ def twin(points: Xyz, close: np.ndarray, ground: np.ndarray) -> np.ndarray:
         found = planes.get((column[i], row[i]))
         if found is not None and found[3] <= 100:
             j = lowest[column[i], row[i]]
-            above[i] = z[i] - z[j] - found[2] - found[0] * (x[i] - x[j]) - found[1] * (y[i] - y[j])
+            above[i] = (
+                z[i] - z[j] - found[2] - found[0] * (x[i] - x[j]) - found[1] * (y[i] - y[j])
+            )
             most[i] = 100 + 100 * np.hypot(found[0], found[1])
     seen, on = {}, {}
     for block, members in blocks.items():
@@ -171,7 +181,10 @@ def test_sparse_points_are_left_to_the_tin() -> None:
 def test_a_sparse_strip_is_judged_as_without_a_dense_one_beside_it() -> None:
     dense, sparse = cloud(15.0, seed=5), cloud(1.0, seed=6)
     both = Cloud(
-        *(np.concatenate([a, b]) for a, b in zip(vars(dense).values(), vars(sparse).values(), strict=True))
+        *(
+            np.concatenate([a, b])
+            for a, b in zip(vars(dense).values(), vars(sparse).values(), strict=True)
+        )
     )
     both.x[dense.x.size :] += 40.0  # whole blocks
     far = sparse.x > fine.REACH_M - 20.0
@@ -179,7 +192,9 @@ def test_a_sparse_strip_is_judged_as_without_a_dense_one_beside_it() -> None:
 
 
 @pytest.mark.parametrize("density_m2", [3.0, 10.0])
-def test_what_lies_beyond_the_reach_has_no_part_and_neither_has_the_order(density_m2: float) -> None:
+def test_what_lies_beyond_the_reach_has_no_part_and_neither_has_the_order(
+    density_m2: float,
+) -> None:
     scene, random = cloud(density_m2), np.random.default_rng(7)
     everything, _ = scene.judged()
     for _ in range(12):
@@ -188,7 +203,9 @@ def test_what_lies_beyond_the_reach_has_no_part_and_neither_has_the_order(densit
 
         def within(margin: float, west: float = west, south: float = south) -> np.ndarray:
             across = (scene.x >= west - margin) & (scene.x < west + 9 + margin)
-            return np.flatnonzero(across & (scene.y >= south - margin) & (scene.y < south + 9 + margin))
+            return np.flatnonzero(
+                across & (scene.y >= south - margin) & (scene.y < south + 9 + margin)
+            )
 
         seen, core = random.permutation(within(wide + 0.001)), within(0.0)
         found = np.zeros(scene.x.size, bool)
@@ -202,7 +219,9 @@ def test_uncertified_points_affect_labels_as_far_as_a_point_has_a_part() -> None
     everything, _ = scene.judged()
     is_uncertified = np.hypot(scene.x - 3, scene.y + 2) < 3.0
     changed = Cloud(
-        scene.x, scene.y, np.where(is_uncertified, random.uniform(-0.5, 0.6, scene.x.size), scene.z)
+        scene.x,
+        scene.y,
+        np.where(is_uncertified, random.uniform(-0.5, 0.6, scene.x.size), scene.z),
     )
     found, marked = changed.judged(marked=is_uncertified)
     assert marked[is_uncertified].all()

@@ -17,13 +17,15 @@ def test_one_bin_is_a_pyramid() -> None:
 
 def test_interpolation_between_middles() -> None:
     counts = np.array([[100, 60, 20, 0], [50, 30, 0, 0], [10, 0, 0, 0]], np.int64)
-    # First: 50 -> 10 in the first column (0.75 of the way), 30 -> 0 in the second and along the diagonal (1/3).
-    # Second: 60 -> 20 in the first row, exactly at the bin of 20.
+    # First: 50 -> 10 in the first column (0.75 of the way), 30 -> 0 in the second and along the
+    # diagonal (1/3). Second: 60 -> 20 in the first row, exactly at the bin of 20.
     assert contour_reach(counts, 20.0) == pytest.approx((1.5 + 0.75, 2.5))
 
 
 def test_the_border_of_the_histogram_closes_the_contour() -> None:
-    assert contour_reach(np.full((3, 2), 8, np.int64), 2.0) == pytest.approx((2.5 + 0.75, 1.5 + 0.75))
+    assert contour_reach(np.full((3, 2), 8, np.int64), 2.0) == pytest.approx(
+        (2.5 + 0.75, 1.5 + 0.75)
+    )
 
 
 def test_islands_are_left_out() -> None:

@@ -44,7 +44,8 @@ def label(
     [
         ((15_000, 12_000, 200), True),  # below the floor
         ((15_000, 12_000, -300), True),
-        ((15_000, 12_000, 520), True),  # above it: 5.5 degrees to the nearest corner, 5.4 m away
+        # above it: 5.5 degrees to the nearest corner, 5.4 m away
+        ((15_000, 12_000, 520), True),
         ((15_000, 12_000, 580), False),  # 6.1 degrees
         ((10_100, 10_100, 300), True),  # near a vertex at a steep angle: the floor
         ((10_100, 10_100, 301), False),
@@ -63,12 +64,22 @@ def test_by_hand(point: tuple[int, int, int], ground: bool) -> None:
 
 
 def test_without_a_last_pass_only_vertices_are_ground() -> None:
-    points = [(10_000, 10_000, 0), (10_000, 10_000, 1), (15_000, 12_000, 0), (50_000, 50_000, 1000)]
+    points = [
+        (10_000, 10_000, 0),
+        (10_000, 10_000, 1),
+        (15_000, 12_000, 0),
+        (50_000, 50_000, 1000),
+    ]
     assert label(flat(), points, vertices_only=True) == ([2, 1, 1, 2], [False] * 4)
 
 
 def test_what_rests_on_an_uncertified_triangle_is_uncertified() -> None:
-    points = [(10_000, 10_000, 0), (15_000, 12_000, 0), (15_000, 12_000, 9_000), (-5, 50_000, 0)]
+    points = [
+        (10_000, 10_000, 0),
+        (15_000, 12_000, 0),
+        (15_000, 12_000, 9_000),
+        (-5, 50_000, 0),
+    ]
     assert label(flat(), points, all_uncertified=True) == ([2, 2, 1, 1], [True] * 4)
 
 
@@ -79,7 +90,9 @@ def test_on_an_edge_the_triangle_behind_it_counts() -> None:
     beside = {triangle_at(tin, 15_000, 20_001), triangle_at(tin, 15_000, 19_999)} - {home}
     for t in range(tin.n_triangles):
         uncertified = (np.arange(tin.n_triangles) == t).astype(np.uint8)
-        _, marked = label_points(tin, Locator.of(tin), xyz, uncertified, LabelRule(LIMITS, FLOOR))
+        _, marked = label_points(
+            tin, Locator.of(tin), xyz, uncertified, LabelRule(LIMITS, FLOOR)
+        )
         assert marked[0] == (t == home or t in beside)
 
 
@@ -104,11 +117,17 @@ def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
     assert not LowNoise(*columns(), cells).holds(*within).any()
 
 
-@pytest.mark.parametrize(("height", "ground"), [(300, True), (301, False), (-300, True), (-301, False)])
-def test_heights_only_neither_angle_nor_iteration_distance_counts(height: int, ground: bool) -> None:
+@pytest.mark.parametrize(
+    ("height", "ground"), [(300, True), (301, False), (-300, True), (-301, False)]
+)
+def test_heights_only_neither_angle_nor_iteration_distance_counts(
+    height: int, ground: bool
+) -> None:
     """On a slope of 3 in 4 a height of 300 is 240 from the facet; 400 would be within the angle far from corners."""
     slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
-    assert label(slope, [(20_000, 13_000, 15_000 + height)], heights_only=True)[0] == [2 if ground else 1]
+    assert label(slope, [(20_000, 13_000, 15_000 + height)], heights_only=True)[0] == [
+        2 if ground else 1
+    ]
     assert label(slope, [(20_000, 13_000, 15_400)])[0] == [2]
 
 
@@ -131,7 +150,9 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
     uncertified = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
     uncertified[[outside(tin, t) for t in range(tin.n_triangles)]] = 1  # as it always is
     rule = LabelRule(LIMITS, 1.0, heights_only=True)
-    floors = Field(random.uniform(0.5, 2.0, (4, 4)), CellGrid(7, 1, 0, 0, -1, -1), False, 0.5, 2.0)
+    floors = Field(
+        random.uniform(0.5, 2.0, (4, 4)), CellGrid(7, 1, 0, 0, -1, -1), False, 0.5, 2.0
+    )
     bands = Bands(floors, everywhere(0.5))
     labels, marked = label_points(tin, Locator.of(tin), points, uncertified, rule, bands)
     mesh = CheckedMesh(*tin.mesh, uncertified)
@@ -141,4 +162,5 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
         on_a_vertex = (tin.vertices[:, :2] == (x, y)).all(axis=1).any()
         near, _, is_uncertified = _by_height(*mesh, t, (int(x), int(y), int(z)), rule, bands)
         assert label == (2 if near else 1)
-        assert on_a_vertex or mark == is_uncertified  # on a vertex any of its triangles may have a say
+        # on a vertex any of its triangles may have a say
+        assert on_a_vertex or mark == is_uncertified

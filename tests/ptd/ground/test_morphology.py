@@ -43,7 +43,9 @@ def open_with_disk(heights: np.ndarray, radius: float) -> np.ndarray:
 @pytest.mark.parametrize("radius", RADII)
 def test_minimum_is_that_of_scipy(radius: float) -> None:
     heights = rough(40, 61, 0.3)
-    expected = ndimage.minimum_filter(heights, footprint=disk(radius), mode="constant", cval=EMPTY)
+    expected = ndimage.minimum_filter(
+        heights, footprint=disk(radius), mode="constant", cval=EMPTY
+    )
     np.testing.assert_array_equal(disk_minimum(heights, radius), expected)
 
 
@@ -51,7 +53,9 @@ def test_minimum_is_that_of_scipy(radius: float) -> None:
 @pytest.mark.parametrize("radius", RADII[1:])
 def test_opening_is_that_of_scipy(radius: float, empty: float) -> None:
     heights = rough(40, 61, empty)
-    np.testing.assert_array_equal(open_with_disk(heights, radius), opened_by_scipy(heights, radius))
+    np.testing.assert_array_equal(
+        open_with_disk(heights, radius), opened_by_scipy(heights, radius)
+    )
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (3, 4)])
@@ -143,11 +147,15 @@ def test_cells_are_those_of_the_lattice_wherever_local_coordinates_start() -> No
     shift_x, shift_y = 12_345, -6_789
     every = np.ones(z.size, bool)
     here = CellRaster(x, y, CellLattice.of(1.0, Scale()))
-    there = CellRaster(x - shift_x, y - shift_y, CellLattice.of(1.0, Scale(origin=(shift_x, shift_y))))
+    there = CellRaster(
+        x - shift_x, y - shift_y, CellLattice.of(1.0, Scale(origin=(shift_x, shift_y)))
+    )
     np.testing.assert_array_equal(here.lowest(z, every), there.lowest(z, every))
     np.testing.assert_array_equal(here.keys, there.keys)
     # A point far off moves the raster's corner: the others still drop as they did.
-    more = CellRaster(np.append(x, -31_000), np.append(y, -27_500), CellLattice.of(1.0, Scale()))
+    more = CellRaster(
+        np.append(x, -31_000), np.append(y, -27_500), CellLattice.of(1.0, Scale())
+    )
     heights = more.lowest(np.append(z, 0), np.ones(z.size + 1, bool))
     alone = steepest_drops(here.lowest(z, every), (1, 2, 3), 0.0)[0].ravel()[here.keys]
     joined = steepest_drops(heights, (1, 2, 3), 0.0)[0].ravel()[more.keys[:-1]]

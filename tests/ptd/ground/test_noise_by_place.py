@@ -17,7 +17,9 @@ from ptd.places import PLACE_M, field, name_of, value_at
 MM, EVERYTHING = Scale(), Window.everything()
 
 
-def partial(column: int, row: int, density: float, noise_mm: int, cells: int = 4096) -> dict[str, Any]:
+def partial(
+    column: int, row: int, density: float, noise_mm: int, cells: int = 4096
+) -> dict[str, Any]:
     """A place full of planar patches of one noise."""
     return {
         "place": [column, row], "points": round(16 * density * cells), "cells": cells, "full": cells,
@@ -28,7 +30,9 @@ def partial(column: int, row: int, density: float, noise_mm: int, cells: int = 4
 def field_of(seed: int, sigma: float, density: float, west: float, side: float) -> np.ndarray:
     rng = np.random.default_rng(seed)
     x, y = side * rng.random((2, round(side * side * density)))
-    return np.rint(1000 * np.stack([x + west, y, rng.normal(0, sigma, x.size)])).astype(np.int32)
+    return np.rint(1000 * np.stack([x + west, y, rng.normal(0, sigma, x.size)])).astype(
+        np.int32
+    )
 
 
 def test_places_add_up_to_the_run() -> None:
@@ -51,14 +55,18 @@ def test_a_survey_in_one_place_has_the_figures_of_the_run() -> None:
 
 
 def test_tiles_and_order_change_nothing() -> None:
-    xyz = np.concatenate([field_of(3, 0.03, 4.0, 180.0, 120.0), field_of(4, 0.2, 9.0, 300.0, 120.0)], axis=1)
+    xyz = np.concatenate(
+        [field_of(3, 0.03, 4.0, 180.0, 120.0), field_of(4, 0.2, 9.0, 300.0, 120.0)], axis=1
+    )
     whole = by_place(measure_places(xyz, EVERYTHING, MM))
     assert len({figures.sigma_m for figures in whole.values()}) > 1
     partials, step, reach = [], 61_300, round(1000 * SEEN_M)
     for west in range(0, 500_000, step):
         for south in range(0, 140_000, step):
             core = Window(west, south, west + step, south + step)
-            seen = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
+            seen = Window(
+                core.west - reach, core.south - reach, core.east + reach, core.north + reach
+            )
             partials += measure_places(xyz[:, seen.contains(xyz[0], xyz[1])][:, ::-1], core, MM)
     assert by_place(partials) == whole
     assert by_place(reversed(partials)) == whole
@@ -71,8 +79,12 @@ def test_nothing_beyond_the_reach_has_a_part() -> None:
 
     def figures(partials: list[dict[str, Any]], x_m: float) -> list[float]:
         found = by_place(partials)
-        table = {name_of(*p): [f.density_m2, f.sigma_m, f.smoothest_m] for p, f in found.items()}
-        return [value_at(field(table, k, MM, 0.0), round(1000 * x_m), 100_000) for k in range(3)]
+        table = {
+            name_of(*p): [f.density_m2, f.sigma_m, f.smoothest_m] for p, f in found.items()
+        }
+        return [
+            value_at(field(table, k, MM, 0.0), round(1000 * x_m), 100_000) for k in range(3)
+        ]
 
     border = 8 * PLACE_M
     for x_m in (border - REACH_M - 0.01, border - REACH_M - 300.0):
@@ -82,7 +94,9 @@ def test_nothing_beyond_the_reach_has_a_part() -> None:
 
 def test_a_sparse_strip_beside_a_dense_survey_has_a_density_of_its_own() -> None:
     places = [
-        partial(column, row, 20.0 if column < 0 else 0.5, 40) for column in range(-4, 4) for row in range(4)
+        partial(column, row, 20.0 if column < 0 else 0.5, 40)
+        for column in range(-4, 4)
+        for row in range(4)
     ]
     found = by_place(places)
     for column in range(-4, 4):

@@ -34,13 +34,17 @@ def find(points: np.ndarray, group: int = 5, scale: Scale | None = None) -> np.n
 def field(height: object = 0.0) -> np.ndarray:
     """A point a metre, 31 x 31, heights in metres; the middle one is number 480."""
     xy = np.stack(np.meshgrid(np.arange(31), np.arange(31))).reshape(2, -1) * 1000
-    return np.column_stack([*xy, np.broadcast_to(np.multiply(height, 1000), xy.shape[1])]).astype(np.int32)
+    return np.column_stack(
+        [*xy, np.broadcast_to(np.multiply(height, 1000), xy.shape[1])]
+    ).astype(np.int32)
 
 
 @settings(max_examples=80, deadline=None)
 @given(
     points=st.lists(
-        st.tuples(near, near, st.sampled_from([0, 3000, 4000, 4001, 9000])), min_size=1, max_size=50
+        st.tuples(near, near, st.sampled_from([0, 3000, 4000, 4001, 9000])),
+        min_size=1,
+        max_size=50,
     ),
     radius=st.sampled_from([1.0, 2.5, 5.0]),
     group=st.integers(0, 4),
@@ -108,7 +112,9 @@ def test_a_group_of_zero_finds_nothing() -> None:
     ("radius_m", "group", "cell_m", "cells"),
     [(5.0, 5, 1.0, 5), (5.0, 0, 1.0, 0), (3.3, 1, 1.0, 4), (3.5, 5, 0.7, 5), (3.6, 5, 0.7, 6)],
 )
-def test_the_margin_holds_the_radius(radius_m: float, group: int, cell_m: float, cells: int) -> None:
+def test_the_margin_holds_the_radius(
+    radius_m: float, group: int, cell_m: float, cells: int
+) -> None:
     assert search_margin(radius_m, group, cell_m) == cells
 
 

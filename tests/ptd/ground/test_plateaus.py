@@ -116,7 +116,18 @@ def test_what_a_hill_leans_on_is_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    "why", ["ramp", "wide", "low", "pit", "terrace", "slope", "higher beside", "out of sight", "alone"]
+    "why",
+    [
+        "ramp",
+        "wide",
+        "low",
+        "pit",
+        "terrace",
+        "slope",
+        "higher beside",
+        "out of sight",
+        "alone",
+    ],
 )
 def test_terrain_is_kept(why: str) -> None:
     heights, rule = land(), RULE
@@ -134,7 +145,8 @@ def test_terrain_is_kept(why: str) -> None:
         heights[:10] = 5000
         rule = replace(RULE, widest=100)
     elif why == "slope":
-        # A clearing in a wood on a hill: the ground seen four cells away is lower by 1 m a cell, as on any slope.
+        # A clearing in a wood on a hill: the ground seen four cells away is lower by 1 m a
+        # cell, as on any slope.
         heights[7:23, 5:21] = EMPTY
         heights[10:20, 8:18] = 4500
         rule = replace(RULE, slope=800.0)
@@ -148,28 +160,39 @@ def test_terrain_is_kept(why: str) -> None:
     assert not plateaus(heights, rule)[10:20, 8:18].any()
 
 
-def by_hand(heights: np.ndarray, rule: Plateaus, removed: np.ndarray, data: np.ndarray) -> np.ndarray:
+def by_hand(
+    heights: np.ndarray, rule: Plateaus, removed: np.ndarray, data: np.ndarray
+) -> np.ndarray:
     """The rule word by word."""
     gone = {(int(r), int(c)) for r, c in np.argwhere(removed)}
     filled = {(int(r), int(c)): int(heights[r, c]) for r, c in np.argwhere(heights != EMPTY)}
 
-    def first(cell: tuple[int, int], way: tuple[int, int], farthest: int) -> tuple[int, int] | None:
+    def first(
+        cell: tuple[int, int], way: tuple[int, int], farthest: int
+    ) -> tuple[int, int] | None:
         ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, farthest + 1))
         return next((place for place in ahead if place in filled), None)
 
     def says(cell: tuple[int, int], other: tuple[int, int] | None) -> str:
         if other is None:
             return "nothing"
-        lower, steps = filled[cell] - filled[other], max(abs(cell[0] - other[0]), abs(cell[1] - other[1]))
+        lower, steps = (
+            filled[cell] - filled[other],
+            max(abs(cell[0] - other[0]), abs(cell[1] - other[1])),
+        )
         if lower <= rule.fall:
             return "other"
         return "falls" if lower > rule.fall + rule.slope * steps else "nothing"
 
     def leaves(cell: tuple[int, int], way: tuple[int, int]) -> bool:
         ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, rule.view + 1))
-        return not any(0 <= r < data.shape[0] and 0 <= c < data.shape[1] and data[r, c] for r, c in ahead)
+        return not any(
+            0 <= r < data.shape[0] and 0 <= c < data.shape[1] and data[r, c] for r, c in ahead
+        )
 
-    def joined(cell: tuple[int, int], way: tuple[int, int], other: tuple[int, int] | None) -> bool:
+    def joined(
+        cell: tuple[int, int], way: tuple[int, int], other: tuple[int, int] | None
+    ) -> bool:
         near = [(cell[0] + k * way[0], cell[1] + k * way[1]) for k in (1, 2)]
         until = near[: near.index(other) + 1] if other in near else near
         return any(place in gone for place in until[: rule.view])
@@ -182,19 +205,29 @@ def by_hand(heights: np.ndarray, rule: Plateaus, removed: np.ndarray, data: np.n
             surface.add(cell)
             near = (first(cell, way, rule.gap) for way in WAYS)
             waiting += [
-                n for n in near if n and n not in surface and abs(filled[n] - filled[cell]) <= rule.step
+                n
+                for n in near
+                if n and n not in surface and abs(filled[n] - filled[cell]) <= rule.step
             ]
         left -= surface
         looks = [(cell, way, first(cell, way, rule.view)) for cell in surface for way in WAYS]
         looks = [(cell, way, n) for cell, way, n in looks if n not in surface]
         said = Counter(says(cell, n) for cell, way, n in looks)
-        past = sum(says(cell, n) == "nothing" and joined(cell, way, n) for cell, way, n in looks)
+        past = sum(
+            says(cell, n) == "nothing" and joined(cell, way, n) for cell, way, n in looks
+        )
         leave = Counter(
-            way for cell, way, n in looks if n is None and not joined(cell, way, n) and leaves(cell, way)
+            way
+            for cell, way, n in looks
+            if n is None and not joined(cell, way, n) and leaves(cell, way)
         )
         through = any(min(leave[a, b], leave[-a, -b]) >= 3 for a, b in ((0, 1), (1, 0)))
         limit = rule.widest_cut if leave.total() > 0.02 * len(looks) else rule.widest
-        falls, seen, unseen = said["falls"], said["falls"] + said["other"], said["nothing"] - past
+        falls, seen, unseen = (
+            said["falls"],
+            said["falls"] + said["other"],
+            said["nothing"] - past,
+        )
         wide = max(np.ptp([r for r, _ in surface]), np.ptp([c for _, c in surface])) + 1
         if seen and falls >= rule.share * seen and unseen <= rule.unseen * len(looks):
             for cell in surface if wide <= limit and not through else ():

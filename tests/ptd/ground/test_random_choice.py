@@ -22,7 +22,9 @@ def cells_of(points: np.ndarray) -> np.ndarray:
 def test_one_point_of_each_occupied_cell() -> None:
     points = cloud()
     picked = random_per_cell(*points, CELLS, 0)
-    assert np.array_equal(np.unique(cells_of(points[:, picked]), axis=0), np.unique(cells_of(points), axis=0))
+    assert np.array_equal(
+        np.unique(cells_of(points[:, picked]), axis=0), np.unique(cells_of(points), axis=0)
+    )
     assert len(np.unique(cells_of(points[:, picked]), axis=0)) == picked.size
 
 

@@ -53,14 +53,26 @@ def with_annexe() -> np.ndarray:
         (with_annexe(), 56, (54, 64)),
         (with_ramps(), 62, (55, 65)),
     ],
-    ids=["level", "gabled", "long", "wide", "on a slope", "partly removed", "with an annexe", "with ramps"],
+    ids=[
+        "level",
+        "gabled",
+        "long",
+        "wide",
+        "on a slope",
+        "partly removed",
+        "with an annexe",
+        "with ramps",
+    ],
 )
 def test_a_roof_is_found_with_its_place_and_width(
     heights: np.ndarray, width: float, middle: tuple[float, float]
 ) -> None:
     roof = max(remaining_roofs(heights))  # an annexe is one of its own
     assert roof.width_m == pytest.approx(width, abs=4)
-    assert (roof.row, roof.column) == (pytest.approx(middle[0], abs=2), pytest.approx(middle[1], abs=2))
+    assert (roof.row, roof.column) == (
+        pytest.approx(middle[0], abs=2),
+        pytest.approx(middle[1], abs=2),
+    )
     assert remaining_roofs(heights, min_width_m=2 * width) == []
 
 
@@ -80,7 +92,17 @@ ridge = np.abs(COLUMNS - 75)
         np.full((9, 9), np.nan),
         PLAIN[:0],
     ],
-    ids=["plain", "podium", "pit", "terrace", "ridge", "cone", "embankment", "unknown", "nothing"],
+    ids=[
+        "plain",
+        "podium",
+        "pit",
+        "terrace",
+        "ridge",
+        "cone",
+        "embankment",
+        "unknown",
+        "nothing",
+    ],
 )
 def test_terrain_is_no_roof(heights: np.ndarray) -> None:
     assert remaining_roofs(heights, min_width_m=10.0) == []
@@ -94,7 +116,9 @@ def test_a_roof_among_unknown_heights_is_none() -> None:
     assert remaining_roofs(heights) == []
 
 
-@pytest.mark.parametrize("heights", [with_hall(), with_hall(pitch=0.8), partly_removed(), with_annexe()])
+@pytest.mark.parametrize(
+    "heights", [with_hall(), with_hall(pitch=0.8), partly_removed(), with_annexe()]
+)
 def test_what_is_found_is_what_the_filter_removes(heights: np.ndarray) -> None:
     """One point a cell; the cells of the roofs that are found are those of the points that are taken out."""
     x, y = ((2000 * c + 1000).ravel().astype(np.int32) for c in (COLUMNS, ROWS))

@@ -52,7 +52,8 @@ def test_distance_is_perpendicular_to_a_slope() -> None:
     slope = of(counts(x, y, 0.8 * x + vertical))
     assert flat.patches > 150
     assert slope.patches > 100
-    # The lower quartile of 16 * 10 points a patch: 0.674 / sqrt(2 * 160) = 4 % below the middle.
+    # The lower quartile of 16 * 10 points a patch: 0.674 / sqrt(2 * 160) = 4 % below the
+    # middle.
     assert flat.sigma_m == pytest.approx(sigma * 0.96, abs=0.0015)
     assert slope.sigma_m == pytest.approx(sigma * 0.96, abs=0.0015)
 
@@ -63,7 +64,8 @@ def test_distance_is_perpendicular_to_a_slope() -> None:
         lambda x, y: 0.5 * (np.floor(x / 2) % 2),  # steps
         lambda x, y: 0.1 * ((x % 4) - 2) ** 2 + 0.1 * ((y % 4) - 2) ** 2,  # bowls
         lambda x, y: 1.3 * x,  # steeper than 45 degrees
-        lambda x, y: 3.0 * np.modf(np.sin(12.9898 * x + 78.233 * y) * 43758.5453)[0],  # a canopy
+        # a canopy
+        lambda x, y: 3.0 * np.modf(np.sin(12.9898 * x + 78.233 * y) * 43758.5453)[0],
     ],
 )
 def test_no_plane(shape) -> None:
@@ -75,7 +77,9 @@ def test_roofs_are_no_ground() -> None:
     """Rough ground around a smooth roof: the roof's patches do not count."""
     x, y, rng = field(3)
     roof = (abs(x - 30) < 10) & (abs(y - 30) < 10)
-    z = np.where(roof, 6 + 0.01 * rng.standard_normal(x.size), 0.08 * rng.standard_normal(x.size))
+    z = np.where(
+        roof, 6 + 0.01 * rng.standard_normal(x.size), 0.08 * rng.standard_normal(x.size)
+    )
     found = of(counts(x, y, z))
     assert found.sigma_m == pytest.approx(0.08 * 0.96, abs=0.004)
     assert found.patches < (60 * 60 - 20 * 20) / 16 + 1
@@ -84,19 +88,24 @@ def test_roofs_are_no_ground() -> None:
 def test_lawns_do_not_raise_it() -> None:
     x, y, rng = field(4)
     sigma = np.where(x < 20, 0.03, 0.09)
-    assert of(counts(x, y, sigma * rng.standard_normal(x.size))).sigma_m == pytest.approx(0.03, abs=0.004)
+    assert of(counts(x, y, sigma * rng.standard_normal(x.size))).sigma_m == pytest.approx(
+        0.03, abs=0.004
+    )
 
 
 @pytest.mark.parametrize("sigma", [0.03, 0.06, 0.12])
 @pytest.mark.parametrize("density", [10.0, 40.0])
-def test_smoothest_places_tell_the_noise_whatever_stands_on_the_ground(sigma: float, density: float) -> None:
+def test_smoothest_places_tell_the_noise_whatever_stands_on_the_ground(
+    sigma: float, density: float
+) -> None:
     """Plants, slopes and steps everywhere but in a corner, which is no larger than 30 m x 30 m of 60 m x 60 m."""
     x, y, rng = field(7, density=density)
     z = 0.3 * x + sigma * rng.standard_normal(x.size)
     bare = of(counts(x, y, z)).smoothest_m
     z += np.where((x < 30) & (y < 30), 0.0, rng.uniform(0.0, 0.9, x.size))
     among_plants = of(counts(x, y, z)).smoothest_m
-    # With 40 points a quarter the lowest twentieth of all is 0.8 of the noise, of a quarter of them 0.85.
+    # With 40 points a quarter the lowest twentieth of all is 0.8 of the noise, of a quarter of
+    # them 0.85.
     assert bare == pytest.approx(sigma, rel=0.15)
     assert among_plants == pytest.approx(sigma, rel=0.2)
 
@@ -108,7 +117,9 @@ def test_quarters_by_hand() -> None:
     z = 12.0 + 0.05 * np.where((np.floor(x * 2) + np.floor(y * 2)) % 2, 1, -1)
     part = measure(counts(x, y, z), EVERYTHING, EVERYTHING, MM)
     assert sum(part["quarters"][1:]) == 4
-    assert merge([part]).smoothest_m == pytest.approx(1.25 * 0.05 * math.sqrt(16 / 13), abs=2 * BIN_M)
+    assert merge([part]).smoothest_m == pytest.approx(
+        1.25 * 0.05 * math.sqrt(16 / 13), abs=2 * BIN_M
+    )
     few = measure(counts(x[::2], y[::2], z[::2]), EVERYTHING, EVERYTHING, MM)
     assert few["quarters"] == []
     assert merge([few]).smoothest_m is None
@@ -145,9 +156,13 @@ def test_tiles_and_order_change_nothing(origin) -> None:
     for west in range(0, 90_001, step):
         for south in range(0, 90_001, step):
             core = Window(west, south, west + step, south + step)
-            window = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
+            window = Window(
+                core.west - reach, core.south - reach, core.east + reach, core.north + reach
+            )
             part = xyz[:, window.contains(xyz[0], xyz[1])]
-            partials.append(measure(part[:, rng.permutation(part.shape[1])], window, core, scale))
+            partials.append(
+                measure(part[:, rng.permutation(part.shape[1])], window, core, scale)
+            )
     assert merge(partials) == whole
     assert merge(reversed(partials)) == whole
     assert sum(p["points"] for p in partials) == xyz.shape[1]

@@ -24,7 +24,9 @@ def choose(
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
     cells = CellLattice.of(SIDE / 1000, scale)
     known = known or Window.everything()
-    region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    region = UncertifiedRegion(
+        known, known.inside(cells, RING), box_with_ring(x, y, cells), scale
+    )
     mask = np.ones(x.size, np.bool_) if eligible is None else np.array(eligible)
     which = None if uncertified is None else np.array(uncertified)
     return choose_seeds(x, y, z, mask, cells, region, which), region
@@ -66,7 +68,8 @@ def test_heights_of_the_ring_by_hand() -> None:
     assert ring[-1, 0] == 100
     assert ring[2, 1] == 201
     assert ring[0, 1] == ring[1, -1] == 301 // 2
-    # Second layer, above the left cell: its neighbours in the first are (-1, 1): 100, (0, 1) and (1, 1): 150.
+    # Second layer, above the left cell: its neighbours in the first are (-1, 1): 100, (0, 1)
+    # and (1, 1): 150.
     assert ring[0, 2] == (100 + 150 + 150) // 3
     assert ring[-2, 2] == 100
     assert ring[3, 0] == 201
@@ -103,7 +106,8 @@ def test_uncertified_cells_at_a_closed_side(cut: int) -> None:
     for column in range(first, first + 8):
         empty = column in (2, 7)
         assert is_uncertified(region, column, 0) == (empty and column < first + RING)
-        # Above the row all cells are empty: those near the side could get another height from a point beyond it.
+        # Above the row all cells are empty: those near the side could get another height from a
+        # point beyond it.
         assert is_uncertified(region, column, 1) == (column < first + RING)
         assert is_uncertified(region, column, -2) == (column < first + RING)
 
@@ -118,7 +122,9 @@ def test_uncertified_cells_at_the_other_sides() -> None:
     assert not is_uncertified(region, -1, 3)
 
 
-def test_cells_that_may_lose_their_seed_are_uncertified_and_so_are_empty_ones_around_them() -> None:
+def test_cells_that_may_lose_their_seed_are_uncertified_and_so_are_empty_ones_around_them() -> (
+    None
+):
     """A row of cells: in column 4 it is not certain what is eligible; in column 5 neither, but another seed is sure."""
     row = [middle(c, 0, 10) for c in range(12) if c != 7]
     points = [*row, (5 * SIDE + 100, 100, 50)]
@@ -126,9 +132,21 @@ def test_cells_that_may_lose_their_seed_are_uncertified_and_so_are_empty_ones_ar
     far = Window(-900 * SIDE, -OPEN, OPEN, OPEN)
     _, region = choose(points, far, uncertified=uncertified)
     assert [column for column in range(12) if is_uncertified(region, column, 0)] == [4, 7]
-    assert [column for column in range(12) if is_uncertified(region, column, 1)] == [2, 3, 4, 5, 6, 7]
+    assert [column for column in range(12) if is_uncertified(region, column, 1)] == [
+        2,
+        3,
+        4,
+        5,
+        6,
+        7,
+    ]
 
 
 def test_the_box_holds_three_cells_around_the_data() -> None:
     x, y = np.array([0, 1], np.int32), np.array([SIDE, SIDE], np.int32)
-    assert box_with_ring(x, y, CellLattice.of(20.0, Scale())) == (-3 * SIDE, -2 * SIDE, 4 * SIDE, 5 * SIDE)
+    assert box_with_ring(x, y, CellLattice.of(20.0, Scale())) == (
+        -3 * SIDE,
+        -2 * SIDE,
+        4 * SIDE,
+        5 * SIDE,
+    )

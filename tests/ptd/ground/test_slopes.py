@@ -46,4 +46,6 @@ def test_neither_empty_rows_nor_data_beyond_reach_change_a_slope() -> None:
     whole, part, inner = rough(90, 100, 0.3), np.s_[20:76, 24:60], np.s_[12:-12, 12:-12]
     far, near = slopes(whole, 6), slopes(whole[part], 6)
     np.testing.assert_array_equal(near[inner], far[part][inner])
-    np.testing.assert_array_equal(slopes(np.pad(whole, 7, constant_values=EMPTY), 6)[7:-7, 7:-7], far)
+    np.testing.assert_array_equal(
+        slopes(np.pad(whole, 7, constant_values=EMPTY), 6)[7:-7, 7:-7], far
+    )

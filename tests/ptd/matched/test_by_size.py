@@ -10,7 +10,14 @@ from ptd.frame import Scale, Window
 from ptd.matched.by_size import size_of_cells
 from ptd.matched.cells import cell_heights
 from ptd.matched.passes import SurfacePass
-from ptd.matched.place_figures import BOTH, CELL_SIZE, CELL_SIZES_M, SIZES_AROUND, cell_sizes, with_cell_sizes
+from ptd.matched.place_figures import (
+    BOTH,
+    CELL_SIZE,
+    CELL_SIZES_M,
+    SIZES_AROUND,
+    cell_sizes,
+    with_cell_sizes,
+)
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
 from ptd.places import PLACE_M, name_of
@@ -31,9 +38,13 @@ def strip(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_sides_follow_the_density_and_both_are_made_where_they_meet() -> None:
-    table = with_cell_sizes({name_of(c, 0): [8.0 if c < 0 else 1.0, None, 0.05] for c in range(-9, 9)})
+    table = with_cell_sizes(
+        {name_of(c, 0): [8.0 if c < 0 else 1.0, None, 0.05] for c in range(-9, 9)}
+    )
     assert [table[name_of(c, 0)][CELL_SIZE] for c in (-9, -1, 0, 8)] == [1.0, 1.0, 2.0, 2.0]
-    assert [c for c in range(-9, 9) if table[name_of(c, 0)][BOTH]] == list(range(-SIZES_AROUND, SIZES_AROUND))
+    assert [c for c in range(-9, 9) if table[name_of(c, 0)][BOTH]] == list(
+        range(-SIZES_AROUND, SIZES_AROUND)
+    )
     assert cell_sizes(table) == CELL_SIZES_M
     assert cell_sizes({name_of(0, 0): table[name_of(8, 0)]}) == (2.0,)
 
@@ -71,7 +82,10 @@ def test_a_place_gets_what_it_would_get_if_all_cells_had_its_size(
 ) -> None:
     xyz, _ = strip(2)
     mixed = ptd.classify(xyz, kind="dim")
-    own = {name: figures[CELL_SIZE] for name, figures in mixed.decisions["statistics"]["places"].items()}
+    own = {
+        name: figures[CELL_SIZE]
+        for name, figures in mixed.decisions["statistics"]["places"].items()
+    }
     monkeypatch.setattr("ptd.matched.place_figures.cell_size_m", lambda density_m2: size_m)
     alike = ptd.classify(xyz, kind="dim").classification
     column = np.floor(xyz[:, 0] / PLACE_M).astype(int)

@@ -25,7 +25,8 @@ from tests.benchmarks.scorecard_scenes import Cloud, read_clouds, simulated
 from tests.scenes.canopies import Canopy as Wood
 
 BESIDE_M = np.sqrt(2.0) * (BORDER_M + CELL_REACH_M + REACH_M + 2 * SPARSE_CELL_M)
-"""A label hangs on the surface as far as the last look sees, and there on a canopy within the border."""
+"""A label hangs on the surface as far as the last look sees, and there on a canopy within the
+border."""
 
 
 class Found(NamedTuple):
@@ -119,7 +120,9 @@ def test_simulated_woods_are_told_and_bridged(hilly: bool, clearings: bool) -> N
     """The share is told within a third; the terrain is 0.47 to 0.64 times as wrong as without the pass."""
     wood = Wood(hilly, clearings)
     points = wood.points()
-    cloud = Cloud(points.xyz, points.label, truth=wood.site().terrain.height_at, side_m=wood.side_m)
+    cloud = Cloud(
+        points.xyz, points.label, truth=wood.site().terrain.height_at, side_m=wood.side_m
+    )
     labels = found(points.xyz)
     assert labels.share == pytest.approx(wood.share(), rel=1 / 3)
     before, after = (dtm_rmse_m(cloud, found == 2) for found in (labels.before, labels.after))
@@ -135,7 +138,9 @@ def test_steep_ground_beside_woods_is_no_canopy() -> None:
     """The east of the simulated mountain, where the pass once took ground for crowns."""
     whole = simulated("dim_mountain")
     east = whole.xyz[:, 0] > 110.0
-    cloud = Cloud(whole.xyz[east], whole.classification[east], truth=whole.truth, side_m=whole.side_m)
+    cloud = Cloud(
+        whole.xyz[east], whole.classification[east], truth=whole.truth, side_m=whole.side_m
+    )
     labels = found(cloud.xyz)
     assert labels.share < 0.01
     assert_no_harm(cloud, labels)

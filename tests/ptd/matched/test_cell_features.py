@@ -18,7 +18,19 @@ def test_cells_around_a_plane_with_a_hedge_and_a_wall() -> None:
     found = cell_features.around_cells(heights, there, ground, sigma, band, 1.0)
     at = found.features[20 * side + 22]
     line_5, line_10 = 1000 * 11 // 121, 1000 * 21 // 441
-    assert at.tolist() == [250, 50, 100, 0, 0, 0, line_5, line_10, line_5, line_10, 1000 * 99 // 121]
+    assert at.tolist() == [
+        250,
+        50,
+        100,
+        0,
+        0,
+        0,
+        line_5,
+        line_10,
+        line_5,
+        line_10,
+        1000 * 99 // 121,
+    ]
 
 
 def test_what_lies_around_a_cell_ends_at_its_reach() -> None:
@@ -26,7 +38,9 @@ def test_what_lies_around_a_cell_ends_at_its_reach() -> None:
     ground = rng.normal(0, 1, (60, 60))
     heights, there = ground + rng.normal(0, 0.3, ground.shape), rng.random(ground.shape) < 0.8
     sigma, band = np.full(ground.shape, 0.05), np.full(ground.shape, 0.25)
-    whole = cell_features.around_cells(heights, there, ground, sigma, band, 1.0).features.reshape(60, 60, -1)
+    whole = cell_features.around_cells(
+        heights, there, ground, sigma, band, 1.0
+    ).features.reshape(60, 60, -1)
     r = cell_features.reach_cells(1.0)
     cut = slice(30 - r, 31 + r)
     part = [values[cut, cut] for values in (heights, there, ground, sigma, band)]

@@ -11,7 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ptd.frame import CellLattice, Scale, Window
-from ptd.matched.cells import ALIGN, EMPTY, MARGIN, STEEPEST_AT_GAPS, _lowest_mode, cell_heights, raster_of
+from ptd.matched.cells import (
+    ALIGN,
+    EMPTY,
+    MARGIN,
+    STEEPEST_AT_GAPS,
+    _lowest_mode,
+    cell_heights,
+    raster_of,
+)
 
 MM = Scale()
 EVERYTHING = Window.everything()
@@ -21,7 +29,9 @@ SIGMA_M = 0.05
 
 def of_one_cell(z: list[int]) -> np.ndarray:
     places = np.linspace(100, 900, len(z)).astype(np.int32)
-    return cell_heights(np.stack([places, places, np.array(z, np.int32)]), EVERYTHING, MM, SIGMA_M)
+    return cell_heights(
+        np.stack([places, places, np.array(z, np.int32)]), EVERYTHING, MM, SIGMA_M
+    )
 
 
 @pytest.mark.parametrize(
@@ -59,16 +69,22 @@ def slow_mode(values: list[int], width: int, share: float, least: int) -> tuple[
     width=st.integers(0, 200),
     share=st.sampled_from([0.1, 0.25, 0.5]),
 )
-def test_lowest_mode_is_that_of_a_slow_search(values: list[int], width: int, share: float) -> None:
+def test_lowest_mode_is_that_of_a_slow_search(
+    values: list[int], width: int, share: float
+) -> None:
     found = _lowest_mode(np.sort(np.array(values, np.int64)), width, share, 2)
     assert found == slow_mode(values, width, share, 2)
 
 
-def plane(slope_x: float, slope_y: float, noise_m: float, side: float = 30.0) -> tuple[np.ndarray, ...]:
+def plane(
+    slope_x: float, slope_y: float, noise_m: float, side: float = 30.0
+) -> tuple[np.ndarray, ...]:
     rng = np.random.default_rng(7)
     x, y = side * rng.random((2, round(30 * side**2)))
     z = 40.0 + slope_x * x + slope_y * y + noise_m * rng.standard_normal(x.size)
-    found = cell_heights(np.rint(1000 * np.stack([x, y, z])).astype(np.int32), EVERYTHING, MM, noise_m)
+    found = cell_heights(
+        np.rint(1000 * np.stack([x, y, z])).astype(np.int32), EVERYTHING, MM, noise_m
+    )
     cx, cy, cz = found / 1000
     inner = (np.minimum(cx, cy) > 1) & (np.maximum(cx, cy) < side - 1)
     return inner, cz - (40.0 + slope_x * cx + slope_y * cy)
@@ -83,7 +99,9 @@ def plane(slope_x: float, slope_y: float, noise_m: float, side: float = 30.0) ->
         ((-1.2, 0.7), 0.04, 0.1),
     ],
 )
-def test_cells_of_a_plane_are_not_biased(slope: tuple[float, float], bias: float, scatter: float) -> None:
+def test_cells_of_a_plane_are_not_biased(
+    slope: tuple[float, float], bias: float, scatter: float
+) -> None:
     """Lowest points would lie 2 sigma and half the slope too low: 0.08 m and up to 0.95 m."""
     inner, error = plane(*slope, noise_m=0.04)
     assert inner.sum() == 28 * 28
@@ -91,7 +109,9 @@ def test_cells_of_a_plane_are_not_biased(slope: tuple[float, float], bias: float
     assert error[inner].std() < scatter
 
 
-@pytest.mark.parametrize(("slope", "bias"), [((0.5, 0.3), 0.03), ((-0.6, 0.0), 0.03), ((1.0, 0.0), 0.3)])
+@pytest.mark.parametrize(
+    ("slope", "bias"), [((0.5, 0.3), 0.03), ((-0.6, 0.0), 0.03), ((1.0, 0.0), 0.3)]
+)
 def test_cells_at_the_edge_of_a_slope_take_it_from_the_one_neighbour(
     slope: tuple[float, float], bias: float
 ) -> None:
@@ -135,5 +155,9 @@ def test_rasters_hold_their_cells_amid_a_margin_and_are_aligned() -> None:
     }
     assert found == {(-3, 0): 5, (0, 4): 6, (10, -8): 7}
     assert raster.heights.reshape(-1)[raster.keys].tolist() == [5, 6, 7]
-    edges = rows.min(), columns.min(), *(np.array(raster.heights.shape) - 1 - (rows.max(), columns.max()))
+    edges = (
+        rows.min(),
+        columns.min(),
+        *(np.array(raster.heights.shape) - 1 - (rows.max(), columns.max())),
+    )
     assert min(edges) >= MARGIN - 1

@@ -80,4 +80,6 @@ def test_residuals_are_those_of_planes_by_least_squares() -> None:
         y, x = np.indices(window.shape)
         places = np.stack([x[held], y[held], np.ones(held.sum())], axis=1)
         _, squares, *_ = np.linalg.lstsq(places, window[held], rcond=None)
-        assert found[row, column] == pytest.approx(np.sqrt(squares[0] / (held.sum() - 3)), rel=1e-6)
+        assert found[row, column] == pytest.approx(
+            np.sqrt(squares[0] / (held.sum() - 3)), rel=1e-6
+        )

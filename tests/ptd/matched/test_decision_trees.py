@@ -7,7 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from ptd.matched import decision_trees, last_look
-from ptd.matched.decision_trees import LEAVES, NODES, UNIT, DecisionTrees, last_look_trees, scores
+from ptd.matched.decision_trees import (
+    LEAVES,
+    NODES,
+    UNIT,
+    DecisionTrees,
+    last_look_trees,
+    scores,
+)
 
 
 def random_trees(seed: int, n: int = 30) -> DecisionTrees:
@@ -37,7 +44,10 @@ def test_a_slow_walk_gives_the_same_sums() -> None:
 
 def test_one_tree_of_known_answers() -> None:
     tree = DecisionTrees(
-        *(np.array(v, np.int32) for v in ([0, 1, 1, 0, 0, 0, 0], [9, 5, 5, 3, 3, 20, 20], range(8)))
+        *(
+            np.array(v, np.int32)
+            for v in ([0, 1, 1, 0, 0, 0, 0], [9, 5, 5, 3, 3, 20, 20], range(8))
+        )
     )
     rows = np.array([[9, 5], [3, 5], [9, 6], [10, 5], [21, 6]], np.int32)
     assert scores(rows, tree).tolist() == [1, 0, 3, 4, 7]

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 import ptd
 from ptd import Evidence
-from ptd.matched.evidence import COLOUR, DIM, LIDAR, MAX_CONFIDENCE, Piece, concluded, decided_by
+from ptd.matched.evidence import (
+    COLOUR,
+    DIM,
+    LIDAR,
+    MAX_CONFIDENCE,
+    Piece,
+    concluded,
+    decided_by,
+)
 
 N = 500
 RNG = np.random.default_rng(1)
@@ -40,7 +48,8 @@ NO_COLOUR = np.zeros((N, 3))
         ({"rgb": NO_COLOUR}, None),
         ({"gps_time": np.full(N, 3.0), "rgb": NO_COLOUR}, None),
         ({"gps_time": np.full(N, np.nan), "rgb": NO_COLOUR}, None),
-        ({"rgb": np.repeat(RGB[:, :1], 3, axis=1), "intensity": RGB[:, 0]}, None),  # painted with intensities
+        # painted with intensities
+        ({"rgb": np.repeat(RGB[:, :1], 3, axis=1), "intensity": RGB[:, 0]}, None),
     ],
 )
 def test_fields_decide_where_they_are_clear(changed: dict[str, Any], kind: str | None) -> None:
@@ -56,7 +65,9 @@ def test_colours_alone_do_not_decide() -> None:
 
 
 def test_weights_are_logarithms_of_odds() -> None:
-    made = concluded([Piece(COLOUR, "a"), Piece(0.1, "b"), Piece(0.2, "c"), Piece(-0.3, "against")])
+    made = concluded(
+        [Piece(COLOUR, "a"), Piece(0.1, "b"), Piece(0.2, "c"), Piece(-0.3, "against")]
+    )
     assert made.kind == DIM
     assert made.sure == pytest.approx(math.exp(2.4) / (1 + math.exp(2.4)))
     assert made.why == "a; c"
@@ -68,12 +79,16 @@ shares = st.none() | st.floats(0, 1)
 
 @given(
     st.lists(
-        st.tuples(st.builds(Evidence, shares, shares, st.just(0.2), shares, shares), st.floats(0.1, 9)),
+        st.tuples(
+            st.builds(Evidence, shares, shares, st.just(0.2), shares, shares), st.floats(0.1, 9)
+        ),
         min_size=1,
     ),
     st.integers(1, 40),
 )
-def test_a_survey_in_pieces_tells_what_it_tells_as_one(parts: list[tuple[Evidence, float]], n: int) -> None:
+def test_a_survey_in_pieces_tells_what_it_tells_as_one(
+    parts: list[tuple[Evidence, float]], n: int
+) -> None:
     whole = Evidence.merged(parts)
     pieces = [(part, area / n) for part, area in parts for _ in range(n)]
     for cut in (pieces, pieces[::-1]):
@@ -98,6 +113,8 @@ def test_a_drone_cloud_through_which_a_bit_is_seen_is_matched_where_its_fields_s
     without = ptd.classify(xyz).decisions["statistics"]
     told = ptd.classify(xyz, evidence=Evidence.of(**DRONE)).decisions["statistics"]
     assert (without["survey"]["kind"], told["survey"]["kind"]) == (LIDAR, DIM)
-    assert told["notes"][0].startswith("decided: image matching (91 % sure: the points have colours; ")
+    assert told["notes"][0].startswith(
+        "decided: image matching (91 % sure: the points have colours; "
+    )
     weak = ptd.classify(xyz, evidence=Evidence.of(rgb=RGB)).decisions["statistics"]["survey"]
     assert 0.5 < weak["sure"] < 0.9

@@ -59,6 +59,8 @@ def test_what_rises_above_both_sides_of_a_step_does_not_join() -> None:
 def test_what_is_level_joins_where_few_cells_make_no_plane() -> None:
     """The top of a narrow dam."""
     top = (COLUMN >= 19) & (COLUMN < 22)
-    joined = ~np.isnan(growing(np.where(top, 0.0, -9.0), top & (abs(ROW - 20.0) < 1.5) & (COLUMN < 21)))
+    joined = ~np.isnan(
+        growing(np.where(top, 0.0, -9.0), top & (abs(ROW - 20.0) < 1.5) & (COLUMN < 21))
+    )
     assert joined[14:18, 19:22].all()
     assert not joined[~top].any()

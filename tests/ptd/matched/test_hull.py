@@ -35,7 +35,10 @@ def slow_hull(heights: np.ndarray, rule: Envelope, row: int, column: int) -> np.
         for c in range(-column % s, heights.shape[1], s):
             if (heights[r : r + s, c : c + s] == EMPTY).all():
                 continue
-            south, north_end = max(r - rule.radius, 0), min(r + rule.radius + 1, heights.shape[0])
+            south, north_end = (
+                max(r - rule.radius, 0),
+                min(r + rule.radius + 1, heights.shape[0]),
+            )
             west, east_end = max(c - rule.radius, 0), min(c + rule.radius + 1, heights.shape[1])
             part = np.s_[south:north_end, west:east_end]
             dr, dc = np.mgrid[south - r : north_end - r, west - c : east_end - c]
@@ -85,7 +88,8 @@ def test_a_plane_is_its_own_hull(slope: float, rule: Envelope) -> None:
     assert np.allclose(north[7:-7, 7:-7], 1000 * slope, atol=1)
     assert np.allclose(east[7:-7, 7:-7], 300, atol=1)
     error = lower_envelope(counts(z), rule, MM, 0, 0)[56:-56, 56:-56] / 1000 - z[56:-56, 56:-56]
-    # Above by the four neighbours of what a paraboloid cuts through, and by slopes in whole counts.
+    # Above by the four neighbours of what a paraboloid cuts through, and by slopes in whole
+    # counts.
     assert -STRIDE_M - 1e-3 < error.min() <= error.max() < rule.curvature / 2 + 0.02
 
 
@@ -93,8 +97,8 @@ def test_a_plane_is_its_own_hull(slope: float, rule: Envelope) -> None:
 def test_hills_that_bend_less_and_bowls_are_followed(share: float) -> None:
     """Tilts are those of blocks, so up to 4 cells away the terrain's slope differs from them by 4 c for a curvature c.
 
-    In a bowl the paraboloid of curvature k then touches 4 c / (k + c) cells off, 8 c^2 / (k + c) below the cell, along
-    rows and columns.
+    In a bowl the paraboloid of curvature k then touches 4 c / (k + c) cells off, 8 c^2 / (k +
+    c) below the cell, along rows and columns.
     """
     rule = Envelope(0.04, 11.5)
     row, column = raster(160)
@@ -151,5 +155,7 @@ def test_nothing_beyond_the_reach_has_a_part(rule: Envelope) -> None:
     whole, r = lower_envelope(heights, rule, MM, -24, 16), rule.reach
     south, west = 40, 24
     cut = lower_envelope(heights[south:-31, west:], rule, MM, -24 + south, 16 + west)
-    assert np.array_equal(cut[r : cut.shape[0] - r, r:], whole[south + r : 240 - 31 - r, west + r :])
+    assert np.array_equal(
+        cut[r : cut.shape[0] - r, r:], whole[south + r : 240 - 31 - r, west + r :]
+    )
     assert (cut != whole[south:-31, west:]).any()

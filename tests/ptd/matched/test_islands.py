@@ -57,7 +57,10 @@ def test_a_terrace_whose_wall_and_surroundings_are_lost_is_no_island() -> None:
 
 
 def test_rocks_and_tops_of_walls_are_no_islands() -> None:
-    rock, wall = np.hypot(ROW - 40, COLUMN - 40) < 4, (abs(ROW - 100) < 2) & (abs(COLUMN - 75) < 40)
+    rock, wall = (
+        np.hypot(ROW - 40, COLUMN - 40) < 4,
+        (abs(ROW - 100) < 2) & (abs(COLUMN - 75) < 40),
+    )
     z = np.where(rock, 5.0, np.where(wall, 3.0, 0.0))
     faces = (ROW == 102) & wall | rock & (COLUMN == 40)
     assert not of(z, ~faces).any()
@@ -68,7 +71,9 @@ def test_a_glimpse_of_a_hill_below_crowns_is_no_island() -> None:
     wood = np.hypot(ROW - 75, COLUMN - 75) < 30
     glimpse = np.hypot(ROW - 75, COLUMN - 75) < 2
     assert not of(hill + np.where(wood & ~glimpse, 9.0, 0.0), ~wood | glimpse).any()
-    assert np.array_equal(of(hill + np.where(wood & ~glimpse, 1.0, 0.0), ~wood | glimpse), glimpse)
+    assert np.array_equal(
+        of(hill + np.where(wood & ~glimpse, 1.0, 0.0), ~wood | glimpse), glimpse
+    )
 
 
 def test_a_wide_part_of_a_roof_is_no_island() -> None:
@@ -101,11 +106,13 @@ def test_around_an_island_only_ground_stays_ground() -> None:
 
 def test_surroundings_are_those_of_a_slow_count() -> None:
     rng = np.random.default_rng(5)
-    heights = np.where(rng.random((30, 40)) < 0.2, EMPTY, rng.integers(0, 6000, (30, 40))).astype(np.int32)
+    heights = np.where(
+        rng.random((30, 40)) < 0.2, EMPTY, rng.integers(0, 6000, (30, 40))
+    ).astype(np.int32)
     ground = (heights != EMPTY) & (rng.random((30, 40)) < 0.4)
-    surface = np.where(ground & (rng.random((30, 40)) < 0.2), rng.integers(0, 3, (30, 40)), -1).astype(
-        np.int32
-    )
+    surface = np.where(
+        ground & (rng.random((30, 40)) < 0.2), rng.integers(0, 3, (30, 40)), -1
+    ).astype(np.int32)
     expected = np.zeros((3, 3), np.int64)
     for row, column in np.argwhere(surface >= 0):
         box = np.s_[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
@@ -120,7 +127,9 @@ def test_surroundings_are_those_of_a_slow_count() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
-def test_nothing_beyond_the_reach_has_a_part(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+def test_nothing_beyond_the_reach_has_a_part(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
     """Nor has a surface that continues beyond it: it is too wide for an island, and for one that rays pass."""
     monkeypatch.setattr(module, "MAX_WIDTH_M", 16.0)
     monkeypatch.setattr(module, "VIEW_M", 12.0)
@@ -145,7 +154,8 @@ def test_nothing_beyond_the_reach_has_a_part(monkeypatch: pytest.MonkeyPatch, se
 def test_no_point_of_a_hall_with_pits_is_ground() -> None:
     """A photogrammetric cloud of a hall of 76 m x 54 m on a gentle slope, with lower parts of 4 m in its roof.
 
-    A terrace of 4 m with a wall stands next to it, and a rock of 3 m. Without `without_islands` these parts are ground.
+    A terrace of 4 m with a wall stands next to it, and a rock of 3 m. Without `without_islands`
+    these parts are ground.
     """
     rng = np.random.default_rng(7)
     x, y = rng.uniform(0.0, (170.0, 130.0), (220_000, 2)).T

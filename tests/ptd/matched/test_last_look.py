@@ -26,7 +26,9 @@ def scene(seed: int, n: int = 900, side_m: float = 12.0) -> Heights:
     voted = np.where(rng.random(n) < 0.7, rng.normal(0, 100, n), rng.uniform(-2000, 2000, n))
     voted = voted.astype(np.int32)
     own = np.clip(voted + rng.integers(-60, 60, n), -2000, 2000).astype(np.int32)
-    labels = np.where(abs(voted) < 150, GROUND, np.where(voted < -1500, LOW_NOISE, UNCLASSIFIED))
+    labels = np.where(
+        abs(voted) < 150, GROUND, np.where(voted < -1500, LOW_NOISE, UNCLASSIFIED)
+    )
     return Heights(x, y, own, voted, labels.astype(np.uint8))
 
 
@@ -43,11 +45,15 @@ def slow_window(heights: Heights, near: np.ndarray, voted: int) -> list[int]:
     v = heights.voted[near].astype(np.int64)
     spread = np.sqrt(max((v**2).sum() / v.size - (v.sum() / v.size) ** 2, 0.0))
     ground = heights.labels[near] == GROUND
-    above = int(np.floor(voted - v[ground].sum() / ground.sum())) if ground.any() else NO_GROUND_MM
+    above = (
+        int(np.floor(voted - v[ground].sum() / ground.sum())) if ground.any() else NO_GROUND_MM
+    )
     return [thousandths(ground), int(np.floor(v.sum() / v.size)), int(np.floor(spread)), above]
 
 
-def slow_features(heights: Heights, cell: np.ndarray, around: Around, scale: Scale) -> dict[int, list[int]]:
+def slow_features(
+    heights: Heights, cell: np.ndarray, around: Around, scale: Scale
+) -> dict[int, list[int]]:
     columns, rows = CellLattice.of(0.25, scale).cell_indices(heights.x, heights.y)
     found = {}
     for k in range(heights.x.size):
@@ -56,7 +62,10 @@ def slow_features(heights: Heights, cell: np.ndarray, around: Around, scale: Sca
             continue
         away = np.maximum(abs(columns - columns[k]), abs(rows - rows[k]))
         r = next((r for r in range(1, 5) if (away <= r).sum() >= 20), 5)
-        narrow, wide = slow_window(heights, away <= r, v), slow_window(heights, away <= 2 * r, v)
+        narrow, wide = (
+            slow_window(heights, away <= r, v),
+            slow_window(heights, away <= 2 * r, v),
+        )
         near = heights.voted[away <= r]
         plants = [thousandths((near > 200) & (near < 1000)), thousandths(near >= 1000)]
         of_ground = heights.labels[away <= 2 * r] == GROUND
@@ -76,13 +85,19 @@ def slow_features(heights: Heights, cell: np.ndarray, around: Around, scale: Sca
 
 
 @pytest.mark.parametrize("n", [60, 900])
-@pytest.mark.parametrize("scale", [Scale(), Scale(Fraction(1, 1000), Fraction(1, 1000), (640_123, -64_321))])
+@pytest.mark.parametrize(
+    "scale", [Scale(), Scale(Fraction(1, 1000), Fraction(1, 1000), (640_123, -64_321))]
+)
 def test_a_slow_search_finds_the_same_features(n: int, scale: Scale) -> None:
     heights, around = scene(1, n), surroundings(2, 40)
     cell = np.random.default_rng(3).integers(0, 40, n).astype(np.int32)
     expected = slow_features(heights, cell, around, scale)
     blocks = list(last_look.features_by_block(heights, cell, around, scale))
-    found = {int(k): row.tolist() for index, rows in blocks for k, row in zip(index, rows, strict=True)}
+    found = {
+        int(k): row.tolist()
+        for index, rows in blocks
+        for k, row in zip(index, rows, strict=True)
+    }
     assert len(found) == sum(len(index) for index, _ in blocks) > 10
     assert found == expected
     assert len(next(iter(found.values()))) == len(FEATURES)
@@ -96,7 +111,9 @@ def by_ground_share(limit: int) -> DecisionTrees:
 
 def look(heights: Heights, limit: int = 500, scale: Scale | None = None) -> np.ndarray:
     cell = np.zeros(heights.x.size, np.int32)
-    return last_look.relabelled(heights, cell, surroundings(2, 1), scale or Scale(), by_ground_share(limit))
+    return last_look.relabelled(
+        heights, cell, surroundings(2, 1), scale or Scale(), by_ground_share(limit)
+    )
 
 
 def test_low_noise_and_what_lies_far_from_the_surface_stay() -> None:
@@ -114,7 +131,10 @@ def test_nothing_farther_than_the_reach_has_a_part() -> None:
     whole, east = look(heights), heights.x < 3000
     seen = heights.x < 3000 + 1000 * REACH_M
     part = Heights(
-        *(column[seen] for column in (heights.x, heights.y, heights.own, heights.voted, heights.labels))
+        *(
+            column[seen]
+            for column in (heights.x, heights.y, heights.own, heights.voted, heights.labels)
+        )
     )
     assert np.array_equal(look(part)[east[seen]], whole[east])
     assert (whole != heights.labels)[east].any()
@@ -124,7 +144,10 @@ def test_the_order_of_points_changes_nothing() -> None:
     heights = scene(6, 2000)
     order = np.random.default_rng(0).permutation(2000)
     mixed = Heights(
-        *(column[order] for column in (heights.x, heights.y, heights.own, heights.voted, heights.labels))
+        *(
+            column[order]
+            for column in (heights.x, heights.y, heights.own, heights.voted, heights.labels)
+        )
     )
     assert np.array_equal(look(mixed), look(heights)[order])
 
@@ -142,7 +165,8 @@ def test_the_parameter_turns_it_off() -> None:
     xyz[plants, 2] += np.random.default_rng(5).uniform(0.0, 0.6, plants.sum())
     truth[plants] = 3
     with_look, without = (
-        ptd.classify(xyz, "auto", Auto(refine=refine), kind="dim").classification for refine in (True, False)
+        ptd.classify(xyz, "auto", Auto(refine=refine), kind="dim").classification
+        for refine in (True, False)
     )
     changed = with_look != without
     assert 0 < changed.mean() < 0.05

@@ -58,14 +58,18 @@ def test_a_terrace_that_falls_on_one_side_stays() -> None:
 
 
 @pytest.mark.parametrize("edge", [30, 75, 120])
-def test_what_a_step_parts_from_the_rest_of_a_small_survey_is_ground_on_both_sides(edge: int) -> None:
+def test_what_a_step_parts_from_the_rest_of_a_small_survey_is_ground_on_both_sides(
+    edge: int,
+) -> None:
     row, _ = np.mgrid[:150, :150]
     objects, _ = of(2.0 * (row >= edge))
     assert not objects.any()
 
 
 @pytest.mark.parametrize(("side", "is_terrain"), [(80, True), (60, False)])
-def test_the_ground_of_a_small_survey_is_terrain_ditch_or_not(side: int, is_terrain: bool) -> None:
+def test_the_ground_of_a_small_survey_is_terrain_ditch_or_not(
+    side: int, is_terrain: bool
+) -> None:
     """Half of it lies on the stiff hull, and it does not fall: a crest beside a ditch is no plants."""
     column = np.arange(side)
     z = np.broadcast_to(-2.0 * np.clip(5 - abs(column - 15), 0, 3) / 3, (side, side))
@@ -83,7 +87,9 @@ def test_a_ridge_is_terrain_but_not_the_top_of_a_wood(full_of_gaps: bool) -> Non
     assert of(z)[1][61, 33] == (not full_of_gaps)
 
 
-@pytest.mark.parametrize(("wide", "is_object"), [(int(MAX_WIDTH_M), True), (int(MAX_WIDTH_M) + 1, False)])
+@pytest.mark.parametrize(
+    ("wide", "is_object"), [(int(MAX_WIDTH_M), True), (int(MAX_WIDTH_M) + 1, False)]
+)
 def test_what_is_wider_than_a_limit_is_terrain(wide: int, is_object: bool) -> None:
     side = 260
     plateau = box(side, 100, 150, 30, 30 + wide)
@@ -112,7 +118,9 @@ def test_equipment_on_a_roof_goes_with_it() -> None:
 
 
 @pytest.mark.parametrize(("side_m", "is_object"), [(3, True), (5, False)])
-def test_a_yard_between_houses_stays_but_not_what_sticks_out_of_a_wall(side_m: int, is_object: bool) -> None:
+def test_a_yard_between_houses_stays_but_not_what_sticks_out_of_a_wall(
+    side_m: int, is_object: bool
+) -> None:
     block, yard = box(120, 40, 80, 40, 80), box(120, 60, 60 + side_m, 60, 60 + side_m)
     again, _ = of(12.0 * block - 9.0 * yard, block & ~yard)
     assert (again[yard] == is_object).all()

@@ -33,7 +33,9 @@ def survey(
     density, sigma, cell_sigma = figures(found, run)
     table = alike(density, sigma, cell_sigma)
     return {
-        "survey": decided(Auto(), found, ReturnStatistics(0, 0, 100, 0), list(table.values()), run)[0],
+        "survey": decided(
+            Auto(), found, ReturnStatistics(0, 0, 100, 0), list(table.values()), run
+        )[0],
         "places": table,
     }
 
@@ -112,7 +114,9 @@ def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_
             everywhere(0.1),
             everywhere(0.5),
         )
-        return ground.classes(x, np.full_like(x, 5300), np.rint(1000 * z).astype(np.int32)).tolist()
+        return ground.classes(
+            x, np.full_like(x, 5300), np.rint(1000 * z).astype(np.int32)
+        ).tolist()
 
     g, u, n = int(GROUND), int(UNCLASSIFIED), int(LOW_NOISE)
     assert labels(1.0) == [g, g, u, g, u, u, n, n, u]
@@ -125,7 +129,8 @@ def test_heights_between_cells_are_those_of_a_plane() -> None:
     def surface(values: np.ndarray, v: list[float], u: list[float]) -> np.ndarray:
         """Of a raster whose first cell is the one at (-2, 3), at places in cells from its centre on."""
         x, y = (
-            np.rint(1000 * (np.array(a) + 0.5 + first)).astype(np.int32) for a, first in ((u, -2), (v, 3))
+            np.rint(1000 * (np.array(a) + 0.5 + first)).astype(np.int32)
+            for a, first in ((u, -2), (v, 3))
         )
         position = RasterPosition(0, 0, 1000.0, -2, 3)
         return -_heights_above(x, y, np.zeros_like(x), values, position, 1000.0, 16_000.0)[0]

@@ -49,13 +49,23 @@ def test_sparse_plants_are_seen_through_in_wide_cells_and_walls_are_not(plants: 
 
 
 @pytest.mark.parametrize(
-    ("low", "n", "through"), [((2.0, 2.0), 3, 1), ((2.0, 2.0), 2, 0), ((0.5, 2.0), 3, 0), ((0.4, 0.4), 3, 0)]
+    ("low", "n", "through"),
+    [((2.0, 2.0), 3, 1), ((2.0, 2.0), 2, 0), ((0.5, 2.0), 3, 0), ((0.4, 0.4), 3, 0)],
 )
 def test_points_below_are_seen_through_others_where_no_line_parts_them(
     low: tuple[float, float], n: int, through: int
 ) -> None:
     """Low points amid eight high ones in a cell of 4 m, or beside them; four cells are the same. Two are blunders."""
-    ring = [(1.0, 1.0), (2.0, 1.0), (3.0, 1.0), (1.0, 2.0), (3.0, 2.0), (1.0, 3.0), (2.0, 3.0), (3.0, 3.0)]
+    ring = [
+        (1.0, 1.0),
+        (2.0, 1.0),
+        (3.0, 1.0),
+        (1.0, 2.0),
+        (3.0, 2.0),
+        (1.0, 3.0),
+        (2.0, 3.0),
+        (3.0, 3.0),
+    ]
     one = np.array([(x, y, 5.0) for x, y in ring] + n * [(*low, 0.0)])
     xyz = np.concatenate([one + [4.0 * i, 4.0 * j, 0.0] for i in (0, 1) for j in (0, 1)])
     found = seen_through(counts(*xyz.T), Window(0, 0, 4000, 4000), MM)
@@ -81,7 +91,8 @@ def test_a_gap_is_two_empty_metres_between_points(heights: list[float], gap: boo
     feet = Scale(Fraction(3048, 10_000_000), Fraction(3048, 10_000_000))
     xyz = np.rint(np.stack([xs, ys, zs]) / 0.3048 * 1000 + [[0.5], [0.5], [0]]).astype(np.int32)
     side = round(2 / 0.3048 * 1000)
-    if 500.0 not in heights and 3.0 not in heights:  # a height at a bin's edge is rounded in feet
+    # a height at a bin's edge is rounded in feet
+    if 500.0 not in heights and 3.0 not in heights:
         in_feet = seen_through(xyz, Window(side, side, 2 * side, 2 * side), feet)
         assert (in_feet["looks"], in_feet["through"]) == (1, int(gap))
 
@@ -89,7 +100,9 @@ def test_a_gap_is_two_empty_metres_between_points(heights: list[float], gap: boo
 def test_a_point_alone_and_no_point() -> None:
     none = dict.fromkeys(COUNTS, 0)
     assert seen_through(np.zeros((3, 0), np.int32), Window.everything(), MM) == none
-    assert seen_through(counts(*np.ones((3, 1))), Window.everything(), MM) == none | {"looks": 1}
+    assert seen_through(counts(*np.ones((3, 1))), Window.everything(), MM) == none | {
+        "looks": 1
+    }
 
 
 @pytest.mark.parametrize("n", [5000, 20_000])
@@ -103,7 +116,12 @@ def test_cores_add_up_in_any_order_of_points(n: int) -> None:
     for west, east in itertools.pairwise(edges):
         for south, north in itertools.pairwise(edges):
             x, y, _ = xyz
-            near = (x >= west - reach) & (x < east + reach) & (y >= south - reach) & (y < north + reach)
+            near = (
+                (x >= west - reach)
+                & (x < east + reach)
+                & (y >= south - reach)
+                & (y < north + reach)
+            )
             index = rng.permutation(np.flatnonzero(near))
             part = seen_through(xyz[:, index], Window(west, south, east, north), MM)
             total = {name: total[name] + part[name] for name in total}

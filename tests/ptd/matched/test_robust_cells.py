@@ -32,11 +32,15 @@ def errors(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
 def test_robust_cells_find_the_ground_that_lowest_points_lose(name: str) -> None:
     xyz, truth = village()
     wide = {"max_building_size": "40"}  # the hall
-    lost, kept = errors(ptd.classify(xyz, name, make_params(name, wide), kind="dim").classification, truth)
+    lost, kept = errors(
+        ptd.classify(xyz, name, make_params(name, wide), kind="dim").classification, truth
+    )
     assert lost < 0.05
     assert kept < 0.02
     paper = make_params(name, wide | {"robust_cells": "no"})
-    lowest, _ = errors(ptd.classify(xyz, name, paper, kind="dim", sigma=NOISE_M).classification, truth)
+    lowest, _ = errors(
+        ptd.classify(xyz, name, paper, kind="dim", sigma=NOISE_M).classification, truth
+    )
     assert lowest > 2 * lost
 
 
@@ -55,7 +59,15 @@ def test_laser_scans_are_filtered_as_the_paper_has_it(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_next_to_no_points_give_no_error(name: str, n: int) -> None:
     """Cells with a single point have no height: 7 points fill two cells."""
-    places = [(5.0, 5.0), (8.0, 5.0), (5.0, 9.0), (5.1, 5.1), (8.1, 5.1), (8.2, 5.1), (5.2, 5.1)]
+    places = [
+        (5.0, 5.0),
+        (8.0, 5.0),
+        (5.0, 9.0),
+        (5.1, 5.1),
+        (8.1, 5.1),
+        (8.2, 5.1),
+        (5.2, 5.1),
+    ]
     xyz = np.array([(x, y, 1.0) for x, y in places[:n]])
     assert len(ptd.classify(xyz.reshape(-1, 3), name, kind="dim").classification) == n
 
@@ -84,7 +96,9 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int, short_sighted: NearGroun
     labels = np.where(rng.random(row.size) < rng.choice([0.1, 0.4, 0.9]), 2, 1).astype(np.uint8)
     core = Window(40_000, 44_000, 66_000, 61_000)
     reach = round(1000 * (short_sighted.influence_radius_m or 0.0))
-    window = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
+    window = Window(
+        core.west - reach, core.south - reach, core.east + reach, core.north + reach
+    )
     seen = window.contains(cells[0], cells[1])
     assert seen.mean() < 0.75
     x, y = rng.integers(38_000, 68_000, (2, 20_000))
@@ -102,10 +116,14 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int, short_sighted: NearGroun
     assert 0.02 < (whole == 2).mean() < 0.98
 
 
-@pytest.mark.parametrize(("name", "halo_m"), [("chen2023", 40.0), ("dong2018", 60.0), ("ridge2016", 60.0)])
+@pytest.mark.parametrize(
+    ("name", "halo_m"), [("chen2023", 40.0), ("dong2018", 60.0), ("ridge2016", 60.0)]
+)
 def test_tiles_do_not_show(name: str, halo_m: float, short_sighted: NearGroundPass) -> None:
     """What carries no mark is the untiled label, and some tiles carry none though they see but a part of the cloud."""
-    params = METHODS[name].params(max_building_size_m=12.0 if name == "chen2023" else 8.0, rounds=2)
+    params = METHODS[name].params(
+        max_building_size_m=12.0 if name == "chen2023" else 8.0, rounds=2
+    )
 
     class ShortSighted(type(params)):  # type: ignore[misc]
         passes = (*params.passes[:-1], short_sighted)
@@ -115,7 +133,9 @@ def test_tiles_do_not_show(name: str, halo_m: float, short_sighted: NearGroundPa
     whole, marks, state = classify_tiled(points, SCALE, ShortSighted(**told), None, kind="dim")
     assert not marks.any()
     assert 0.3 < (whole == 2).mean() < 0.95
-    labels, marks, tiled = classify_tiled(points, SCALE, ShortSighted(**told), 23.0, halo_m, kind="dim")
+    labels, marks, tiled = classify_tiled(
+        points, SCALE, ShortSighted(**told), 23.0, halo_m, kind="dim"
+    )
     assert not (~marks & (labels != whole)).any()
     assert (~marks).mean() > 0.3
     assert tiled["survey"] == state["survey"]
@@ -127,7 +147,9 @@ def test_the_figures_of_the_paper_are_reached_on_scenes_like_its_own() -> None:
     found = []
     for name in ("dim_area_city", "dim_area_suburb"):
         cloud = simulated(name)
-        labels = ptd.classify(cloud.xyz, "dong2018", rgb=cloud.rgb, returns=cloud.returns).classification
+        labels = ptd.classify(
+            cloud.xyz, "dong2018", rgb=cloud.rgb, returns=cloud.returns
+        ).classification
         ground = np.where(labels == 2, 2, 1).astype(np.uint8)
         figures = evaluate_labels(ground, cloud.classification, IGNORED)
         found.append([100 * figures["type_1"], 100 * figures["total"]])

@@ -28,10 +28,14 @@ def of(
 ) -> Surface:
     """The surface of heights in metres (NaN: no cell), without the margin of empty cells that is put around them."""
     padded = np.pad(z, margin, constant_values=np.nan)
-    heights = np.where(np.isnan(padded), EMPTY, np.rint(1000 * np.nan_to_num(padded))).astype(np.int32)
+    heights = np.where(np.isnan(padded), EMPTY, np.rint(1000 * np.nan_to_num(padded))).astype(
+        np.int32
+    )
     whole = np.pad(np.broadcast_to(terrain, z.shape), margin)
     found = ground_surface(heights, whole, sigma_m, MM, 0, 0)
-    return Surface(*(v[margin : margin + z.shape[0], margin : margin + z.shape[1]] for v in found))
+    return Surface(
+        *(v[margin : margin + z.shape[0], margin : margin + z.shape[1]] for v in found)
+    )
 
 
 def places(side: int) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
@@ -106,7 +110,11 @@ def test_a_narrow_crest_is_followed_where_it_is_steep(slope: float) -> None:
     """2 m high, 4 m wide at its top, linked to the ground: where it is level, that is a row of lorries."""
     row, column, rng = places(128)
     ground = slope * column
-    z = ground + np.clip(4.0 - abs(row - 64.0), 0.0, 2.0) + 0.03 * rng.standard_normal(row.shape)
+    z = (
+        ground
+        + np.clip(4.0 - abs(row - 64.0), 0.0, 2.0)
+        + 0.03 * rng.standard_normal(row.shape)
+    )
     top = (of(z, terrain=True, sigma_m=0.03).height - ground)[63:66, 40:-40].mean()
     assert (top > 1.7) if slope else (top < 0.4)
 
@@ -198,7 +206,9 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
     inner = np.s_[reach : rows - reach, reach : columns - reach]
     assert cut.height[inner].size > 100
     for name in Surface._fields:
-        assert np.array_equal(getattr(cut, name)[inner], getattr(whole, name)[part][inner], equal_nan=True)
+        assert np.array_equal(
+            getattr(cut, name)[inner], getattr(whole, name)[part][inner], equal_nan=True
+        )
 
 
 def test_edges_of_cars_lift_it_less_than_low_plants(monkeypatch: pytest.MonkeyPatch) -> None:

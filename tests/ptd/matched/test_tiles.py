@@ -60,7 +60,11 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     monkeypatch.setattr(islands, "VIEW_M", 8.0)
     reach_m = max(
         size_m
-        * (surface.reach_cells(size_m) + islands.reach_cells(size_m) + cell_features.reach_cells(size_m))
+        * (
+            surface.reach_cells(size_m)
+            + islands.reach_cells(size_m)
+            + cell_features.reach_cells(size_m)
+        )
         for size_m in passes.CELL_SIZES_M
     )
     last = replace(passes.PASSES[4], influence_radius_m=reach_m)
@@ -87,7 +91,9 @@ def test_the_order_of_points_and_the_frame_change_nothing() -> None:
     xyz, _ = village()
     order = np.random.default_rng(0).permutation(len(xyz))
     found = ptd.classify(xyz, "auto", kind="dim").classification
-    assert np.array_equal(ptd.classify(xyz[order], "auto", kind="dim").classification, found[order])
+    assert np.array_equal(
+        ptd.classify(xyz[order], "auto", kind="dim").classification, found[order]
+    )
     moved = ptd.classify(xyz + [640_000.0, -64_000.0, 0.0], "auto", kind="dim").classification
     assert np.array_equal(moved, found)
 

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from ptd.frame import CellGrid, Scale
-from ptd.matched.voting import ALIKE_M, ALIKE_SIGMAS, PARTS, RADIUS_M, REACH_M, ROUNDS, radius_m, votes
+from ptd.matched.voting import (
+    ALIKE_M,
+    ALIKE_SIGMAS,
+    PARTS,
+    RADIUS_M,
+    REACH_M,
+    ROUNDS,
+    radius_m,
+    votes,
+)
 from ptd.places import Field, values_at
 
 
@@ -24,9 +33,16 @@ Figure = float | np.ndarray
 
 
 def slow_votes(
-    x: np.ndarray, y: np.ndarray, residual: np.ndarray, asked: np.ndarray, square: Figure, alike: Figure
+    x: np.ndarray,
+    y: np.ndarray,
+    residual: np.ndarray,
+    asked: np.ndarray,
+    square: Figure,
+    alike: Figure,
 ) -> np.ndarray:
-    near = (x[:, None].astype(np.int64) - x) ** 2 + (y[:, None].astype(np.int64) - y) ** 2 < square
+    near = (x[:, None].astype(np.int64) - x) ** 2 + (
+        y[:, None].astype(np.int64) - y
+    ) ** 2 < square
     for _ in range(ROUNDS):
         voters = near & asked & (abs(residual[:, None] - residual) < alike)
         means = (voters * residual).sum(axis=1) // np.maximum(voters.sum(axis=1), 1)
@@ -37,7 +53,11 @@ def slow_votes(
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     "scale",
-    [Scale(), Scale(Fraction(1, 1000), Fraction(1, 1000), (-12_345, 678)), Scale(Fraction(3048, 10**7))],
+    [
+        Scale(),
+        Scale(Fraction(1, 1000), Fraction(1, 1000), (-12_345, 678)),
+        Scale(Fraction(3048, 10**7)),
+    ],
 )
 @pytest.mark.parametrize("density", [0.5, 12.0])
 def test_a_slow_search_finds_the_same(seed: int, scale: Scale, density: float) -> None:
@@ -50,14 +70,19 @@ def test_a_slow_search_finds_the_same(seed: int, scale: Scale, density: float) -
     assert np.array_equal(found[~asked], residual[~asked])
     assert (found != residual)[asked].any()
     order = np.random.default_rng(0).permutation(x.size)
-    again = votes(x[order], y[order], residual[order], asked[order], radius_m(density), sigma, scale)
+    again = votes(
+        x[order], y[order], residual[order], asked[order], radius_m(density), sigma, scale
+    )
     assert np.array_equal(again, found[order])
 
 
 def test_the_vote_of_known_neighbours() -> None:
     """Of five points within 0.25 m one is not asked and one is not alike; the mean is of three, rounded down."""
     x, y = np.array([0, 100, 0, 100, 50], np.int32), np.array([0, 0, 100, 100, 50], np.int32)
-    residual, asked = np.array([0, 160, 321, 5, 90_000]), np.array([True, True, True, False, True])
+    residual, asked = (
+        np.array([0, 160, 321, 5, 90_000]),
+        np.array([True, True, True, False, True]),
+    )
     found = votes(x, y, residual, asked, radius_m(1000.0), 0.05, Scale())
     assert found.tolist() == [160, 160, 160, 5, 90_000]
 
@@ -82,20 +107,34 @@ def test_noise_is_averaged_and_steps_are_kept() -> None:
     x, y = rng.integers(0, 20_000, (2, 8000)).astype(np.int32)
     sigma, step = 0.05, 0.6
     truth = np.where(x < 10_000, 0.0, step)
-    residual = np.rint(1000 * PARTS * (truth + sigma * rng.standard_normal(x.size))).astype(np.int64)
-    found = votes(x, y, residual, np.ones(x.size, bool), radius_m(20.0), sigma, Scale()) / (1000 * PARTS)
+    residual = np.rint(1000 * PARTS * (truth + sigma * rng.standard_normal(x.size))).astype(
+        np.int64
+    )
+    found = votes(x, y, residual, np.ones(x.size, bool), radius_m(20.0), sigma, Scale()) / (
+        1000 * PARTS
+    )
     assert (found - truth).std() < 0.5 * sigma
     assert abs((found - truth).mean()) < 0.005
 
 
 def test_no_points() -> None:
     nothing = np.zeros(0, np.int32)
-    found = votes(nothing, nothing, np.zeros(0, np.int64), np.zeros(0, bool), radius_m(12.0), 0.05, Scale())
+    found = votes(
+        nothing,
+        nothing,
+        np.zeros(0, np.int64),
+        np.zeros(0, bool),
+        radius_m(12.0),
+        0.05,
+        Scale(),
+    )
     assert found.size == 0
 
 
 @pytest.mark.parametrize("narrowest", [0.25, 0.55])
-def test_each_point_asks_neighbours_by_the_radius_and_noise_of_its_place(narrowest: float) -> None:
+def test_each_point_asks_neighbours_by_the_radius_and_noise_of_its_place(
+    narrowest: float,
+) -> None:
     """Places of 1 m, where both change from point to point."""
     rng = np.random.default_rng(8)
     x, y, residual, asked = cloud(9)

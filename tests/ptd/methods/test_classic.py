@@ -19,7 +19,9 @@ DEFAULTS = Classic()
 
 def labels_of(cloud: Cloud, params: Classic = DEFAULTS) -> np.ndarray:
     labels, marked = (
-        params.passes[0].fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {}).label(Points(cloud))
+        params.passes[0]
+        .fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
+        .label(Points(cloud))
     )
     assert not marked.any()
     return labels
@@ -62,7 +64,9 @@ def test_a_part_of_a_roof_larger_than_the_cells_is_labelled_ground() -> None:
     roof = (abs(cloud[0] - 50) < 25) & (abs(cloud[1] - 50) < 25)
     cloud[2, roof] += 8
     assert (labels_of(counts(cloud))[roof] == 2).mean() > 0.25
-    assert (labels_of(counts(cloud), Classic(max_building_size_m=60.0))[roof] == 2).mean() == 0.0
+    assert (
+        labels_of(counts(cloud), Classic(max_building_size_m=60.0))[roof] == 2
+    ).mean() == 0.0
 
 
 def test_low_points_are_low_noise_and_lower_no_other_labels() -> None:

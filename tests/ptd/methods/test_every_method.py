@@ -30,14 +30,18 @@ CASES: dict[str, Any] = {
     "classic": Classic(),
     "classic on all points": Classic(thin_cell_m=0.0, terrain_angle_deg=40.0),
     "rarefy": Rarefy(rounds=3, label_floor_m=0.49),
-    "chen2023": Chen2023(robust_cells=False, max_building_size_m=16.0, rounds=2, low_radius_m=3.0),
+    "chen2023": Chen2023(
+        robust_cells=False, max_building_size_m=16.0, rounds=2, low_radius_m=3.0
+    ),
     "ridge2016": Ridge2016(robust_cells=False),
     "auto": Auto(max_building_size_m=16.0),
 }
 every_method = pytest.mark.parametrize("params", CASES.values(), ids=CASES)
 
 
-def labels_of(cloud: Cloud, params: Any, scale: Scale = SCALE) -> tuple[np.ndarray, dict[str, Any]]:
+def labels_of(
+    cloud: Cloud, params: Any, scale: Scale = SCALE
+) -> tuple[np.ndarray, dict[str, Any]]:
     labels, marks, state = classify_tiled(Points(cloud), scale, params, None, kind="lidar")
     assert not marks.any()
     return labels, state
@@ -59,10 +63,14 @@ def test_order_frame_and_units_have_no_effect(cloud: Cloud, params: Any) -> None
     moved = cloud + np.array([[12_345], [-54_321], [0]], np.int32)
     origin = SCALE.origin[0] - 12_345, SCALE.origin[1] + 54_321
     assert np.array_equal(labels_of(moved, params, replace(SCALE, origin=origin))[0], labels)
-    fine = Scale(Fraction(1, 8 * CM), Fraction(1, 8 * CM), (8 * SCALE.origin[0], 8 * SCALE.origin[1]))
+    fine = Scale(
+        Fraction(1, 8 * CM), Fraction(1, 8 * CM), (8 * SCALE.origin[0], 8 * SCALE.origin[1])
+    )
     assert np.array_equal(labels_of((8 * cloud).astype(np.int32), params, fine)[0], labels)
     taller = cloud * np.array([[1], [1], [4]], np.int32)
-    assert np.array_equal(labels_of(taller, params, replace(SCALE, metres_z=Fraction(1, 4 * CM)))[0], labels)
+    assert np.array_equal(
+        labels_of(taller, params, replace(SCALE, metres_z=Fraction(1, 4 * CM)))[0], labels
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -119,13 +127,23 @@ def samples(shared_data: Path) -> list[laspy.LasData]:
 
 @pytest.mark.parametrize(
     ("method", "total"),
-    [("auto", 0.031), ("classic", 0.075), ("rarefy", 0.074), ("chen2023", 0.046), ("ridge2016", 0.07)],
+    [
+        ("auto", 0.031),
+        ("classic", 0.075),
+        ("rarefy", 0.074),
+        ("chen2023", 0.046),
+        ("ridge2016", 0.07),
+    ],
 )
-def test_errors_of_the_isprs_samples(method: str, total: float, samples: list[laspy.LasData]) -> None:
+def test_errors_of_the_isprs_samples(
+    method: str, total: float, samples: list[laspy.LasData]
+) -> None:
     """Mean total error with the defaults, over all samples (the paper of chen2023: 0.113 on all)."""
     assert method in METHODS
     errors = []
     for las in samples:
-        found = ptd.classify(np.stack([las.x, las.y, las.z], axis=1), method).classification == 2
+        found = (
+            ptd.classify(np.stack([las.x, las.y, las.z], axis=1), method).classification == 2
+        )
         errors.append((found != (np.asarray(las.classification) == 2)).mean())
     assert np.mean(errors) < total, errors

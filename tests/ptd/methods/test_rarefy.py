@@ -48,7 +48,9 @@ def test_distances_below_the_dtm_count_as_well() -> None:
 def test_without_the_last_step_only_vertices_are_ground() -> None:
     ground = np.column_stack([FIELD, 0 * FIELD[:, 0]])
     more = ground + [0.2, 0.2, 0.1]
-    labels = ptd.classify(np.concatenate([ground, more]), "rarefy", Rarefy(label_pass=False)).classification
+    labels = ptd.classify(
+        np.concatenate([ground, more]), "rarefy", Rarefy(label_pass=False)
+    ).classification
     assert (labels[len(ground) :] == 1).all()
     assert (labels[: len(ground)] == 2).all()
 

@@ -37,5 +37,7 @@ def real_triangles(tin: Tin) -> npt.NDArray[np.int32]:
     """Vertices of the real triangles, int32 (m, 3), sorted by their positions."""
     facets = interpolation.real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
     rank = np.empty(tin.n_vertices, np.int32)
-    rank[np.lexsort((tin.vertices[:, 1], tin.vertices[:, 0]))] = np.arange(tin.n_vertices, dtype=np.int32)
+    rank[np.lexsort((tin.vertices[:, 1], tin.vertices[:, 0]))] = np.arange(
+        tin.n_vertices, dtype=np.int32
+    )
     return facets[np.lexsort(rank[facets].T[::-1])]

@@ -23,8 +23,8 @@ def in_circle(a: Point, b: Point, c: Point, p: Point) -> bool:
     if value:
         return value > 0
     largest = max(a, b, c, p)
-    # Raising the lift of p puts it outside; raising the lift of a corner puts p inside if p sees the opposite
-    # edge from the same side as that corner does.
+    # Raising the lift of p puts it outside; raising the lift of a corner puts p inside if p
+    # sees the opposite edge from the same side as that corner does.
     return largest != p and area(*(p if q == largest else q for q in (a, b, c))) > 0
 
 

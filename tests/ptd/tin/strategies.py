@@ -10,7 +10,9 @@ Points = list[tuple[int, int, int]]
 _Z = st.integers(-50, 50)
 
 
-def _points(x: st.SearchStrategy[int], y: st.SearchStrategy[int], most: int) -> st.SearchStrategy[Points]:
+def _points(
+    x: st.SearchStrategy[int], y: st.SearchStrategy[int], most: int
+) -> st.SearchStrategy[Points]:
     return st.lists(st.tuples(x, y, _Z), max_size=most)
 
 
@@ -24,7 +26,8 @@ def _on_a_line(draw: st.DrawFn) -> Points:
 
 @st.composite
 def _on_a_circle(draw: st.DrawFn) -> Points:
-    # x^2 + y^2 = 5^2 13^2 17^2 has many integer solutions; scaled they exceed what doubles hold exactly.
+    # x^2 + y^2 = 5^2 13^2 17^2 has many integer solutions; scaled they exceed what doubles hold
+    # exactly.
     r2 = (5 * 13 * 17) ** 2
     ring = [
         (x, y)
@@ -35,7 +38,9 @@ def _on_a_circle(draw: st.DrawFn) -> Points:
     scale = draw(st.sampled_from([1, 7, 30_000]))
     chosen = draw(st.lists(st.sampled_from(ring), max_size=11))
     nudge = draw(st.sampled_from([0, 0, 1]))
-    return [(scale * x + (nudge if i == 0 else 0), scale * y, i) for i, (x, y) in enumerate(chosen)]
+    return [
+        (scale * x + (nudge if i == 0 else 0), scale * y, i) for i, (x, y) in enumerate(chosen)
+    ]
 
 
 @st.composite

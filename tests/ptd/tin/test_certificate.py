@@ -28,14 +28,17 @@ def test_unmarked_pixels_equal_those_of_the_whole(interpolator: str, unit: int) 
     n_clear = n_filled = n_marked = 0
     for trial in range(150):
         x, y = rng.integers(0, 40, (2, int(rng.integers(5, 120))))
-        if trial % 5 == 0:  # the window may end within a void, where long circles cover unknown data
+        # the window may end within a void, where long circles cover unknown data
+        if trial % 5 == 0:
             x, y = np.stack([x, y])[
                 :, np.hypot(x - rng.integers(40), y - rng.integers(40)) > rng.integers(5, 15)
             ]
         x, y = x * unit, y * unit
         z = rng.integers(0, 100, x.size)
         window = random_window(rng, unit)
-        known = (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
+        known = (
+            (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
+        )
         p, q = [(unit, 1), (2 * unit, 1), (4 * unit, 1), (2 * unit, 3)][trial % 4]
         side = 40 * unit * q // p + 1
         pixels = Pixels(p, q, 0, side - 1, side, side)
@@ -45,9 +48,13 @@ def test_unmarked_pixels_equal_those_of_the_whole(interpolator: str, unit: int) 
             "interpolator": interpolator,
         }
         whole = rasterise(Tin.build(x, y, z), pixels, **limits)
-        part = rasterise(Tin.build(x[known], y[known], z[known]), pixels, window=window, **limits)
+        part = rasterise(
+            Tin.build(x[known], y[known], z[known]), pixels, window=window, **limits
+        )
         clear = ~part.marks
-        np.testing.assert_array_equal(part.heights[clear], whole.heights[clear], err_msg=f"trial {trial}")
+        np.testing.assert_array_equal(
+            part.heights[clear], whole.heights[clear], err_msg=f"trial {trial}"
+        )
         n_clear += clear.sum()
         n_marked += part.marks.sum()
         n_filled += (clear & ~np.isnan(part.heights)).sum()

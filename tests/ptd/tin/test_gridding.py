@@ -18,7 +18,9 @@ from tests.ptd.tin.meshes import corners_of, insert_point, outside, real_triangl
 from tests.ptd.tin.strategies import Points, columns
 
 points_near = st.lists(
-    st.tuples(st.integers(0, 24), st.integers(0, 24), st.integers(-90, 90)), min_size=3, max_size=14
+    st.tuples(st.integers(0, 24), st.integers(0, 24), st.integers(-90, 90)),
+    min_size=3,
+    max_size=14,
 )
 cells = st.sampled_from([(1, 1), (2, 1), (4, 1), (3, 2), (5, 3), (7, 128)])
 
@@ -52,16 +54,25 @@ def sides_of(facet: reference.Facet, p: tuple[Any, Any]) -> list[Any]:
     return [reference.area(*edge, p) for edge in ((b, c), (c, a), (a, b))]
 
 
-@given(points_near, cells, st.sampled_from([(math.inf, math.inf), (12, math.inf), (15, 7.5), (9, 9)]))
+@given(
+    points_near,
+    cells,
+    st.sampled_from([(math.inf, math.inf), (12, math.inf), (15, 7.5), (9, 9)]),
+)
 @settings(deadline=None, max_examples=25)
-def test_heights_by_definition(points: Points, cell: tuple[int, int], limits: tuple[float, float]) -> None:
+def test_heights_by_definition(
+    points: Points, cell: tuple[int, int], limits: tuple[float, float]
+) -> None:
     tin = Tin.build(*columns(points))
     pixels = block(*cell, -2, 27) if cell[1] < 100 else Pixels(*cell, 18 * 10, 18 * 14, 90, 90)
     max_edge, max_radius = limits
     heights, marks = rasterise(tin, pixels, max_edge=max_edge, max_radius=max_radius)
     assert not marks.any()
     z = {(int(x), int(y)): int(h) for x, y, h in tin.vertices}
-    facets = [tuple((int(x), int(y)) for x, y, _ in tin.vertices[facet]) for facet in real_triangles(tin)]
+    facets = [
+        tuple((int(x), int(y)) for x, y, _ in tin.vertices[facet])
+        for facet in real_triangles(tin)
+    ]
     facets = [f for f in facets if passing(f, max_edge**2, max_radius**2)]
     xs, ys = centres(pixels)
     for row, y in enumerate(ys):
@@ -153,7 +164,9 @@ def test_bits_do_not_depend_on_order_frame_or_block(interpolator: str) -> None:
     np.testing.assert_array_equal(rasterise(shuffled, pixels, **limits).heights, heights)
     moved = Pixels(1000, 3, 2, 58, 55, 55, 123_456, -77)
     other = Tin.build(x - 123_456, y + 77, z + 10_000_019)
-    np.testing.assert_array_equal(rasterise(other, moved, **limits).heights - 10_000_019, heights)
+    np.testing.assert_array_equal(
+        rasterise(other, moved, **limits).heights - 10_000_019, heights
+    )
     part = rasterise(other, Pixels(1000, 3, 12, 48, 20, 30, 123_456, -77), **limits)
     np.testing.assert_array_equal(part.heights - 10_000_019, heights[10:40, 10:30])
 
@@ -168,7 +181,9 @@ def test_pixels_far_from_a_hole_in_the_window_are_certain_only_within_reach() ->
     assert not near[5:15, 5:15].any()
 
 
-@pytest.mark.parametrize("points", [[], [(0, 0, 1)], [(0, 0, 1), (5, 5, 2)], [(k, k, k) for k in (0, 4, 8)]])
+@pytest.mark.parametrize(
+    "points", [[], [(0, 0, 1)], [(0, 0, 1), (5, 5, 2)], [(k, k, k) for k in (0, 4, 8)]]
+)
 @pytest.mark.parametrize("interpolator", ["linear", "natural"])
 def test_no_facet_no_height(points: Points, interpolator: str) -> None:
     tin, pixels = Tin.build(*columns(points)), Pixels(1, 1, 0, 9, 10, 10)
@@ -220,7 +235,9 @@ def test_natural_neighbours_of_a_sliver_that_is_a_line_in_float64() -> None:
 def test_natural_neighbours_on_a_regular_grid_are_symmetric() -> None:
     x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 100, 10), np.arange(0, 100, 10)))
     z = np.where((x == 40) & (y == 40), 400, 0)
-    heights, _ = rasterise(Tin.build(x, y, z), Pixels(10, 1, 2, 6, 5, 5), interpolator="natural")
+    heights, _ = rasterise(
+        Tin.build(x, y, z), Pixels(10, 1, 2, 6, 5, 5), interpolator="natural"
+    )
     np.testing.assert_allclose(heights, heights.T[::-1, ::-1], atol=1e-5)
     assert heights[2, 2] == pytest.approx(100, abs=1e-5)
 
@@ -257,7 +274,10 @@ def test_rasterise_refuses(change: dict[str, object], message: str) -> None:
 
 def test_heights_at_positions() -> None:
     tin = random_tin(500, 3000)
-    assert tin.heights(tin.vertices[:, 0], tin.vertices[:, 1]).tolist() == tin.vertices[:, 2].tolist()
+    assert (
+        tin.heights(tin.vertices[:, 0], tin.vertices[:, 1]).tolist()
+        == tin.vertices[:, 2].tolist()
+    )
     table = tin.vertices.astype(float)
     x, y = np.random.default_rng(6).integers(-50, 3050, (2, 400))
     expected = LinearNDInterpolator(table[:, :2], table[:, 2])(x, y)

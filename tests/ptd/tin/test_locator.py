@@ -8,12 +8,16 @@ from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 
 
-def test_a_walk_starts_at_a_triangle_of_the_nearest_cell_of_its_row_that_holds_a_vertex() -> None:
+def test_a_walk_starts_at_a_triangle_of_the_nearest_cell_of_its_row_that_holds_a_vertex() -> (
+    None
+):
     """Two distant clusters have empty rows around them, and corners lie far outside."""
     rng = np.random.default_rng(3)
     middles = np.repeat([[20_000, 50_000], [80_000, 50_000]], 200, axis=0)
     corners = [[0, 0], [100_000, 0], [0, 100_000], [100_000, 100_000]]
-    xy = np.concatenate([middles + rng.integers(-3000, 3000, (400, 2)), corners]).astype(np.int32)
+    xy = np.concatenate([middles + rng.integers(-3000, 3000, (400, 2)), corners]).astype(
+        np.int32
+    )
     tin = Tin.build(*xy.T.copy(), np.zeros(len(xy), np.int32))
     locator = Locator.of(tin)
     grid = locator.grid.reshape(locator.height, locator.width)

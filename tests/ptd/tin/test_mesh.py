@@ -16,7 +16,10 @@ relaxed = settings(deadline=None, max_examples=60)
 
 
 def facets_of(tin: Tin) -> list[reference.Facet]:
-    return [tuple((int(x), int(y)) for x, y, _ in tin.vertices[facet]) for facet in real_triangles(tin)]
+    return [
+        tuple((int(x), int(y)) for x, y, _ in tin.vertices[facet])
+        for facet in real_triangles(tin)
+    ]
 
 
 def lowest(points: Points) -> dict[reference.Point, int]:
@@ -41,7 +44,10 @@ def check_consistent(tin: Tin) -> None:
             assert rows[twin >> 3, twin & 3] == 8 * t + j
             ends = {int(rows[t, 4 + (j + 1) % 3]), int(rows[t, 4 + (j + 2) % 3])}
             k = twin & 3
-            assert {int(rows[twin >> 3, 4 + (k + 1) % 3]), int(rows[twin >> 3, 4 + (k + 2) % 3])} == ends
+            assert {
+                int(rows[twin >> 3, 4 + (k + 1) % 3]),
+                int(rows[twin >> 3, 4 + (k + 2) % 3]),
+            } == ends
         corners = [int(v) for v in rows[t, 4:7]]
         assert len(set(corners)) == 3
         assert min(corners) >= -1
@@ -84,7 +90,9 @@ def test_any_order_of_insertion_gives_the_same_facets(points: Points, random) ->
 @relaxed
 def test_a_translation_translates_the_facets(points: Points, dx: int, dy: int) -> None:
     x, y, z = columns(points)
-    expected = [tuple((px + dx, py + dy) for px, py in facet) for facet in facets_of(Tin.build(x, y, z))]
+    expected = [
+        tuple((px + dx, py + dy) for px, py in facet) for facet in facets_of(Tin.build(x, y, z))
+    ]
     assert facets_of(Tin.build(x + np.int32(dx), y + np.int32(dy), z)) == expected
 
 
@@ -116,7 +124,9 @@ def test_larger_sets_are_independent_of_the_order_and_locally_delaunay(kind: str
     other = Tin.build(x[some], y[some], z[some], max_vertices=n)
     for i in order[10:]:
         insert_point(other, int(x[i]), int(y[i]), int(z[i]))
-    np.testing.assert_array_equal(tin.vertices[real_triangles(tin)], other.vertices[real_triangles(other)])
+    np.testing.assert_array_equal(
+        tin.vertices[real_triangles(tin)], other.vertices[real_triangles(other)]
+    )
     check_consistent(tin)
     # If every edge is locally Delaunay, the triangulation is Delaunay.
     m = tin.n_triangles

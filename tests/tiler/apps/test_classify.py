@@ -23,15 +23,21 @@ from tiler.observe.events import Event, Warned
 
 def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made or written \(Not a dir"):
+    with pytest.raises(
+        ConfigError, match=r"b\.laz: its folder cannot be made or written \(Not a dir"
+    ):
         classify_file(
-            make_cloud("a.las", n=20), tmp_path / "file" / "sub" / "b.laz", RunConfig(in_process=True)
+            make_cloud("a.las", n=20),
+            tmp_path / "file" / "sub" / "b.laz",
+            RunConfig(in_process=True),
         )
 
 
 def test_a_folder_that_cannot_be_written_is_refused(make_cloud: Any) -> None:
     with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made or written \("):
-        classify_file(make_cloud("a.las", n=20), Path("/proc/self/b.laz"), RunConfig(in_process=True))
+        classify_file(
+            make_cloud("a.las", n=20), Path("/proc/self/b.laz"), RunConfig(in_process=True)
+        )
 
 
 @pytest.fixture
@@ -64,7 +70,10 @@ def test_a_tile_that_fails_is_named(cloud: Path, tmp_path: Path) -> None:
 
 
 def test_the_command_ends_with_5(
-    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cloud: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr("cli.commands.classify.read_config", lambda _: settings())
     assert main(["classify", str(cloud), str(tmp_path / "out.laz")]) == 5
@@ -89,14 +98,17 @@ def test_a_preview_with_a_hole_says_so(cloud: Path, tmp_path: Path) -> None:
         if isinstance(event, Warned):
             told.append(event.text)
 
-    windows = make_preview([str(cloud)], tmp_path / "preview.png", settings(), listen, number=1, side_m=140.0)
+    windows = make_preview(
+        [str(cloud)], tmp_path / "preview.png", settings(), listen, number=1, side_m=140.0
+    )
     assert [window.failed for window in windows] == [1]
     assert any("this tile fails" in text for text in told)
 
 
 @pytest.mark.parametrize("name", ["out.laz", "out.las", "out.copc.laz"])
 @pytest.mark.parametrize(
-    ("own", "given", "written"), [(None, 32633, 32633), (32632, 32633, 32632), (None, None, None)]
+    ("own", "given", "written"),
+    [(None, 32633, 32633), (32632, 32633, 32632), (None, None, None)],
 )
 def test_the_crs_given_is_written_where_the_file_has_none(
     name: str, own: int | None, given: int | None, written: int | None, tmp_path: Path

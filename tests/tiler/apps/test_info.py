@@ -16,7 +16,9 @@ from tiler.apps.info import describe
 from tiler.errors import InputError
 
 
-def write_cloud(path: Path, side: float = 100.0, per_m2: int = 4, crs: str | None = "EPSG:25832") -> None:
+def write_cloud(
+    path: Path, side: float = 100.0, per_m2: int = 4, crs: str | None = "EPSG:25832"
+) -> None:
     """A square of points on a regular lattice, every tenth of class 2, the first withheld."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.full(3, 0.001)
@@ -78,14 +80,27 @@ def test_cloud_without_points(tmp_path: Path) -> None:
 def test_raster(tmp_path: Path) -> None:
     heights = np.arange(20, dtype=np.float32).reshape(4, 5)
     heights[0, 0] = -9999
-    facts = describe(str(write_heights(tmp_path / "dtm.tif", heights, 100, 200, 2, "EPSG:25832")))
-    assert (facts["kind"], facts["width"], facts["height"], facts["nodata"]) == ("raster", 5, 4, -9999)
+    facts = describe(
+        str(write_heights(tmp_path / "dtm.tif", heights, 100, 200, 2, "EPSG:25832"))
+    )
+    assert (facts["kind"], facts["width"], facts["height"], facts["nodata"]) == (
+        "raster",
+        5,
+        4,
+        -9999,
+    )
     assert facts["bounds"] == [100, 192, 110, 200]
     assert facts["crs"] == "ETRS89 / UTM zone 32N (EPSG:25832)"
     assert facts["vertical_unit"] == "metre"
     valid = heights.ravel()[1:].astype(float)
     assert facts["heights"] == pytest.approx(
-        {"valid": 0.95, "minimum": 1, "maximum": 19, "mean": valid.mean(), "deviation": valid.std()}
+        {
+            "valid": 0.95,
+            "minimum": 1,
+            "maximum": 19,
+            "mean": valid.mean(),
+            "deviation": valid.std(),
+        }
     )
     json.dumps(facts)
 
@@ -102,7 +117,9 @@ def test_other_files_are_refused(name: str, tmp_path: Path) -> None:
 
 def test_a_folder_of_clouds_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.LAZ").touch()
-    with pytest.raises(InputError, match="holds clouds; give one of them, or see `tiler plan` for all"):
+    with pytest.raises(
+        InputError, match="holds clouds; give one of them, or see `tiler plan` for all"
+    ):
         describe(str(tmp_path))
 
 
@@ -121,7 +138,8 @@ def test_the_map_of_density_is_north_up_and_keeps_every_point() -> None:
     counts[0, 0], counts[9, 299], counts[4, 100] = 50, 5, 7
     found = density_map(counts, 2.0)
     per_m2 = np.array(found["per_m2"])
-    assert (found["width_m"], found["height_m"]) == (10.0, 20.0)  # five cells of 2 m wide, ten high
+    # five cells of 2 m wide, ten high
+    assert (found["width_m"], found["height_m"]) == (10.0, 20.0)
     assert per_m2.shape == (1, 60)
     assert (per_m2.sum() * 200) == pytest.approx(62, abs=0.3)
     two = np.array(density_map(counts.T.copy(), 1.0)["per_m2"])

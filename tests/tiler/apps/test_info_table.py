@@ -9,7 +9,14 @@ import pytest
 
 from cli.main import main
 from tests.tiler.apps.test_info import write_cloud
-from tiler.apps.info_table import COLUMNS, ListedCloud, UnreadableCloud, describe_many, is_many, rows
+from tiler.apps.info_table import (
+    COLUMNS,
+    ListedCloud,
+    UnreadableCloud,
+    describe_many,
+    is_many,
+    rows,
+)
 
 
 @pytest.fixture
@@ -36,7 +43,9 @@ def test_each_cloud_has_a_row_and_a_broken_one_its_reason(folder: Path) -> None:
     assert all(len(row) == len(COLUMNS) for row in rows(found))
 
 
-def test_the_command_takes_folders_and_many_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_takes_folders_and_many_files(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["info", str(folder / "a.laz"), str(folder / "b.las")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "2 clouds"

@@ -41,7 +41,9 @@ def test_windows_are_apart_and_inside() -> None:
 
 
 def test_a_small_cloud_has_one_window() -> None:
-    assert spread([(3.0, 2.0), (5.0, 5.0)], 3, 200.0, (0.0, 0.0, 9.0, 9.0)) == [(-95.5, -95.5, 104.5, 104.5)]
+    assert spread([(3.0, 2.0), (5.0, 5.0)], 3, 200.0, (0.0, 0.0, 9.0, 9.0)) == [
+        (-95.5, -95.5, 104.5, 104.5)
+    ]
     assert spread([], 3, 200.0, HULL) == []
 
 
@@ -112,7 +114,9 @@ def test_a_preview_equals_a_run(hills: Path, tmp_path: Path) -> None:
     store = open_store(str(tmp_path / "out" / "store.zarr"))
     heights = store.read_block("dtm", Block(0, 0, 120, 120)).astype(np.float64)
     heights[heights == NODATA] = np.nan
-    shade = multidirectional_hillshade(*gradients(np.pad(heights, 1, constant_values=np.nan), 1.0))
+    shade = multidirectional_hillshade(
+        *gradients(np.pad(heights, 1, constant_values=np.nan), 1.0)
+    )
     times = (picture.shape[0] - GAP) // 2 // 120
     assert times >= 2
     terrain = picture[120 * times + GAP :: times, ::times]
@@ -142,7 +146,12 @@ def test_a_warning_of_a_window_names_the_cloud(hills: Path, tmp_path: Path) -> N
             told.append(event.text)
 
     make_preview(
-        [str(tmp_path / "towers.las")], tmp_path / "p.png", RunConfig(), listener, number=1, side_m=110.0
+        [str(tmp_path / "towers.las")],
+        tmp_path / "p.png",
+        RunConfig(),
+        listener,
+        number=1,
+        side_m=110.0,
     )
     assert any(text.startswith("window at x ") and "towers.las: rises" in text for text in told)
     assert not any(".tiler-preview-" in text for text in told)

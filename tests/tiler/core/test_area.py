@@ -22,7 +22,9 @@ BESIDE = np.array([[1000, 100], [1400, 100], [1400, 900], [700, 900]], np.int64)
 def crossings(ring: np.ndarray, x: int, y: int) -> int:
     """Edges that a ray to the east crosses, by definition."""
     found = 0
-    for (ax, ay), (bx, by) in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
+    for (ax, ay), (bx, by) in zip(
+        ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True
+    ):
         if (ay <= y) != (by <= y):
             found += x < ax + Fraction((bx - ax) * (y - ay), by - ay)
     return found
@@ -45,7 +47,10 @@ def test_inside_is_an_odd_number_of_crossings(shift: int) -> None:
     assert area.inside(x[:0], y[:0]).size == 0
 
 
-@given(st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=3, max_size=8), st.booleans())
+@given(
+    st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=3, max_size=8),
+    st.booleans(),
+)
 def test_any_ring_is_exact_to_the_count(ring: list[tuple[int, int]], backwards: bool) -> None:
     places = np.array(ring[:: -1 if backwards else 1], np.int64)
     y, x = (grid.ravel() for grid in np.mgrid[-10:11, -10:11])
@@ -84,7 +89,9 @@ def test_an_area_comes_back_from_json() -> None:
     assert again.bounds == area.bounds == Bounds(0, 0, 1400, 950)
 
 
-@pytest.mark.parametrize(("size", "margin"), [(37, 0), (37, 60), (Fraction(1000, 3), 5), (400, 1)])
+@pytest.mark.parametrize(
+    ("size", "margin"), [(37, 0), (37, 60), (Fraction(1000, 3), 5), (400, 1)]
+)
 def test_cells_are_those_that_come_near(size: Fraction | int, margin: int) -> None:
     lattice, area = Lattice(Fraction(size)), Area(((STAR, HOLE), (BESIDE + 900,)))
     window = Bounds(-500, -400, 3000, 2500)
@@ -157,7 +164,11 @@ def many_areas(number: int) -> list[Area]:
     for kind, (x, y) in enumerate(rng.integers(-30, 30, (number, 2)) * 100):
         ring = STAR * (1 + kind % 3) // 2 + (x, y)
         corner = Bounds(int(x), int(y), int(x) + 300, int(y) + 200)
-        shapes = ((ring,),), Area.rectangle(corner).polygons, ((ring, HOLE + (x, y)), (BESIDE + (x, y),))
+        shapes = (
+            ((ring,),),
+            Area.rectangle(corner).polygons,
+            ((ring, HOLE + (x, y)), (BESIDE + (x, y),)),
+        )
         found.append(Area(shapes[kind % 3]))
     return found
 
@@ -180,7 +191,10 @@ def test_places_find_those_inside_each_area() -> None:
 
 def test_an_index_finds_the_areas_that_touch() -> None:
     areas, lattice = many_areas(90), Lattice(Fraction(700))
-    index, cells = AreaIndex(areas), [Cell(ix, iy) for ix in range(-5, 6) for iy in range(-5, 6)]
+    index, cells = (
+        AreaIndex(areas),
+        [Cell(ix, iy) for ix in range(-5, 6) for iy in range(-5, 6)],
+    )
     expected = {}
     for cell in cells:
         bounds = lattice.bounds(cell)
@@ -195,7 +209,9 @@ def test_an_index_finds_the_areas_that_touch() -> None:
 
 
 @pytest.mark.parametrize("few", [0, 4096])
-def test_pixels_inside_are_those_whose_centres_are(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pixels_inside_are_those_whose_centres_are(
+    few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("tiler.core.raster.FEW_PIXELS", few)
     spec = RasterSpec(Lattice(Fraction(130)), -30, 30, 60, 55)
     block = Block(4, 8, 40, 32)

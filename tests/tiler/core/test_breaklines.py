@@ -15,7 +15,10 @@ def line(*places):
     return np.array(places, np.int64)
 
 
-WALL = (line((0, 5000, 10_000), (50_000, 15_000, 12_000)), line((0, 5060, 13_000), (50_000, 15_060, 15_000)))
+WALL = (
+    line((0, 5000, 10_000), (50_000, 15_000, 12_000)),
+    line((0, 5060, 13_000), (50_000, 15_060, 15_000)),
+)
 BEND = line(*((x, 30_000 + (x // 500) % 7 * 150, 12_000) for x in range(0, 50_001, 500)))
 SHARP = line((20_000, 40_000, 9_000), (30_000, 41_000, 9_000), (20_000, 40_800, 9_000))
 LINES = [*WALL, BEND, SHARP]
@@ -36,21 +39,27 @@ def distance(points, pieces):
     """Distance of each point from the nearest piece, computed slowly."""
     a, way = pieces[:, :2], pieces[:, 3:5] - pieces[:, :2]
     part = np.clip(((points[:, None] - a) * way).sum(axis=2) / (way**2).sum(axis=1), 0, 1)
-    return np.hypot(*np.moveaxis(points[:, None] - a - part[:, :, None] * way, 2, 0)).min(axis=1)
+    return np.hypot(*np.moveaxis(points[:, None] - a - part[:, :, None] * way, 2, 0)).min(
+        axis=1
+    )
 
 
 def test_every_piece_is_an_edge_of_the_tin(lines, ground):
     tin = Tin.build(*lines.applied(ground, WINDOW, WINDOW, (0, 0)))
     number = {tuple(place): v for v, place in enumerate(tin.vertices[:, :2].tolist())}
     corners = tin.triangle_array[: 8 * tin.n_triangles].reshape(-1, 8)[:, 4:7]
-    edges = {frozenset(e) for t in corners.tolist() for e in zip(t, (t[1], t[2], t[0]), strict=True)}
+    edges = {
+        frozenset(e) for t in corners.tolist() for e in zip(t, (t[1], t[2], t[0]), strict=True)
+    }
     assert len(lines.pieces) > 500
     for x0, y0, _, x1, y1, _ in lines.pieces.tolist():
         assert frozenset((number[x0, y0], number[x1, y1])) in edges
 
 
 def test_the_order_and_direction_of_lines_change_nothing(lines):
-    again = Breaklines.of([LINES[i][::-1] for i in (3, 1, 0, 2)] + [BEND], PIXEL, SHORTEST, WINDOW)
+    again = Breaklines.of(
+        [LINES[i][::-1] for i in (3, 1, 0, 2)] + [BEND], PIXEL, SHORTEST, WINDOW
+    )
     assert again.key == lines.key
 
 
@@ -75,7 +84,9 @@ def test_a_window_has_the_same_edges_as_the_whole(lines, ground):
     )
     local = ground[:, inside] - np.array([[*origin, 0]], np.int32).T
     found = lines.applied(local, window, WINDOW, origin) + np.array([[*origin, 0]], np.int32).T
-    expected = {p for p in whole if window.x0 <= p[0] < window.x1 and window.y0 <= p[1] < window.y1}
+    expected = {
+        p for p in whole if window.x0 <= p[0] < window.x1 and window.y0 <= p[1] < window.y1
+    }
     assert {tuple(p) for p in found.T.tolist()} == expected
 
 
@@ -96,7 +107,9 @@ def test_a_changed_line_changes_only_the_digests_of_its_cells(lines):
     lattice = Lattice(Fraction(16_000))
     other = Breaklines.of([*WALL, BEND, SHARP + (0, 0, 50)], PIXEL, SHORTEST, WINDOW)
     before, after = lines.digests(lattice), other.digests(lattice)
-    changed = {cell for cell in before.keys() | after.keys() if before.get(cell) != after.get(cell)}
+    changed = {
+        cell for cell in before.keys() | after.keys() if before.get(cell) != after.get(cell)
+    }
     assert changed == {cell for cell in before if cell.iy == 2 and cell.ix == 1}
 
 
@@ -106,7 +119,9 @@ def test_lines_far_away_are_not_divided_and_change_nothing():
     found = Breaklines.of([far, *LINES], PIXEL, SHORTEST, data)
     assert len(found.pieces) < 1_000
     wide = Breaklines.of([far, *LINES], PIXEL, SHORTEST, WINDOW)
-    inside = {tuple(p) for p in wide.pieces.tolist() if all(0 <= p[i] < 30_000 for i in (0, 1, 3, 4))}
+    inside = {
+        tuple(p) for p in wide.pieces.tolist() if all(0 <= p[i] < 30_000 for i in (0, 1, 3, 4))
+    }
     assert inside == {
         tuple(p) for p in found.pieces.tolist() if all(0 <= p[i] < 30_000 for i in (0, 1, 3, 4))
     }

@@ -24,14 +24,24 @@ def test_both_name_the_same_classes() -> None:
 def test_classes_without_an_object_get_the_class_that_was_found(before: int) -> None:
     found = written_classes(ONLY_GROUND)[:, before].tolist()
     assert [found[label] for label in (GROUND, LOW, NEITHER, BRIDGE)] == [2, 7, 1, 17]
-    assert [found[label | WATER_BIT] for label in (GROUND, LOW, NEITHER, BRIDGE)] == [9, 7, 9, 17]
+    assert [found[label | WATER_BIT] for label in (GROUND, LOW, NEITHER, BRIDGE)] == [
+        9,
+        7,
+        9,
+        17,
+    ]
 
 
 @pytest.mark.parametrize("before", OTHERS)
 def test_other_classes_stay_where_there_is_no_ground(before: int) -> None:
     found = written_classes(ONLY_GROUND)[:, before].tolist()
     assert [found[label] for label in (GROUND, LOW, NEITHER, BRIDGE)] == [2, 7, before, 17]
-    assert [found[label | WATER_BIT] for label in (GROUND, LOW, NEITHER, BRIDGE)] == [9, 7, before, 17]
+    assert [found[label | WATER_BIT] for label in (GROUND, LOW, NEITHER, BRIDGE)] == [
+        9,
+        7,
+        before,
+        17,
+    ]
 
 
 @pytest.mark.parametrize("before", [*PLAIN, *OTHERS])

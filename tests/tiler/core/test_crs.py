@@ -27,4 +27,6 @@ def test_the_scale_is_the_length_in_the_plane_over_that_on_the_ground(
     crs: str, x: float, y: float, scale: float | None
 ) -> None:
     found = point_scale_factor(CRS(crs).to_wkt(), x, y)
-    assert found == (None if scale is None else pytest.approx(scale, rel=0.005 if scale > 1 else 1e-6))
+    assert found == (
+        None if scale is None else pytest.approx(scale, rel=0.005 if scale > 1 else 1e-6)
+    )

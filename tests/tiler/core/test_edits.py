@@ -52,7 +52,17 @@ def test_ground_takes_the_lowest_point_of_each_cell_that_is_no_noise_or_water():
 
 
 def test_the_last_edit_holds():
-    assert labels(edit(NOT_GROUND, 100, 120), edit(TO_GROUND, 103, 104, 2)) == [1, 1, 2, 7, 9, 1, 1, 1, 2]
+    assert labels(edit(NOT_GROUND, 100, 120), edit(TO_GROUND, 103, 104, 2)) == [
+        1,
+        1,
+        2,
+        7,
+        9,
+        1,
+        1,
+        1,
+        2,
+    ]
 
 
 def test_heights_of_pixels_whose_centres_are_inside():
@@ -78,5 +88,7 @@ def test_a_digest_for_bounds_holds_only_the_edits_that_touch_them():
 
 
 def test_round_trip():
-    edits = Edits((edit(FLAT, 100, 130, 3, z=-5), edit(TO_GROUND, 100, 110, 4, lowest=True)), CELL)
+    edits = Edits(
+        (edit(FLAT, 100, 130, 3, z=-5), edit(TO_GROUND, 100, 110, 4, lowest=True)), CELL
+    )
     assert Edits.from_json(edits.to_json()).key == edits.key

@@ -23,11 +23,18 @@ def test_the_hull_of_cells_holds_each() -> None:
 
 @pytest.mark.parametrize(
     "bounds",
-    [Bounds(-700, -1, 2400, 1700), Bounds(0, 0, 1, 1), Bounds(5, 5, 5, 9), Bounds(-(10**15), 0, 10**15, 9)],
+    [
+        Bounds(-700, -1, 2400, 1700),
+        Bounds(0, 0, 1, 1),
+        Bounds(5, 5, 5, 9),
+        Bounds(-(10**15), 0, 10**15, 9),
+    ],
 )
 def test_occupied_cells_of_bounds_are_found_however_wide_these_are(bounds: Bounds) -> None:
     lattice = Lattice(Fraction(1000, 3))
     occupied = {Cell(ix, iy) for ix in range(-9, 9) for iy in range(-9, 9) if (ix * iy) % 3}
     found = lattice.among(bounds, occupied)
-    assert set(found) == {c for c in occupied if not bounds.empty and lattice.bounds(c).overlaps(bounds)}
+    assert set(found) == {
+        c for c in occupied if not bounds.empty and lattice.bounds(c).overlaps(bounds)
+    }
     assert found == sorted(found, key=lambda c: (c.iy, c.ix))

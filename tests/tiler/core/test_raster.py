@@ -25,7 +25,9 @@ SPEC = RasterSpec(Lattice(Fraction(1000, 3)), -7, 11, 50, 33)
     ],
 )
 def test_blocks_within_bounds_are_those_that_overlap_them(bounds: Bounds) -> None:
-    overlapping = [b for b in SPEC.blocks(16) if not bounds.empty and SPEC.block_bounds(b).overlaps(bounds)]
+    overlapping = [
+        b for b in SPEC.blocks(16) if not bounds.empty and SPEC.block_bounds(b).overlaps(bounds)
+    ]
     assert list(SPEC.blocks_within(bounds, 16)) == overlapping
 
 
@@ -36,7 +38,9 @@ def test_blocks_cover_each_pixel_once() -> None:
         for row in range(block.row, block.row + block.height)
         for col in range(block.col, block.col + block.width)
     ]
-    assert sorted(pixels) == [(row, col) for row in range(SPEC.height) for col in range(SPEC.width)]
+    assert sorted(pixels) == [
+        (row, col) for row in range(SPEC.height) for col in range(SPEC.width)
+    ]
 
 
 @pytest.mark.parametrize("reach", [0, 1, 700])
@@ -80,7 +84,9 @@ def test_a_block_is_found_by_its_name() -> None:
         (Fraction(1000, 3), 334, 2),
     ],
 )
-def test_points_on_the_outer_edge_alone_make_no_pixel(size: Fraction, last: int, pixels: int) -> None:
+def test_points_on_the_outer_edge_alone_make_no_pixel(
+    size: Fraction, last: int, pixels: int
+) -> None:
     extent = Bounds(0, -last, last + 1, 1)
     spec = RasterSpec.enclosing(Lattice(size), extent)
     assert (spec.west, spec.width) == (0, pixels)

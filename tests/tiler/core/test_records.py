@@ -13,7 +13,9 @@ from tiler.errors import StoreError
 
 
 def test_a_record_survives_the_store() -> None:
-    piece = spool_record(read=5, dropped={"withheld": 1}, buckets=[[0, -1, 4]], bounds=[0, 0, 2, 2], z=[3, 4])
+    piece = spool_record(
+        read=5, dropped={"withheld": 1}, buckets=[[0, -1, 4]], bounds=[0, 0, 2, 2], z=[3, 4]
+    )
     assert SpoolRecord.of(json.loads(json.dumps(piece.to_json()))) == piece
     bucket = bucket_record(cell=[0, -1], n=4, strays=[[0, 7, 1.5, 2.5, 9.0]])
     assert buckets_in(json.loads(json.dumps({"buckets": [bucket.to_json()]}))) == [bucket]

@@ -36,7 +36,9 @@ CLASSES = np.array([1, 2, 3, 7, 18, 2], np.uint8)
         (Selection(drop_classes=(7, 18)), [3, 4]),
     ],
 )
-def test_each_option_leaves_out_what_it_names(selection: Selection, left_out: list[int]) -> None:
+def test_each_option_leaves_out_what_it_names(
+    selection: Selection, left_out: list[int]
+) -> None:
     (mask,) = unselected(selection, RETURNS, ANGLES, SOURCES, CLASSES).values()
     assert np.flatnonzero(mask).tolist() == left_out
 
@@ -53,7 +55,10 @@ def test_options_say_what_the_user_wrote() -> None:
         "--source-id 12,20-31",
         "--drop-classes 7,18",
     ]
-    assert selection.options.keys() == unselected(selection, RETURNS, ANGLES, SOURCES, CLASSES).keys()
+    assert (
+        selection.options.keys()
+        == unselected(selection, RETURNS, ANGLES, SOURCES, CLASSES).keys()
+    )
 
 
 @given(st.sets(st.integers(0, 255), min_size=1))

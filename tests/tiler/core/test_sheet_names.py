@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from tiler.core.sheet_names import DEFAULT, check_template, name_prefix, sheet_name, validate_distinct_names
+from tiler.core.sheet_names import (
+    DEFAULT,
+    check_template,
+    name_prefix,
+    sheet_name,
+    validate_distinct_names,
+)
 from tiler.errors import ConfigError
 
 
@@ -43,5 +49,7 @@ def test_a_template_that_cannot_name_files_is_refused(template: str, why: str) -
 
 def test_no_two_sheets_have_one_name() -> None:
     validate_distinct_names(DEFAULT, ["a_1", "a_2"])
-    with pytest.raises(ConfigError, match="two sheets would have the name A_1; use more digits"):
+    with pytest.raises(
+        ConfigError, match="two sheets would have the name A_1; use more digits"
+    ):
         validate_distinct_names(DEFAULT, ["a_1", "A_1"])

@@ -26,7 +26,9 @@ def test_lengths_are_exact(text: str | float, metres: Fraction) -> None:
     assert parse_length(text) == metres
 
 
-@pytest.mark.parametrize("text", ["", "-1", "1/0", "0/00", "1e3", "nan", "1 2", "1/2/3", "3 miles"])
+@pytest.mark.parametrize(
+    "text", ["", "-1", "1/0", "0/00", "1e3", "nan", "1 2", "1/2/3", "3 miles"]
+)
 def test_texts_that_are_no_length_are_refused(text: str) -> None:
     with pytest.raises(ConfigError):
         parse_length(text)

@@ -7,7 +7,13 @@ from fractions import Fraction
 import pytest
 
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
-from tiler.core.units_text import area_text, in_unit_of_crs, length_text, short_unit, written_unit
+from tiler.core.units_text import (
+    area_text,
+    in_unit_of_crs,
+    length_text,
+    short_unit,
+    written_unit,
+)
 
 
 @pytest.mark.parametrize(
@@ -25,7 +31,9 @@ from tiler.core.units_text import area_text, in_unit_of_crs, length_text, short_
         (0, FOOT, "0 ft (0 m)"),
     ],
 )
-def test_feet_stand_alone_where_they_are_round(metres: Fraction, unit: Fraction, text: str) -> None:
+def test_feet_stand_alone_where_they_are_round(
+    metres: Fraction, unit: Fraction, text: str
+) -> None:
     assert length_text(metres, unit) == text
     assert length_text(float(metres), float(unit)) == text
 

@@ -28,4 +28,6 @@ def test_positions_along_a_line_are_those_of_geos(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(water, "POINTS_AT_ONCE", at_once)
         along = water.places_along(line, x, y)
-    assert np.array_equal(along, shapely.line_locate_point(shapely.LineString(line), shapely.points(x, y)))
+    assert np.array_equal(
+        along, shapely.line_locate_point(shapely.LineString(line), shapely.points(x, y))
+    )

@@ -26,7 +26,9 @@ def test_a_noun_has_the_number_of_its_count(number: int, plural: str | None, tex
         (["a"] * 2_002, "a, a and 2,000 more"),
     ],
 )
-def test_a_list_has_its_first_texts_and_the_number_of_the_others(texts: list[str], text: str) -> None:
+def test_a_list_has_its_first_texts_and_the_number_of_the_others(
+    texts: list[str], text: str
+) -> None:
     assert listed(texts, 2) == text
 
 

@@ -20,7 +20,10 @@ from tiler.io.las.headers import LasHeader, read_header, read_payload
 from tiler.io.las.reader import EVERYTHING, PointReader
 
 ALL_FORMATS = [
-    (f, v) for f in range(11) for v in ("1.2", "1.3", "1.4") if f <= {"1.2": 3, "1.3": 5, "1.4": 10}[v]
+    (f, v)
+    for f in range(11)
+    for v in ("1.2", "1.3", "1.4")
+    if f <= {"1.2": 3, "1.3": 5, "1.4": 10}[v]
 ]
 
 
@@ -38,7 +41,9 @@ def label(store: Any, labels: dict[int, int], source: int = 4) -> tuple[Cell, ..
 
 
 def export(path: Path, out: Path, cells: tuple[Cell, ...], **options: Any) -> CloudRecord:
-    work = WriteClassified(path=str(path), source=4, out=str(out), labels="final", cells=cells, **options)
+    work = WriteClassified(
+        path=str(path), source=4, out=str(out), labels="final", cells=cells, **options
+    )
     return write_classified("memory", work)
 
 
@@ -66,30 +71,47 @@ def without_class(records: np.ndarray, point_format: int) -> bytes:
 def assert_equal_but_classes(source: Path, out: Path) -> None:
     """Header fields, records, bytes between them and points of two files."""
     one, two = read_header(source), read_header(out)
-    assert without_class(decoded(source), one.point_format) == without_class(decoded(out), two.point_format)
+    assert without_class(decoded(source), one.point_format) == without_class(
+        decoded(out), two.point_format
+    )
     assert raw_records(source, one, False) == raw_records(out, two, False)
     assert raw_records(source, one, True) == raw_records(out, two, True)
     a, b = source.read_bytes()[: one.header_size], out.read_bytes()[: two.header_size]
     moved = {*range(96, 105), *(range(227, 247) if one.version[1] >= 3 else ())}
     assert [i for i in range(one.header_size) if a[i] != b[i] and i not in moved] == []
-    gap = source.read_bytes()[one.vlrs[-1].end if one.vlrs else one.header_size : one.points_offset]
+    gap = source.read_bytes()[
+        one.vlrs[-1].end if one.vlrs else one.header_size : one.points_offset
+    ]
     assert out.read_bytes()[: two.points_offset].endswith(gap)
 
 
-@pytest.mark.parametrize(("suffix", "to"), [("las", "laz"), ("laz", "laz"), ("laz", "las"), ("las", "las")])
+@pytest.mark.parametrize(
+    ("suffix", "to"), [("las", "laz"), ("laz", "laz"), ("laz", "las"), ("las", "las")]
+)
 @pytest.mark.parametrize(("point_format", "version"), ALL_FORMATS)
 def test_all_but_the_classes_is_equal(
-    make_cloud: Any, memory_store: Any, tmp_path: Path, point_format: int, version: str, suffix: str, to: str
+    make_cloud: Any,
+    memory_store: Any,
+    tmp_path: Path,
+    point_format: int,
+    version: str,
+    suffix: str,
+    to: str,
 ) -> None:
     evlr = b"waves" * 100 if version == "1.4" else None
-    path = make_cloud(f"a.{suffix}", point_format=point_format, version=version, extra=True, evlr=evlr)
+    path = make_cloud(
+        f"a.{suffix}", point_format=point_format, version=version, extra=True, evlr=evlr
+    )
     labels = {row: 1 + row % 2 for row in range(100, 900)}
     labels[500] = 0
     out = tmp_path / "out" / "deep" / f"a.{to}"
     record = export(path, out, label(memory_store, labels))
     assert (read_header(out).laz is not None) == (to == "laz")
     assert_equal_but_classes(path, out)
-    before, after = np.asarray(laspy.read(path).classification), np.asarray(laspy.read(out).classification)
+    before, after = (
+        np.asarray(laspy.read(path).classification),
+        np.asarray(laspy.read(out).classification),
+    )
     expected = before.copy()
     for row, value in labels.items():
         expected[row] = 2 if value == 2 else before[row] if value == 0 or before[row] > 2 else 1
@@ -113,7 +135,11 @@ def test_las_1_5_comes_back_as_las_1_5(
     out = tmp_path / f"b.{to}"
     export(path, out, label(memory_store, {row: 1 + row % 2 for row in range(1000)}))
     header = read_header(out)
-    assert (header.version, header.gps_times, header.time_offset) == ((1, 5), (12.5, 99.0), offset)
+    assert (header.version, header.gps_times, header.time_offset) == (
+        (1, 5),
+        (12.5, 99.0),
+        offset,
+    )
     assert_equal_but_classes(path, out)
 
 
@@ -141,7 +167,9 @@ def test_offset_times_of_las_1_5_become_standard_times_in_copc(
     record = export(path, out, (), copc=True)
     found = laspy.read(out)
     assert str(found.header.version) == "1.4"
-    np.testing.assert_allclose(np.sort(found.gps_time), np.sort(times) + 250e6, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(
+        np.sort(found.gps_time), np.sort(times) + 250e6, rtol=0, atol=1e-3
+    )
     assert record.notes[:2] == [
         "range of GPS times in the header left out: COPC is LAS 1.4",
         "GPS times written with an offset of 1000 million seconds, as COPC has them, instead of 1250",
@@ -156,7 +184,9 @@ ODD = (
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_odd_files_come_back_whole(shared_data: Path, memory_store: Any, tmp_path: Path, name: str) -> None:
+def test_odd_files_come_back_whole(
+    shared_data: Path, memory_store: Any, tmp_path: Path, name: str
+) -> None:
     path = shared_data / "odd" / name
     for out in (tmp_path / "o.laz", tmp_path / "o.las"):
         export(path, out, label(memory_store, {0: 2}))
@@ -177,7 +207,9 @@ def test_waveform_packets_of_las_1_3_move_with_their_position(
     assert out.read_bytes()[new.waveform_start :] == packets
 
 
-def test_waveform_packets_of_las_1_4_are_an_evlr(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
+def test_waveform_packets_of_las_1_4_are_an_evlr(
+    make_cloud: Any, memory_store: Any, tmp_path: Path
+) -> None:
     path = make_cloud("w.las", point_format=9, version="1.4", evlr=b"packets")
     header = read_header(path)
     data = bytearray(path.read_bytes())
@@ -211,7 +243,9 @@ def test_rows_in_several_ranges_and_steps(
     labels = {row: 1 + row % 2 for row in range(1000)}
     out = tmp_path / "r.laz"
     export(path, out, label(memory_store, labels), reclass="all")
-    assert np.asarray(laspy.read(out).classification).tolist() == [labels[r] for r in range(1000)]
+    assert np.asarray(laspy.read(out).classification).tolist() == [
+        labels[r] for r in range(1000)
+    ]
     assert_equal_but_classes(path, out)
 
 
@@ -285,7 +319,9 @@ def test_wave_packets_of_several_channels_are_refused_not_damaged(
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_nodes_that_lie_together_share_what_is_read_of_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nodes_that_lie_together_share_what_is_read_of_the_store(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(classified, "ROWS_PER_BATCH", 10)
     ranges = [(0, 3), (4, 2), (9, 4), (30, 25)]
     spans = list(classified._spans(ranges))

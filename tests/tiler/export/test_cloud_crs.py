@@ -24,7 +24,13 @@ LOCAL = "+proj=tmerc +lat_0=47 +lon_0=9.5 +k=1 +x_0=0 +y_0=0 +ellps=GRS80 +units
 )
 @pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:2154+5720", "EPSG:2991+6360", LOCAL])
 def test_it_is_written_as_the_version_has_it(
-    make_cloud: Any, memory_store: Any, tmp_path: Path, crs: str, point_format: int, version: str, suffix: str
+    make_cloud: Any,
+    memory_store: Any,
+    tmp_path: Path,
+    crs: str,
+    point_format: int,
+    version: str,
+    suffix: str,
 ) -> None:
     evlr = b"more" if version == "1.4" else None
     made = "1.2" if version == "1.0" else version
@@ -60,10 +66,14 @@ def test_it_is_written_as_the_version_has_it(
     source = laspy.read(path)
     assert found.points.array.tobytes() == source.points.array.tobytes()
     assert found.header.vlrs[0].record_data == source.header.vlrs[0].record_data
-    assert [e.record_data for e in found.evlrs or ()] == [e.record_data for e in source.evlrs or ()]
+    assert [e.record_data for e in found.evlrs or ()] == [
+        e.record_data for e in source.evlrs or ()
+    ]
 
 
-def test_records_that_cannot_be_read_are_replaced(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
+def test_records_that_cannot_be_read_are_replaced(
+    make_cloud: Any, memory_store: Any, tmp_path: Path
+) -> None:
     def broken(cloud: laspy.LasData) -> None:
         keys = struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, 32767)
         cloud.header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", keys))
@@ -72,7 +82,9 @@ def test_records_that_cannot_be_read_are_replaced(make_cloud: Any, memory_store:
     wkt = CRS("EPSG:25832").to_wkt()
     path = make_cloud("a.las", point_format=6, version="1.4", crs=None, edit=broken)
     record = export(path, tmp_path / "a.laz", (), wkt=wkt)
-    assert record.notes == ["CRS of the run written in place of records of a CRS that cannot be read"]
+    assert record.notes == [
+        "CRS of the run written in place of records of a CRS that cannot be read"
+    ]
     assert georeference(read_header(tmp_path / "a.laz")).name == "ETRS89 / UTM zone 32N"
     memory_store.meta.frame = type(memory_store.meta.frame)(crs_wkt=wkt)
     export(path, tmp_path / "a.copc.laz", (), wkt=wkt, copc=True)
@@ -84,4 +96,21 @@ def test_keys_name_what_epsg_has_numbers_for() -> None:
         assert geotiff_keys(CRS.from_user_input(text)) is None
     keys = geotiff_keys(CRS("EPSG:2992"))
     assert keys is not None
-    assert struct.unpack("<16H", keys) == (1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 2992, 3076, 0, 1, 9002)
+    assert struct.unpack("<16H", keys) == (
+        1,
+        1,
+        0,
+        3,
+        1024,
+        0,
+        1,
+        1,
+        3072,
+        0,
+        1,
+        2992,
+        3076,
+        0,
+        1,
+        9002,
+    )

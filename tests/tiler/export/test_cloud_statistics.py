@@ -10,7 +10,9 @@ from tiler.export.cloud_statistics import sums_of
 
 @pytest.mark.parametrize("high", [7, 4_194_303, 2**31 - 1])
 @pytest.mark.parametrize("low", [0, -(2**31)])
-def test_sums_are_exact_for_as_many_records_as_threads_compress_at_once(low: int, high: int) -> None:
+def test_sums_are_exact_for_as_many_records_as_threads_compress_at_once(
+    low: int, high: int
+) -> None:
     n = 1 << 20
     values = np.full(n, high, np.int32)
     values[0] = low

@@ -43,7 +43,9 @@ def hills(spec: RasterSpec) -> np.ndarray:
     return heights
 
 
-def filled_store(folder: Path, spec: RasterSpec, heights: np.ndarray, frame: CoordFrame) -> TileStore:
+def filled_store(
+    folder: Path, spec: RasterSpec, heights: np.ndarray, frame: CoordFrame
+) -> TileStore:
     meta = StoreMeta(frame, Lattice(Fraction(50_000)), Lattice(Fraction(500)), has_rgb=False)
     store = create_store(str(folder / "store.zarr"), meta)
     store.create_raster("dtm", spec.height, spec.width)
@@ -54,15 +56,21 @@ def filled_store(folder: Path, spec: RasterSpec, heights: np.ndarray, frame: Coo
 
 def work(folder: Path, spec: RasterSpec, compress: str = "deflate") -> WriteCog:
     names = {"name": "dtm", "raster": "dtm", "product": "dtm"}
-    return WriteCog(**names, spec=spec, out=str(folder), compress=compress, tags=TAGS, fill=NODATA)
+    return WriteCog(
+        **names, spec=spec, out=str(folder), compress=compress, tags=TAGS, fill=NODATA
+    )
 
 
-def export(folder: Path, store: TileStore, spec: RasterSpec, compress: str = "deflate") -> RasterFileRecord:
+def export(
+    folder: Path, store: TileStore, spec: RasterSpec, compress: str = "deflate"
+) -> RasterFileRecord:
     return write_cog(store.url, work(folder, spec, compress))
 
 
 def frame_of(code: str | None, units: Units | None = None) -> CoordFrame:
-    return CoordFrame(units or Units(), (0, 0), None if code is None else pyproj.CRS(code).to_wkt())
+    return CoordFrame(
+        units or Units(), (0, 0), None if code is None else pyproj.CRS(code).to_wkt()
+    )
 
 
 @pytest.fixture
@@ -143,7 +151,9 @@ def test_the_same_content_is_the_same_bytes(tmp_path, store):
 )
 def test_the_crs_and_the_vertical_unit_are_kept(tmp_path, code, units, label):
     spec = RasterSpec(Lattice(Fraction(1000, 3)), west=-4, north=9, height=21, width=33)
-    store = filled_store(tmp_path, spec, np.full((21, 33), 7, np.float32), frame_of(code, units))
+    store = filled_store(
+        tmp_path, spec, np.full((21, 33), 7, np.float32), frame_of(code, units)
+    )
     export(tmp_path, store, spec)
     with rasterio.open(tmp_path / "dtm.tif") as cog:
         assert cog.units == (label,)
@@ -163,7 +173,8 @@ def test_a_raster_without_a_height_is_written(tmp_path):
     assert (record.valid, record.min) == (0, None)
     with rasterio.open(tmp_path / "dtm.tif") as cog:
         assert np.all(cog.read(1) == NODATA)
-        assert cog.transform[:6] == (1, 0, 0, 0, -1, 0)  # what GDAL takes for "no georeference" elsewhere
+        # what GDAL takes for "no georeference" elsewhere
+        assert cog.transform[:6] == (1, 0, 0, 0, -1, 0)
 
 
 @pytest.mark.processes
@@ -181,7 +192,8 @@ def test_the_distribution_s_gdal_reads_it(tmp_path, store):
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path, store):
     with pytest.raises(
-        ProcessingError, match=r"cannot be written .*check free space and permissions, then run again$"
+        ProcessingError,
+        match=r"cannot be written .*check free space and permissions, then run again$",
     ):
         export(tmp_path / "missing", store, SPEC)
 
@@ -194,7 +206,9 @@ def test_statistics_merge():
     assert merged.n == 200
     assert merged.mean == pytest.approx(heights.mean(dtype=np.float64), rel=1e-13)
     assert merged.squares / 200 == pytest.approx(heights.astype(np.float64).var(), rel=1e-12)
-    assert Statistics().merged(np.full(3, NODATA, np.float32)).tags(3) == {"STATISTICS_VALID_PERCENT": "0"}
+    assert Statistics().merged(np.full(3, NODATA, np.float32)).tags(3) == {
+        "STATISTICS_VALID_PERCENT": "0"
+    }
 
 
 @pytest.mark.parametrize("product", ["dtm", "slope"])
@@ -203,7 +217,9 @@ def test_the_file_has_the_nodata_value_that_was_asked_for(product, tmp_path, sto
     with rasterio.open(tmp_path / "dtm.tif") as raster:
         expected = raster.read(1, masked=True)
         coarse = raster.read(1, masked=True, out_shape=(SPEC.height // 2, SPEC.width // 2))
-    other = write_cog(store.url, replace(work(tmp_path, SPEC), product=product, nodata=-999999.0))
+    other = write_cog(
+        store.url, replace(work(tmp_path, SPEC), product=product, nodata=-999999.0)
+    )
     with rasterio.open(tmp_path / "dtm.tif") as raster:
         assert raster.nodata == -999999.0
         found = raster.read(1, masked=True)
@@ -212,5 +228,7 @@ def test_the_file_has_the_nodata_value_that_was_asked_for(product, tmp_path, sto
     np.testing.assert_array_equal(found.mask, expected.mask)
     np.testing.assert_array_equal(found.compressed(), expected.compressed())
     np.testing.assert_array_equal(overview.compressed(), coarse.compressed())
-    assert all(getattr(usual, name) == getattr(other, name) for name in ("valid", "min", "max", "mean"))
+    assert all(
+        getattr(usual, name) == getattr(other, name) for name in ("valid", "min", "max", "mean")
+    )
     assert cog_validate(tmp_path / "dtm.tif", strict=True) == (True, [], [])

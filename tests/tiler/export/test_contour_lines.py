@@ -60,7 +60,9 @@ def test_lines_neither_cross_nor_touch(hills):
 
 def between(heights, places):
     """Heights between pixels; far off where a pixel without height has any weight."""
-    return ndimage.map_coordinates(np.where(np.isnan(heights), 1e9, heights), places[:, ::-1].T, order=1)
+    return ndimage.map_coordinates(
+        np.where(np.isnan(heights), 1e9, heights), places[:, ::-1].T, order=1
+    )
 
 
 def test_vertices_have_the_height_of_their_line(hills):
@@ -101,7 +103,8 @@ def test_long_lines_are_cut_where_too_many_vertices_wait(hills):
     assert times > 0
     for level in {level for level, _ in whole}:
         merged, expected = (
-            shapely.MultiLineString([places for at, places in found if at == level]) for found in (cut, whole)
+            shapely.MultiLineString([places for at, places in found if at == level])
+            for found in (cut, whole)
         )
         assert merged.length == pytest.approx(expected.length)
         assert shapely.line_merge(merged).equals(shapely.line_merge(expected))
@@ -150,7 +153,9 @@ def test_a_bump_is_drawn_from_half_an_interval_on(rise: float, drawn: bool) -> N
 def test_of_rings_in_one_another_the_outer_ones_are_left_out() -> None:
     heights = np.full((20, 20), 9.9)
     heights[8, 9] = 12.7
-    found = [level for level, places in rings(heights) if stays(places, heights, float(level), 1.0)]
+    found = [
+        level for level, places in rings(heights) if stays(places, heights, float(level), 1.0)
+    ]
     assert found == [12]
 
 

@@ -28,7 +28,9 @@ def stored(store: TileStore, heights: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("tower", [0, 300])
-def test_one_tower_does_not_change_the_interval(tower: float, small_store: TileStore, tmp_path: Path) -> None:
+def test_one_tower_does_not_change_the_interval(
+    tower: float, small_store: TileStore, tmp_path: Path
+) -> None:
     heights = np.tile(np.linspace(20, 40, SIDE), (SIDE, 1))
     heights[50:60, 50:60] += tower
     stored(small_store, heights)
@@ -47,7 +49,9 @@ def test_one_tower_does_not_change_the_interval(tower: float, small_store: TileS
     assert (record.low, record.high) == pytest.approx((20.4, 39.6), abs=0.2)
 
 
-def test_no_spot_in_water_or_within_two_pixels_of_it(small_store: TileStore, tmp_path: Path) -> None:
+def test_no_spot_in_water_or_within_two_pixels_of_it(
+    small_store: TileStore, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(3)
     heights = 20 + rng.normal(0, 2, (SIDE, SIDE))
     stored(small_store, heights)

@@ -45,7 +45,9 @@ def test_all_but_what_formats_6_to_8_cannot_hold_is_that_of_the_laz(
         np.testing.assert_array_equal(old[name], new[name], err_msg=name)
     if point_format < 6:
         np.testing.assert_array_equal(np.rint(new.scan_angle * 0.006), old.scan_angle_rank)
-        np.testing.assert_array_equal(new.overlap, by_place(laspy.read(path)).classification == 12)
+        np.testing.assert_array_equal(
+            new.overlap, by_place(laspy.read(path)).classification == 12
+        )
     else:
         np.testing.assert_array_equal(new.scan_angle, old.scan_angle)
         np.testing.assert_array_equal(new.overlap, old.overlap)
@@ -77,7 +79,9 @@ def uneven(cloud: laspy.LasData) -> None:
     """Most points in a corner, a thousand at one place, and one far above."""
     count, rng = len(cloud.points), np.random.default_rng(1)
     for axis in "XY":
-        cloud[axis] = np.sort(rng.exponential(20_000, count)).astype(np.int32)[rng.permutation(count)]
+        cloud[axis] = np.sort(rng.exponential(20_000, count)).astype(np.int32)[
+            rng.permutation(count)
+        ]
     cloud.X[:1000], cloud.Y[:1000], cloud.Z[:1000] = 7000, 8000, 90
     cloud.Z[-1] = 5_000_000
     cloud.gps_time[:] = rng.permutation(count)
@@ -99,13 +103,19 @@ def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) 
         np.testing.assert_allclose(2 * info.halfsize, sizes.max() + 0.01)
         np.testing.assert_allclose(info.spacing, 2 * info.halfsize / 16)
         assert (info.gps_min, info.gps_max) == (0.0, 11_999.0)
-        by_level = [reader.query(level=level) for level in range(max(k[0] for k in octree.keys) + 1)]
-        box = laspy.copc.Bounds(mins=points.header.mins[:2] + 50, maxs=points.header.mins[:2] + 100)
+        by_level = [
+            reader.query(level=level) for level in range(max(k[0] for k in octree.keys) + 1)
+        ]
+        box = laspy.copc.Bounds(
+            mins=points.header.mins[:2] + 50, maxs=points.header.mins[:2] + 100
+        )
         found = np.sort(reader.query(bounds=box).gps_time)
     inside = ((points.xyz[:, :2] >= box.mins) & (points.xyz[:, :2] <= box.maxs)).all(axis=1)
     assert len(found) > 100
     np.testing.assert_array_equal(found, np.sort(points.gps_time[inside]))
-    np.testing.assert_array_equal(np.sort(np.concatenate([p.gps_time for p in by_level])), np.arange(12_000))
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([p.gps_time for p in by_level])), np.arange(12_000)
+    )
     assert sum(entry.point_count for entry in hierarchy.values()) == 12_000
     keys = {(k.level, k.x, k.y, k.z): entry.point_count for k, entry in hierarchy.items()}
     assert len(keys) == len(octree.keys) > 50
@@ -121,17 +131,21 @@ def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) 
         )
         assert (np.diff(points.gps_time[done : done + count]) > 0).all()
         children = any(
-            (level + 1, *(2 * c + (n >> b & 1) for b, c in enumerate(corner))) in keys for n in range(8)
+            (level + 1, *(2 * c + (n >> b & 1) for b, c in enumerate(corner))) in keys
+            for n in range(8)
         )
         cells = len(np.unique(np.floor(place * 16), axis=0))
         most_few = count - cells < 8 * octree_batches.MIN_POINTS  # beside those of the cells
         assert most_few or (
-            not children and (count <= octree_batches.LEAF_POINTS or level == octree_batches.DEEPEST)
+            not children
+            and (count <= octree_batches.LEAF_POINTS or level == octree_batches.DEEPEST)
         )
         done += count
 
 
-def test_an_empty_cloud_and_one_of_a_point(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
+def test_an_empty_cloud_and_one_of_a_point(
+    make_cloud: Any, memory_store: Any, tmp_path: Path
+) -> None:
     for count in (0, 1):
         out = tmp_path / f"{count}.copc.laz"
         record = export(make_cloud(f"{count}.las", n=count), out, (), copc=True)
@@ -141,23 +155,31 @@ def test_an_empty_cloud_and_one_of_a_point(make_cloud: Any, memory_store: Any, t
     np.testing.assert_array_equal(decoded(out)["X"], laspy.read(tmp_path / "1.las").X)
 
 
-def test_its_crs_is_wkt_whatever_the_source_has(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
+def test_its_crs_is_wkt_whatever_the_source_has(
+    make_cloud: Any, memory_store: Any, tmp_path: Path
+) -> None:
     wkt = CRS("EPSG:2992").to_wkt()
     memory_store.meta.frame = replace(memory_store.meta.frame, crs_wkt=wkt)
-    keys = laspy.VLR("LASF_Projection", 34735, "", struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, 2992))
+    keys = laspy.VLR(
+        "LASF_Projection", 34735, "", struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, 2992)
+    )
     path = make_cloud("a.las", n=5, crs=None, edit=lambda cloud: cloud.header.vlrs.append(keys))
     for crs in ("geotiff", "wkt of the source"):
         record = export(path, tmp_path / "a.copc.laz", (), copc=True)
         cloud = laspy.read(tmp_path / "a.copc.laz")
         assert cloud.header.global_encoding.wkt
-        assert [v.record_id for v in cloud.header.vlrs if v.user_id == "LASF_Projection"] == [2112]
+        assert [v.record_id for v in cloud.header.vlrs if v.user_id == "LASF_Projection"] == [
+            2112
+        ]
         assert ("CRS written as WKT, which COPC requires" in record.notes) == (crs == "geotiff")
         assert cloud.header.parse_crs().to_epsg() == (2992 if crs == "geotiff" else 25832)
         path = make_cloud("a.las", n=5, point_format=6, version="1.4")
 
 
 @pytest.mark.slow
-def test_each_point_of_a_town_comes_back(shared_data: Path, memory_store: Any, tmp_path: Path) -> None:
+def test_each_point_of_a_town_comes_back(
+    shared_data: Path, memory_store: Any, tmp_path: Path
+) -> None:
     path, out = tmp_path / "third.laz", tmp_path / "a.copc.laz"
     town = laspy.read(shared_data / "autzen" / "autzen_en.laz")
     town.points = town.points[np.arange(0, len(town.points), 3)]
@@ -167,14 +189,19 @@ def test_each_point_of_a_town_comes_back(shared_data: Path, memory_store: Any, t
         by_level = [reader.query(level=level) for level in range(5)]
         found = np.concatenate([points.array for points in by_level])
     expected = laspy.read(path).points.array
-    found, expected = (np.sort(records.view(f"S{records.itemsize}")) for records in (found, expected))
+    found, expected = (
+        np.sort(records.view(f"S{records.itemsize}")) for records in (found, expected)
+    )
     assert found.tobytes() == expected.tobytes()
     read = laspy.read(out)
     assert len(read.points) == len(expected)
     root = by_level[0]
-    # Of a side of four of its cells: hardly one is without a point of the root where others are.
+    # Of a side of four of its cells: hardly one is without a point of the root where others
+    # are.
     side = 2 * reader.copc_info.halfsize / 32
-    where = [np.unique(np.floor(np.stack([p.x, p.y]) / side), axis=1).shape[1] for p in (root, read)]
+    where = [
+        np.unique(np.floor(np.stack([p.x, p.y]) / side), axis=1).shape[1] for p in (root, read)
+    ]
     assert where[0] > 0.99 * where[1]
 
 

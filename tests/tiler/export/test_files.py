@@ -28,7 +28,12 @@ HIGH = (Cell(499, 5400), Cell(500, 5400))
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     cloud = clouds.write(tmp_path_factory.mktemp("in") / "in.laz", clouds.city(20.0, 1.0))
-    settings = {"products": ["dtm", "hillshade"], "resolution": "1", "sheets": "1000", "in_process": True}
+    settings = {
+        "products": ["dtm", "hillshade"],
+        "resolution": "1",
+        "sheets": "1000",
+        "in_process": True,
+    }
     return make_plan([str(cloud)], RunConfig.from_mapping(settings))
 
 
@@ -53,7 +58,8 @@ def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> GridContext:
 def spooled(first: str, second: str, plan: Plan) -> Inputs:
     """Two files, of these contents: one with points in both buckets, one in the east alone."""
     sources = [
-        Source(plan.inputs.sources[0], number, content) for number, content in enumerate((first, second))
+        Source(plan.inputs.sources[0], number, content)
+        for number, content in enumerate((first, second))
     ]
     pieces: Any = {
         "s000000-0": ("", spool_record(buckets=[[0, 0, 3], [1, 0, 1]]).to_json()),
@@ -62,7 +68,9 @@ def spooled(first: str, second: str, plan: Plan) -> Inputs:
     return inputs_of(sources, pieces)
 
 
-def test_sheets_lie_on_multiples_of_their_side_and_have_the_buckets_of_their_points(plan: Plan) -> None:
+def test_sheets_lie_on_multiples_of_their_side_and_have_the_buckets_of_their_points(
+    plan: Plan,
+) -> None:
     found = gridding(plan).sheets
     assert [(sheet.corner, sheet.cells) for sheet in found] == [
         ((499_000.0, 5_400_000.0), [WEST]),
@@ -95,7 +103,9 @@ def test_another_input_makes_new_sheets_where_it_lies(plan: Plan) -> None:
     g = gridding(plan)
     before = digests(g, spooled("a", "b", plan))
     after = digests(g, spooled("a", "c", plan))
-    west, east = ([f"{name}_{x}_5400000.tif" for name in ("dtm", "hillshade")] for x in (499000, 500000))
+    west, east = (
+        [f"{name}_{x}_5400000.tif" for name in ("dtm", "hillshade")] for x in (499000, 500000)
+    )
     assert set(before) == {*west, *east}
     assert {key for key in before if before[key] != after[key]} == set(east)
     everywhere = digests(g, spooled("d", "b", plan))
@@ -108,7 +118,9 @@ def test_another_block_makes_new_files_of_its_raster(plan: Plan) -> None:
     (block,) = g.made["hillshade"]
     g.made["hillshade"] = {block: ("digest", {"filled": 1, "checksum": "other"})}
     after = digests(g, inputs)
-    assert {key for key in before if before[key] != after[key]} == {k for k in before if "hillshade" in k}
+    assert {key for key in before if before[key] != after[key]} == {
+        k for k in before if "hillshade" in k
+    }
 
 
 def test_one_file_and_no_mosaic_without_sheets(plan: Plan) -> None:

@@ -37,23 +37,38 @@ def exported(folder: Path, epsg: int) -> RasterSpec:
     store = create_store(str(folder / "store.zarr"), meta)
     store.create_raster("dtm", spec.height, spec.width)
     (block,) = spec.blocks(512)
-    store.write_block("dtm", block, np.arange(SIDE * 2 * SIDE, dtype=np.float32).reshape(SIDE, -1))
-    sheets = [(f"{i}", RasterSpec(spec.lattice, west + i * SIDE, north, SIDE, SIDE)) for i in range(2)]
+    store.write_block(
+        "dtm", block, np.arange(SIDE * 2 * SIDE, dtype=np.float32).reshape(SIDE, -1)
+    )
+    sheets = [
+        (f"{i}", RasterSpec(spec.lattice, west + i * SIDE, north, SIDE, SIDE)) for i in range(2)
+    ]
     common: dict[str, Any] = {"product": "dtm", "out": str(folder), "tags": {}}
-    cog: dict[str, Any] = {**common, "raster": "dtm", "whole": spec, "compress": "deflate", "fill": -9999.0}
+    cog: dict[str, Any] = {
+        **common,
+        "raster": "dtm",
+        "whole": spec,
+        "compress": "deflate",
+        "fill": -9999.0,
+    }
     for name, sheet in sheets:
         write_cog(store.url, WriteCog(**cog, name=name, spec=sheet))
-    write_mosaic(store.url, WriteMosaic(**common, sheets=tuple((f"{name}.tif", s) for name, s in sheets)))
+    write_mosaic(
+        store.url, WriteMosaic(**common, sheets=tuple((f"{name}.tif", s) for name, s in sheets))
+    )
     return spec
 
 
 def lon_lat(path: Path) -> tuple[float, float]:
     """Of the north-west corner of a raster, as GDAL finds it when it warps what the file says.
 
-    rasterio's own functions look at the CRS alone; GDAL's driver of COGs looks at the order of the axes as well.
+    rasterio's own functions look at the CRS alone; GDAL's driver of COGs looks at the order of
+    the axes as well.
     """
     warped = path.with_name(f"{path.name}.warped.tif")
-    rasterio.shutil.copy(path, warped, driver="COG", TILING_SCHEME="GoogleMapsCompatible", ADD_ALPHA="NO")
+    rasterio.shutil.copy(
+        path, warped, driver="COG", TILING_SCHEME="GoogleMapsCompatible", ADD_ALPHA="NO"
+    )
     with rasterio.open(warped) as raster:
         row, col = (int(i[0]) for i in np.nonzero(raster.read(1) != raster.nodata))
         x, y = rasterio.transform.xy(raster.transform, row, col, offset="ul")
@@ -63,10 +78,15 @@ def lon_lat(path: Path) -> tuple[float, float]:
 @pytest.mark.parametrize("epsg", CORNERS)
 def test_a_mosaic_lies_where_its_sheets_lie(epsg: int, tmp_path: Path) -> None:
     spec = exported(tmp_path, epsg)
-    true = pyproj.Transformer.from_crs(epsg, 4326, always_xy=True).transform(spec.west, spec.north)
+    true = pyproj.Transformer.from_crs(epsg, 4326, always_xy=True).transform(
+        spec.west, spec.north
+    )
     assert lon_lat(tmp_path / "dtm.vrt") == pytest.approx(true, abs=2e-4)
     assert lon_lat(tmp_path / "0.tif") == pytest.approx(true, abs=2e-4)
-    with rasterio.open(tmp_path / "dtm.vrt") as mosaic, rasterio.open(tmp_path / "0.tif") as sheet:
+    with (
+        rasterio.open(tmp_path / "dtm.vrt") as mosaic,
+        rasterio.open(tmp_path / "0.tif") as sheet,
+    ):
         assert mosaic.crs == sheet.crs
         assert mosaic.transform == sheet.transform
         assert np.array_equal(mosaic.read(1)[:, :SIDE], sheet.read(1))

@@ -31,7 +31,10 @@ def by_key(*paths: str) -> dict[str, str]:
 
 
 def job_in(
-    out: Path, earlier: dict[str, str], stored: tuple[str, ...] = ("dtm.tif", "mask.tif"), **settings: Any
+    out: Path,
+    earlier: dict[str, str],
+    stored: tuple[str, ...] = ("dtm.tif", "mask.tif"),
+    **settings: Any,
 ) -> Any:
     """What stood for a run whose OUT holds the files of earlier ones: path -> what they were made of.
 
@@ -56,7 +59,12 @@ def job_in(
 
 def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
     write(tmp_path, "slope.tif", "dsm/dsm_0_0.tif", "dtm.tif", "mine.txt")
-    earlier = {"slope.tif": "now", "dsm/dsm_0_0.tif": "before", "dtm.tif": "before", "gone.tif": "now"}
+    earlier = {
+        "slope.tif": "now",
+        "dsm/dsm_0_0.tif": "before",
+        "dtm.tif": "before",
+        "gone.tif": "now",
+    }
     job = job_in(tmp_path, earlier)
     archive_outdated(job, by_key("dtm.tif", "mask.tif"), "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm/dsm_0_0.tif", "dtm.tif", "mine.txt"}
@@ -69,14 +77,18 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
         "earlier_outputs": {"dtm.tif": None, "mask.tif": None},
     }
     moved, saved = job.notes
-    assert moved.startswith("dsm/dsm_0_0.tif: written by an earlier run with other settings or inputs")
+    assert moved.startswith(
+        "dsm/dsm_0_0.tif: written by an earlier run with other settings or inputs"
+    )
     assert moved.endswith("moved to outdated/")
     assert saved == "running"
 
 
 def test_a_wanted_file_that_no_run_made_is_refused(tmp_path: Path) -> None:
     write(tmp_path, "dtm.tif")
-    with pytest.raises(ConfigError, match=r"dtm\.tif: already exists and was not written by a run"):
+    with pytest.raises(
+        ConfigError, match=r"dtm\.tif: already exists and was not written by a run"
+    ):
         archive_outdated(job_in(tmp_path, {}), by_key("dtm.tif", "mask.tif"), "now")
     archive_outdated(job_in(tmp_path, {}, force=True), by_key("dtm.tif"), "now")
     archive_outdated(job_in(tmp_path, {"dtm.tif": "before"}), by_key("dtm.tif"), "now")
@@ -97,7 +109,10 @@ def file_digests(job: Any, stage: str, found: Any, in_out: bool) -> Any:
     """Content of files, of which dsm.tif has changed."""
     for place, _, _ in found:
         name = Path(place).name
-        yield place, FileContent("other bytes" if name == "dsm.tif" else f"digest of {name}", "")
+        yield (
+            place,
+            FileContent("other bytes" if name == "dsm.tif" else f"digest of {name}", ""),
+        )
 
 
 @pytest.mark.parametrize(("stored", "is_moved"), [((), True), (("dsm.tif",), False)])

@@ -21,7 +21,14 @@ def test_a_box_across_the_antimeridian_has_two_parts_that_hold_its_places() -> N
     assert found["type"] == "MultiPolygon"
     place = shape(found)
     assert place.is_valid
-    for east, inside in ((-2001, False), (-1990, True), (-5, True), (5, True), (2990, True), (3001, False)):
+    for east, inside in (
+        (-2001, False),
+        (-1990, True),
+        (-5, True),
+        (5, True),
+        (2990, True),
+        (3001, False),
+    ):
         assert place.covers(shapely.Point(back.transform(x + east, y))) == inside
     assert place.area == pytest.approx(5000 * 4000 / 111_300**2 / 0.957, rel=0.02)
     west, _, east, _ = globe.bbox(box) or ()
@@ -46,9 +53,15 @@ def test_a_side_that_bulges_across_the_antimeridian_makes_no_empty_part(
     [
         ([(8, 48, 9, 49), (8.5, 47, 10, 48)], [8, 47, 10, 49]),
         ([(-1, 48, 1, 49), (1, 48, 3, 49)], [-1, 48, 3, 49]),
-        ([(-125.1234567, 40, -124, 41), (-124, 40, -120.7, 42)], [-125.1234567, 40, -120.7, 42]),
+        (
+            [(-125.1234567, 40, -124, 41), (-124, 40, -120.7, 42)],
+            [-125.1234567, 40, -120.7, 42],
+        ),
         ([(179, -17, -179.5, -16)], [179, -17, -179.5, -16]),
-        ([(178, -17, 179, -16), (179, -17, -179, -16), (-179, -17, -178, -16)], [178, -17, -178, -16]),
+        (
+            [(178, -17, 179, -16), (179, -17, -179, -16), (-179, -17, -178, -16)],
+            [178, -17, -178, -16],
+        ),
         ([(179, -17, 180, -16), (-180, -17, -179, -15)], [179, -17, -179, -15]),
         ([(-180, -90, 180, 90)], [-180, -90, 180, 90]),
     ],

@@ -31,14 +31,17 @@ def buckets(columns: range, rows: range) -> Records:
 @pytest.fixture
 def plan(make_cloud: Callable[..., Path]) -> Plan:
     """Of laser scans, with buckets of 128 m."""
-    plan = make_plan([str(make_cloud())], RunConfig(kind="als", in_process=True, workers=1, memory=8 << 30))
+    plan = make_plan(
+        [str(make_cloud())], RunConfig(kind="als", in_process=True, workers=1, memory=8 << 30)
+    )
     bucket = replace(plan.buckets, size=plan.frame.counts(Fraction(128)))
     return changed(plan, meta=replace(plan.grid.meta, bucket=bucket), tile=Fraction(512))
 
 
 def test_as_many_as_workers_in_halves_of_about_half(plan: Plan) -> None:
     records, roofs = buckets(range(-3, 9), range(5, 13)), plan.method.passes[4]
-    for workers, number in ((1, 1), (2, 2), (3, 4), (8, 4)):  # of which eight would hold too few
+    # of which eight would hold too few
+    for workers, number in ((1, 1), (2, 2), (3, 4), (8, 4)):
         tiles = list(tiles_of(changed(plan, tile_workers=workers), records, roofs))
         assert len(tiles) == number
         assert sorted(cell for tile in tiles for cell in tile.cells) == sorted(records)
@@ -66,12 +69,16 @@ def test_windows_fit_the_memory_and_a_survey_that_grows_keeps_its_tiles(plan: Pl
     records, roofs = buckets(range(64), range(64)), plan.method.passes[4]
     tiles = list(tiles_of(plan, records, roofs))
     assert len(tiles) == 60
-    assert all(_bytes(plan, records, roofs, tile.cells, tile.halo) <= JOINED_BYTES for tile in tiles)
+    assert all(
+        _bytes(plan, records, roofs, tile.cells, tile.halo) <= JOINED_BYTES for tile in tiles
+    )
     grown = list(tiles_of(plan, records | buckets(range(64, 70), range(64)), roofs))
     assert len({tile.cells for tile in tiles} & {tile.cells for tile in grown}) >= 45
 
 
-def test_a_size_that_was_asked_for_and_passes_on_all_points_keep_the_lattice(plan: Plan) -> None:
+def test_a_size_that_was_asked_for_and_passes_on_all_points_keep_the_lattice(
+    plan: Plan,
+) -> None:
     records, (survey, seeds, *_) = buckets(range(8), range(8)), plan.method.passes
     assert len(list(tiles_of(plan, records, seeds))) == 1
     assert len(list(tiles_of(plan, records, survey))) == 4

@@ -31,7 +31,9 @@ class Scene:
     store: TileStore
     data: Bounds
 
-    def grid(self, size: Fraction, block: int = 512, **options: Any) -> tuple[np.ndarray, list[dict]]:
+    def grid(
+        self, size: Fraction, block: int = 512, **options: Any
+    ) -> tuple[np.ndarray, list[dict]]:
         """Heights of the raster of ``size`` counts a pixel, gridded block by block, and the records."""
         spec = RasterSpec.covering(Lattice(size), self.data)
         heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
@@ -46,7 +48,9 @@ class Scene:
         spec = RasterSpec.covering(Lattice(size), self.data)
         self.store.create_raster(name, spec.height, spec.width)
         for b in spec.blocks(512):
-            record = grid_block(self.store.url, self.work(name, spec, b, **{"halo": 10_000, **options}))
+            record = grid_block(
+                self.store.url, self.work(name, spec, b, **{"halo": 10_000, **options})
+            )
             json.dumps(record.to_json())
         return spec
 
@@ -54,7 +58,9 @@ class Scene:
         """What makes a block of the terrain, with a limit of 100 m, unless the options say otherwise."""
         limit = Fraction(options.pop("max_edge", 100_000))
         given = {"halo": 0, "rule": FINAL, **options}
-        return GridBlock(name=name, spec=spec, block=block, data=self.data, max_edge=limit, **given)
+        return GridBlock(
+            name=name, spec=spec, block=block, data=self.data, max_edge=limit, **given
+        )
 
 
 @pytest.fixture
@@ -73,7 +79,9 @@ def make_scene(tmp_path: Path) -> Callable[..., Scene]:
         labels = np.full(len(xyz), 2, np.uint8) if labels is None else labels
         flags = np.zeros(len(xyz), np.uint8) if flags is None else flags
         lattice = Lattice(Fraction(bucket))
-        meta = StoreMeta(frame=frame, bucket=lattice, fine=Lattice(Fraction(bucket, 40)), has_rgb=False)
+        meta = StoreMeta(
+            frame=frame, bucket=lattice, fine=Lattice(Fraction(bucket, 40)), has_rgb=False
+        )
         store = create_store(str(tmp_path / f"s{len(made)}.zarr"), meta)
         low, high = xyz[:, :2].min(0), xyz[:, :2].max(0) + 1
         data = Bounds(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
@@ -87,7 +95,10 @@ def make_scene(tmp_path: Path) -> Callable[..., Scene]:
         store.allocate({cell: len(rows) for cell, rows in inside.items()})
         infos = {}
         for cell, rows in inside.items():
-            ones, origin = np.ones((2, len(rows)), np.uint8), pack_origin(0, rows.astype(np.int64))
+            ones, origin = (
+                np.ones((2, len(rows)), np.uint8),
+                pack_origin(0, rows.astype(np.int64)),
+            )
             block = PointBlock(local[:, rows], ones[0], flags[rows], ones, None, origin)
             infos[cell] = store.write_bucket(cell, block, 0)
         store.publish_index(infos)

@@ -27,7 +27,11 @@ METRE = Fraction(1000)
         (Units(), (637_000_003, 5_400_000_001), METRE),
         (Units(), (-70_000_123, -30_000_456), Fraction(1000, 3)),
         (Units(FOOT, FOOT), (2_100_000_000, 1_400_000_000), Fraction(3000)),
-        (Units(US_SURVEY_FOOT, US_SURVEY_FOOT), (2_100_000_000, 1_400_000_000), METRE / US_SURVEY_FOOT),
+        (
+            Units(US_SURVEY_FOOT, US_SURVEY_FOOT),
+            (2_100_000_000, 1_400_000_000),
+            METRE / US_SURVEY_FOOT,
+        ),
         (Units(FOOT, FOOT), (2_100_000_000, 1_400_000_000), METRE / FOOT),
     ],
     ids=["metres", "far", "third", "3ft", "1m-in-usft", "1m-in-ft"],
@@ -38,8 +42,12 @@ def test_a_tilted_plane_is_exact_at_pixel_centres(make_scene, units, shift, size
     scene = make_scene(xyz, frame=frame)
     heights, records = scene.grid(size)
     spec = RasterSpec.covering(Lattice(size), scene.data)
-    x = np.array([float((spec.west + i + Fraction(1, 2)) * size - shift[0]) for i in range(spec.width)])
-    y = np.array([float((spec.north - i - Fraction(1, 2)) * size - shift[1]) for i in range(spec.height)])
+    x = np.array(
+        [float((spec.west + i + Fraction(1, 2)) * size - shift[0]) for i in range(spec.width)]
+    )
+    y = np.array(
+        [float((spec.north - i - Fraction(1, 2)) * size - shift[1]) for i in range(spec.height)]
+    )
     truth = (50_000 + x[None, :] / 4 - y[:, None] / 8) / 1000
     valid = heights != np.float32(NODATA)
     assert valid.mean() > 0.9
@@ -67,19 +75,26 @@ def test_blocks_do_not_show(make_scene, shape, max_edge):
     assert 0 < np.count_nonzero(whole == np.float32(NODATA)) < whole.size
 
 
-@pytest.mark.parametrize("options", [{"halo": 50_000}, {"halo": 9_000}, {"halo": 9_000, "max_points": 2_000}])
+@pytest.mark.parametrize(
+    "options", [{"halo": 50_000}, {"halo": 9_000}, {"halo": 9_000, "max_points": 2_000}]
+)
 def test_blocks_that_share_a_tin_are_those_that_do_not(make_scene, options):
     scene = make_scene(void(scattered(3_000, 140_000)), bucket=20_000)
     options = {"max_edge": 12_000, **options}
     alone, records = scene.grid(METRE, 48, **options)
     spec = RasterSpec.covering(Lattice(METRE), scene.data)
     works = [scene.work("", spec, block, **options) for block in spec.blocks(48)]
-    made = [part for some in (works[:3], works[3:]) for part in heights_of_blocks(scene.store, some)]
+    made = [
+        part for some in (works[:3], works[3:]) for part in heights_of_blocks(scene.store, some)
+    ]
     found = {work.block: (heights, record) for work, heights, record in made}
     assert sorted(found, key=north_west) == [work.block for work in works]
     for work, record in zip(works, records, strict=True):
         b, (heights, joined) = work.block, found[work.block]
-        assert heights.tobytes() == alone[b.row : b.row + b.height, b.col : b.col + b.width].copy().tobytes()
+        assert (
+            heights.tobytes()
+            == alone[b.row : b.row + b.height, b.col : b.col + b.width].copy().tobytes()
+        )
         assert joined.marked == record.marked == 0
         assert (joined.pixels, joined.filled) == (record.pixels, record.filled)
     assert any(r.tries > 1 for _, r in found.values()) == (options["halo"] < 12_000)
@@ -88,7 +103,9 @@ def test_blocks_that_share_a_tin_are_those_that_do_not(make_scene, options):
 def test_the_frame_does_not_show(make_scene):
     xyz = void(scattered(4_000, 150_000)) + np.array([431_000_123, 5_300_000_777, 0])
     one, _ = make_scene(xyz, frame=CoordFrame(origin=(431_000_000, 5_300_000_000))).grid(METRE)
-    two, _ = make_scene(xyz, frame=CoordFrame(origin=(430_123_457, 5_301_000_001))).grid(METRE, 40)
+    two, _ = make_scene(xyz, frame=CoordFrame(origin=(430_123_457, 5_301_000_001))).grid(
+        METRE, 40
+    )
     assert one.tobytes() == two.tobytes()
 
 
@@ -104,11 +121,14 @@ def test_a_pixel_is_empty_where_the_facet_is_long(make_scene):
     scene = make_scene(corners)
     filled, _ = scene.grid(METRE, max_edge=57_000)
     empty, _ = scene.grid(METRE, max_edge=56_000)
-    assert np.all(filled[1:, :-1] == 0)  # 41 x 41 pixels; the last row and column lie outside of the hull
+    # 41 x 41 pixels; the last row and column lie outside of the hull
+    assert np.all(filled[1:, :-1] == 0)
     assert np.all(empty == np.float32(NODATA))
 
 
-@pytest.mark.parametrize("points", [[], [0], [0, 1], [0, 1, 2]], ids=["none", "one", "two", "collinear"])
+@pytest.mark.parametrize(
+    "points", [[], [0], [0, 1], [0, 1, 2]], ids=["none", "one", "two", "collinear"]
+)
 def test_no_facet_no_heights(make_scene, points):
     xyz = np.array([[0, 0, 5], [5_000, 5_000, 5], [9_000, 9_000, 5]])
     labels = np.ones(3, np.uint8)
@@ -127,7 +147,9 @@ def test_only_ground_counts_and_marks_are_carried(make_scene):
     labels = np.append(labels, np.full(300, 2, np.uint8))
     flags = np.zeros(len(labels), np.uint8)
     flags[-300:] = WITHHELD_FLAG
-    heights, (record,) = make_scene(np.concatenate((xyz, roof, withheld)), labels, flags).grid(METRE)
+    heights, (record,) = make_scene(np.concatenate((xyz, roof, withheld)), labels, flags).grid(
+        METRE
+    )
     assert record.ground_marked == 7
     assert record.ground_read == len(xyz)
     assert heights.max() < 30
@@ -162,20 +184,27 @@ def test_thinning_does_not_show_blocks_and_keeps_a_plane(make_scene):
 def assert_plane(heights, scene):
     """All heights are those of `plane_points` at the centres of pixels of a metre."""
     spec = RasterSpec.covering(Lattice(METRE), scene.data)
-    x, y = (np.arange(spec.width) + 0.5) * 1000, (spec.north - np.arange(spec.height) - 0.5) * 1000
+    x, y = (
+        (np.arange(spec.width) + 0.5) * 1000,
+        (spec.north - np.arange(spec.height) - 0.5) * 1000,
+    )
     truth = (50_000 + x[None, :] / 4 - y[:, None] / 8) / 1000
     assert np.abs(heights - truth)[heights != np.float32(NODATA)].max() < 0.001
 
 
 def test_an_impossible_pixel_is_one_line(make_scene):
     scene = make_scene(scattered(50, 90))
-    with pytest.raises(ProcessingError, match=r"block r0000000c0000000: .*; use a smaller max_edge"):
+    with pytest.raises(
+        ProcessingError, match=r"block r0000000c0000000: .*; use a smaller max_edge"
+    ):
         scene.grid(Fraction(100_003, 99_991))
 
 
 @pytest.mark.parametrize("interpolation", ["natural", "idw"])
 @pytest.mark.parametrize("shape", [void, islands], ids=["void", "islands"])
-def test_every_interpolation_fills_the_same_pixels_and_shows_no_block(make_scene, shape, interpolation):
+def test_every_interpolation_fills_the_same_pixels_and_shows_no_block(
+    make_scene, shape, interpolation
+):
     scene = make_scene(shape(scattered(2_500, 100_000)))
     linear, _ = scene.grid(METRE, max_edge=20_000)
     options = {"max_edge": 20_000, "interpolation": interpolation}
@@ -187,7 +216,8 @@ def test_every_interpolation_fills_the_same_pixels_and_shows_no_block(make_scene
     tiled, records = scene.grid(METRE, 37, **options)
     marked = sum(r.marked for r in records)
     assert (tiled != whole).sum() <= marked
-    assert marked == 0 or interpolation == "natural"  # whose neighbours at the hull nothing bounds
+    # whose neighbours at the hull nothing bounds
+    assert marked == 0 or interpolation == "natural"
 
 
 @pytest.mark.parametrize("percent", [0, 10, 50])
@@ -231,7 +261,10 @@ def test_stumps_beside_objects_are_not_gridded(make_scene):
     assert stumps.max() > 0.5
     assert np.abs(clean[clean != np.float32(NODATA)]).max() == 0
     assert scene.grid(METRE, 13, rule=rule)[0].tobytes() == clean.tobytes()
-    assert make_scene(xyz, labels, bucket=8_000).grid(METRE, rule=rule)[0].tobytes() == clean.tobytes()
+    assert (
+        make_scene(xyz, labels, bucket=8_000).grid(METRE, rule=rule)[0].tobytes()
+        == clean.tobytes()
+    )
 
 
 @pytest.mark.slow
@@ -240,7 +273,9 @@ def test_a_wider_window_that_is_too_full_is_left_to_quarters(make_scene):
     whole, (plain,) = scene.grid(METRE, max_edge=40_000, halo=1_000)
     tiled, records = scene.grid(METRE, 128, max_edge=40_000, halo=1_000, max_points=1_600)
     assert max(r.tries for r in records) > 2
-    assert max(r.ground_read for r in records) < sum(r.pixels for r in records) * plain.ground_read
+    assert (
+        max(r.ground_read for r in records) < sum(r.pixels for r in records) * plain.ground_read
+    )
     assert sum(r.pixels for r in records) == whole.size
     assert tiled.tobytes() == whole.tobytes()
 
@@ -249,10 +284,19 @@ def test_a_wider_window_that_is_too_full_is_left_to_quarters(make_scene):
 def test_a_choice_made_bucket_by_bucket_is_that_of_all(make_scene, monkeypatch, cell, percent):
     rng = np.random.default_rng(3)
     xy = rng.integers(0, 60_000, (40_000, 2))
-    scene = make_scene(np.column_stack((xy, rng.integers(0, 5_000, 40_000))).astype(np.int64), bucket=20_000)
-    options = {"thin": Lattice(Fraction(cell)), "percent": percent, "max_edge": 20_000, "max_points": 30_000}
+    scene = make_scene(
+        np.column_stack((xy, rng.integers(0, 5_000, 40_000))).astype(np.int64), bucket=20_000
+    )
+    options = {
+        "thin": Lattice(Fraction(cell)),
+        "percent": percent,
+        "max_edge": 20_000,
+        "max_points": 30_000,
+    }
     kept, (record,) = scene.grid(METRE, **options)
-    monkeypatch.setattr("tiler.grid.thinning._whole_cells", lambda *rest: np.arange(rest[-1].shape[1]))
+    monkeypatch.setattr(
+        "tiler.grid.thinning._whole_cells", lambda *rest: np.arange(rest[-1].shape[1])
+    )
     every, (whole,) = scene.grid(METRE, **options)
     assert kept.tobytes() == every.tobytes()
     assert record == whole

@@ -21,7 +21,8 @@ def test_a_plane_is_continued_exactly() -> None:
 
 
 @pytest.mark.parametrize(
-    "bank", [[], [[0, 5]], [[0, 5], [1, 5]], [[r, 4] for r in range(20)], [[r, r] for r in range(20)]]
+    "bank",
+    [[], [[0, 5]], [[0, 5], [1, 5]], [[r, 4] for r in range(20)], [[r, r] for r in range(20)]],
 )
 def test_a_row_of_cells_defines_no_plane(bank: list[list[int]]) -> None:
     cells = np.array(bank, np.int64).reshape(-1, 2)
@@ -37,7 +38,9 @@ def test_cells_beyond_the_reach_are_not_used() -> None:
 
 
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.02, 1.0), more=st.integers(0, 40))
-def test_the_result_is_the_same_to_the_bit_in_a_larger_window(seed: int, share: float, more: int) -> None:
+def test_the_result_is_the_same_to_the_bit_in_a_larger_window(
+    seed: int, share: float, more: int
+) -> None:
     rng, reach = np.random.default_rng(seed), 12.0
     whole = rng.random((60 + more, 60)) < share
     above = rng.normal(size=whole.shape)

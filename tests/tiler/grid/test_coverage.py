@@ -75,7 +75,8 @@ def test_the_outline_is_found_whatever_lies_inside(name: str, bridge: int) -> No
     inside = values >= SURVEYED
     assert (values[ndimage.binary_erosion(lake, iterations=4)] == VOID).all()
     assert not (values[~ndimage.binary_dilation(lake, iterations=4)] == VOID).any()
-    assert (outline & (values == BEYOND)).sum() < 0.03 * outline.sum()  # cells of the border without a point
+    # cells of the border without a point
+    assert (outline & (values == BEYOND)).sum() < 0.03 * outline.sum()
     deep = ndimage.binary_erosion(outline, iterations=4)
     assert inside[deep].all()  # the lake as well
     # Beyond the outline only what a gap of that width bridges.
@@ -109,7 +110,10 @@ def test_each_window_has_the_gap_of_its_points() -> None:
     assert gaps.shape == (1, 8)
     assert gaps[0, :3].tolist() == [10, 10, 10]
     assert gaps[0, -3:].tolist() == [20, 20, 20]
-    assert (gaps_of(np.where(np.arange(shape[1]) < 5 * WINDOW, dense, False), 10.0, 50.0)[0, :3] == 10).all()
+    assert (
+        gaps_of(np.where(np.arange(shape[1]) < 5 * WINDOW, dense, False), 10.0, 50.0)[0, :3]
+        == 10
+    ).all()
 
 
 def test_a_strip_fills_a_third_of_its_box() -> None:
@@ -156,7 +160,9 @@ def test_the_cell_of_a_pixel_does_not_depend_on_where_the_cells_end(bounds: Boun
 def test_blocks_of_coarse_cells_are_anchored_at_0(x: int, y: int, side: int) -> None:
     bounds = Bounds(x, y, x + side, y + side)
     spec = coarse_raster(Lattice(Fraction(2)), bounds)
-    assert [v % BLOCK_PIXELS for v in (spec.west, spec.north, spec.height, spec.width)] == [0] * 4
+    assert [v % BLOCK_PIXELS for v in (spec.west, spec.north, spec.height, spec.width)] == [
+        0
+    ] * 4
     held = spec.block_bounds(Block(0, 0, spec.height, spec.width))
     assert (held.x0 <= bounds.x0, held.y0 <= bounds.y0) == (True, True)
     assert (held.x1 >= bounds.x1, held.y1 >= bounds.y1) == (True, True)

@@ -33,20 +33,30 @@ def test_a_roof_in_the_terrain_of_a_store(
     spec = RasterSpec(Lattice(Fraction(1000)), 500_000, 5_400_000, *heights.shape)
     small_store.create_raster("dtm", *heights.shape)
     for block in spec.blocks(512):
-        part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
+        part = heights[
+            block.row : block.row + block.height, block.col : block.col + block.width
+        ]
         small_store.write_block("dtm", block, part)
 
-    def advice(building_m: float, roof_m: float | None = None, waters: str | None = None) -> str:
-        found = roofs_in_terrain(small_store, "dtm", spec, spec.blocks(512), building_m, roof_m, waters)
+    def advice(
+        building_m: float, roof_m: float | None = None, waters: str | None = None
+    ) -> str:
+        found = roofs_in_terrain(
+            small_store, "dtm", spec, spec.blocks(512), building_m, roof_m, waters
+        )
         assert found is None or f"x {found.x:.0f}, y {found.y:.0f}" in found.text
         return "" if found is None else found.text
 
     text = advice(20.0)
     assert text.startswith("the terrain holds what looks like a roof 60 m wide")
     assert "x 500130, y 5399890" in text
-    assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=80")
+    assert text.endswith(
+        "max_building_size is 20 m; if it is one, use --set max_building_size=80"
+    )
     assert advice(80.0) == ""
-    assert advice(20.0, 50.0).endswith("roof_size is 50 m; if it is one, use --set roof_size=80")
+    assert advice(20.0, 50.0).endswith(
+        "roof_size is 50 m; if it is one, use --set roof_size=80"
+    )
     assert advice(20.0, 200.0) == text
     around = shapely.box(500_060_000, 5_399_820_000, 500_200_000, 5_399_960_000)
     hall = shapely.box(500_098_000, 5_399_858_000, 500_162_000, 5_399_922_000)
@@ -62,12 +72,16 @@ def test_crowns_in_the_terrain_of_a_store(pixels: int, small_store: TileStore) -
     heights = 0.1 * columns
     for row, column in np.random.default_rng(2).uniform(0, (120, 240), (1500, 2)):
         away = np.hypot(rows - row, columns - column) / 4
-        heights = np.maximum(heights, np.where(away < 1, 0.1 * columns + 3 * (1 - away**2), -np.inf))
+        heights = np.maximum(
+            heights, np.where(away < 1, 0.1 * columns + 3 * (1 - away**2), -np.inf)
+        )
     heights = np.kron(heights, np.ones((pixels, pixels))).astype(np.float32)
     spec = RasterSpec(Lattice(Fraction(1000, pixels)), 500_000, 5_400_000, *heights.shape)
     small_store.create_raster("dtm", *heights.shape)
     for block in spec.blocks(512):
-        part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
+        part = heights[
+            block.row : block.row + block.height, block.col : block.col + block.width
+        ]
         small_store.write_block("dtm", block, part)
     looked = [crowns_in_block(small_store, "dtm", spec, block) for block in spec.blocks(512)]
     told = crown_advice(looked, spec)

@@ -28,7 +28,9 @@ SIDE = 600_000
     ids=["metres", "another-origin", "feet"],
 )
 def test_a_plane_in_the_file(make_scene, tmp_path, code, unit, origin, size):
-    low = np.array([500_000_000, 5_400_000_000] if unit == METRE else [637_000_000, 851_000_000])
+    low = np.array(
+        [500_000_000, 5_400_000_000] if unit == METRE else [637_000_000, 851_000_000]
+    )
     xy = 8 * np.random.default_rng(2).integers(0, SIDE // 8, (30_000, 2))
     xyz = np.column_stack((xy + low, 50_000 + xy[:, 0] // 4 - xy[:, 1] // 8)).astype(np.int64)
     frame = CoordFrame(Units(unit, unit), origin, pyproj.CRS(code).to_wkt())
@@ -38,8 +40,15 @@ def test_a_plane_in_the_file(make_scene, tmp_path, code, unit, origin, size):
         spec = scene.grid_into_store(name, size, halo=halo)
         out = tmp_path / name
         out.mkdir()
-        how = {"product": "dtm", "compress": "deflate", "fill": NODATA, "tags": {"TILER_METHOD": "keep"}}
-        write_cog(scene.store.url, WriteCog(name=name, raster=name, spec=spec, out=str(out), **how))
+        how = {
+            "product": "dtm",
+            "compress": "deflate",
+            "fill": NODATA,
+            "tags": {"TILER_METHOD": "keep"},
+        }
+        write_cog(
+            scene.store.url, WriteCog(name=name, raster=name, spec=spec, out=str(out), **how)
+        )
         files.append(out / f"{name}.tif")
     assert files[0].read_bytes() == files[1].read_bytes()
     with rasterio.open(files[0]) as cog:

@@ -23,7 +23,9 @@ def test_the_central_point_is_kept(size, origin):
     for x, y, z in xyz.T.tolist():
         x, y = x + origin[0], y + origin[1]
         ix, iy = lattice.index_of(x), lattice.index_of(y)
-        distance = (x - (ix + Fraction(1, 2)) * size) ** 2 + (y - (iy + Fraction(1, 2)) * size) ** 2
+        distance = (x - (ix + Fraction(1, 2)) * size) ** 2 + (
+            y - (iy + Fraction(1, 2)) * size
+        ) ** 2
         best[ix, iy] = min(best.get((ix, iy), (distance, x, y, z)), (distance, x, y, z))
     kept = central_points(xyz, origin, lattice)
     chosen = {tuple(p) for p in (xyz[:, kept].T + np.array([*origin, 0])).tolist()}

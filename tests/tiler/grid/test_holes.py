@@ -23,13 +23,17 @@ def test_voids_are_connected_cells_whatever_the_blocks_are(seed: int) -> None:
     holes = np.zeros((900, 1100), bool)
     for row, col, size in zip(*rng.integers(0, 900, (2, 9)), SIZES, strict=True):
         holes[row : row + size, col : col + rng.integers(1, 60)] = True
-    cells = [cell for block in spec.blocks(512) for cell in hole_cells(part(holes, block), block)]
+    cells = [
+        cell for block in spec.blocks(512) for cell in hole_cells(part(holes, block), block)
+    ]
     found = voids_of(cells, spec, 4.0)
     assert sum(void.pixels for void in found) == holes.sum()
     assert found == sorted(found, key=lambda void: -void.pixels)
     expected = []
     padded = np.pad(holes, ((0, -900 % CELL_PIXELS), (0, -1100 % CELL_PIXELS)))
-    pooled = padded.reshape(-1, CELL_PIXELS, padded.shape[1] // CELL_PIXELS, CELL_PIXELS).any(axis=(1, 3))
+    pooled = padded.reshape(-1, CELL_PIXELS, padded.shape[1] // CELL_PIXELS, CELL_PIXELS).any(
+        axis=(1, 3)
+    )
     number, count = scipy.ndimage.label(pooled, np.ones((3, 3)))
     of_pixel = np.kron(number, np.ones((CELL_PIXELS, CELL_PIXELS), int))[:900, :1100] * holes
     for i in range(1, count + 1):

@@ -33,7 +33,9 @@ def rasters(rows: int = 3, cols: int = 4) -> st.SearchStrategy[np.ndarray]:
 
 
 def blocks(cells: np.ndarray) -> list[tuple[int, int]]:
-    return [(r, c) for r in range(0, cells.shape[0], SIDE) for c in range(0, cells.shape[1], SIDE)]
+    return [
+        (r, c) for r in range(0, cells.shape[0], SIDE) for c in range(0, cells.shape[1], SIDE)
+    ]
 
 
 def part(cells: np.ndarray, place: tuple[int, int]) -> np.ndarray:
@@ -52,7 +54,9 @@ def test_joined_areas_are_those_of_the_whole(cells: np.ndarray, corners: bool) -
     found = np.zeros(cells.shape, int)
     for number, area in enumerate(joined.areas.values(), start=1):
         for piece in area:
-            part(found, (piece.row, piece.col))[labelled[piece.row, piece.col][0] == piece.label] = number
+            part(found, (piece.row, piece.col))[
+                labelled[piece.row, piece.col][0] == piece.label
+            ] = number
     whole, count = ndimage.label(cells, AROUND if corners else None)
     assert len(joined.areas) == count
     assert len(np.unique(np.stack((found[cells], whole[cells])), axis=1).T) == count
@@ -64,7 +68,9 @@ def test_joined_areas_are_those_of_the_whole(cells: np.ndarray, corners: bool) -
 
 @settings(max_examples=300)
 @given(rasters(5, 6), st.lists(st.booleans(), min_size=30, max_size=30))
-def test_what_is_enclosed_is_found_from_the_sides_of_blocks(cells: np.ndarray, kept: list[bool]) -> None:
+def test_what_is_enclosed_is_found_from_the_sides_of_blocks(
+    cells: np.ndarray, kept: list[bool]
+) -> None:
     """Cells are closed ones; blocks that are not kept hold none, and have no record."""
     closed = cells.copy()
     for place, keep in zip(blocks(closed), kept, strict=True):
@@ -89,6 +95,8 @@ def test_what_is_enclosed_is_found_from_the_sides_of_blocks(cells: np.ndarray, k
 def test_an_area_is_named_after_its_first_piece() -> None:
     cells = np.zeros((SIDE, 2 * SIDE), bool)
     cells[1] = True
-    sides = {place: label_block(part(cells, place), corners=False)[1] for place in blocks(cells)}
+    sides = {
+        place: label_block(part(cells, place), corners=False)[1] for place in blocks(cells)
+    }
     (area,) = join_pieces(sides, dict.fromkeys(sides, 1), corners=False).areas.items()
     assert area == (Piece(0, 0, 1), (Piece(0, 0, 1), Piece(0, SIDE, 1)))

@@ -19,10 +19,14 @@ def bend(width: float) -> shapely.Polygon:
     """A river around a quarter of a circle of radius 3000, with an island."""
     angle = np.linspace(0, np.pi / 2, 80)
     middle = shapely.LineString(np.stack((3000 * np.cos(angle), 3000 * np.sin(angle)), axis=1))
-    return middle.buffer(width / 2, cap_style="flat") - shapely.Point(2121, 2121).buffer(width / 6)
+    return middle.buffer(width / 2, cap_style="flat") - shapely.Point(2121, 2121).buffer(
+        width / 6
+    )
 
 
-def places(heights: object, rng: np.random.Generator, across: float, number: int = 4000) -> np.ndarray:
+def places(
+    heights: object, rng: np.random.Generator, across: float, number: int = 4000
+) -> np.ndarray:
     """Places along `STRAIGHT`, up to ``across`` metres from it, with the heights, metres, of a formula; counts."""
     x, y = rng.uniform(0, 600, number), rng.uniform(-across, across, number)
     return np.rint(np.stack((x, y, heights(x))) * 1000).astype(np.int64)  # type: ignore[operator]
@@ -56,7 +60,8 @@ def test_banks_alone_give_a_profile_that_falls_towards_the_lower_end() -> None:
 
 def test_returns_of_the_water_decide_whatever_the_banks_are() -> None:
     rng = np.random.default_rng(2)
-    walls = places(lambda x: np.where(x > 550, 1.0, 30.0), rng, 20)  # the ground at the foot of a dam, too
+    # the ground at the foot of a dam, too
+    walls = places(lambda x: np.where(x > 550, 1.0, 30.0), rng, 20)
     water = places(lambda x: 12 + rng.normal(0, 0.05, len(x)), rng, 10)
     flow, _ = profile_along(STRAIGHT, walls, water, 40_000)
     assert np.ptp(flow[:, 2]) == 0
@@ -65,7 +70,9 @@ def test_returns_of_the_water_decide_whatever_the_banks_are() -> None:
 
 def test_a_dam_is_a_step_and_the_water_on_both_sides_is_level() -> None:
     rng = np.random.default_rng(3)
-    water = places(lambda x: np.where(x < 313, 143.4, 140.4) + rng.normal(0, 0.05, len(x)), rng, 10)
+    water = places(
+        lambda x: np.where(x < 313, 143.4, 140.4) + rng.normal(0, 0.05, len(x)), rng, 10
+    )
     flow, _ = profile_along(STRAIGHT, NONE, water, 40_000)
     x = np.array([0, 150, 290, 310, 316, 340, 500, 600])
     assert np.abs(level_at(flow, x) - np.where(x < 313, 143.4, 140.4)).max() < 0.05
@@ -86,7 +93,10 @@ def test_no_profile_rises_and_none_leaves_the_range_of_its_stations(
     def heights(x: np.ndarray) -> np.ndarray:
         return 20 + swing * np.sin(x / rng.uniform(30, 300)) + noise * rng.normal(size=len(x))
 
-    banks, water = places(heights, rng, 20, 300), places(heights, rng, 10, int(rng.integers(0, 300)))
+    banks, water = (
+        places(heights, rng, 20, 300),
+        places(heights, rng, 10, int(rng.integers(0, 300))),
+    )
     flow, stations = profile_along(STRAIGHT, banks, water, 40_000)
     assert np.diff(flow[:, 2]).max() <= 0
     levels = [station.level for station in stations]

@@ -53,8 +53,12 @@ def test_nothing_is_made_that_no_product_needs() -> None:
     assert names(["ndsm"], "fill") == [*filled, "dsm", "dsm-voids", "dsm-filled", "ndsm"]
 
 
-def test_rasters_of_pixels_hold_the_nodata_value_of_their_product_where_nothing_was_written() -> None:
-    table = raster_table(RunConfig.from_mapping({"voids": "fill", "max_edge": "40", "water": "none"}))
+def test_rasters_of_pixels_hold_the_nodata_value_of_their_product_where_nothing_was_written() -> (
+    None
+):
+    table = raster_table(
+        RunConfig.from_mapping({"voids": "fill", "max_edge": "40", "water": "none"})
+    )
     fills = {name: raster.fill for name, raster in table.items()}
     assert fills["dtm"] == fills["dtm-filled"] == fills["dsm"] == fills["slope"] == -9999
     assert fills["distance"] == 40

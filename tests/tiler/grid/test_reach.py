@@ -17,7 +17,9 @@ from tiler.grid import reach
     radius=st.sampled_from([0.0, 0.9, 1.0, 1.5, 2.0**0.5, 5.0, 13.3, 100.0]),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_strips_are_as_the_whole(shape: tuple[int, int], share: float, radius: float, seed: int) -> None:
+def test_strips_are_as_the_whole(
+    shape: tuple[int, int], share: float, radius: float, seed: int
+) -> None:
     cells = np.random.default_rng(seed).random(shape) < share
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reach, "STRIP_ROWS", 7)
@@ -37,10 +39,16 @@ def test_strips_are_as_the_whole(shape: tuple[int, int], share: float, radius: f
     radius=st.integers(1, 4),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_morphology_is_that_of_scipy(shape: tuple[int, int], share: float, radius: int, seed: int) -> None:
+def test_morphology_is_that_of_scipy(
+    shape: tuple[int, int], share: float, radius: int, seed: int
+) -> None:
     cells = np.random.default_rng(seed).random(shape) < share
     square = np.ones((2 * radius + 1, 2 * radius + 1), np.bool_)
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     disk = x * x + y * y <= radius * radius
-    assert np.array_equal(reach.within_square(cells, radius), scipy.ndimage.binary_dilation(cells, square))
-    assert np.array_equal(reach.opened(cells, float(radius)), scipy.ndimage.binary_opening(cells, disk))
+    assert np.array_equal(
+        reach.within_square(cells, radius), scipy.ndimage.binary_dilation(cells, square)
+    )
+    assert np.array_equal(
+        reach.opened(cells, float(radius)), scipy.ndimage.binary_opening(cells, disk)
+    )

@@ -25,9 +25,16 @@ RECORDS = {Cell(ix, iy): bucket_record(n=10_000) for ix in range(18) for iy in r
 
 def tasks(blocks: list[Block] | None = None, **options: Any) -> list[Task]:
     data, rule = Bounds(0, 0, 1_100_000, 1_536_000), GroundSelection("final")
-    given = {"name": "dtm", "spec": SPEC, "rule": rule, "data": data, "max_edge": Fraction(100_000)}
+    given = {
+        "name": "dtm",
+        "spec": SPEC,
+        "rule": rule,
+        "data": data,
+        "max_edge": Fraction(100_000),
+    }
     works = [
-        GridBlock(block=block, halo=101_000, **{**given, **options}) for block in blocks or SPEC.blocks(512)
+        GridBlock(block=block, halo=101_000, **{**given, **options})
+        for block in blocks or SPEC.blocks(512)
     ]
     return [Task("grid-dtm", work.block.name, "d", grid_block, work, 1000) for work in works]
 
@@ -44,11 +51,15 @@ def keys(found: list[Task]) -> list[list[str]]:
     return [[part.key for part in task.parts or (task,)] for task in found]
 
 
-@pytest.mark.parametrize(("workers", "most"), [(1, 10**7), (2, 10**7), (3, 10**7), (2, 2_000_000), (2, 1)])
+@pytest.mark.parametrize(
+    ("workers", "most"), [(1, 10**7), (2, 10**7), (3, 10**7), (2, 2_000_000), (2, 1)]
+)
 def test_each_block_is_made_once_and_what_is_joined_fits(workers: int, most: int) -> None:
     every = tasks()
     found = join_blocks(plan(most), RECORDS, every, workers)
-    assert Counter(key for group in keys(found) for key in group) == Counter(task.key for task in every)
+    assert Counter(key for group in keys(found) for key in group) == Counter(
+        task.key for task in every
+    )
     assert len({task.key for task in found}) == len(found) >= workers
     for task in found:
         assert task.points == 1000 * len(task.parts or (task,))
@@ -71,7 +82,9 @@ def test_blocks_far_apart_and_other_interpolations_stay_alone() -> None:
         assert len(join_blocks(plan(interpolation=how), RECORDS, tasks(), 2)) == 9
 
 
-def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("tiler.grid.tasks.shared_tins.MAX_PIXELS", 2 * 512 * 512)
     assert len(join_blocks(plan(), RECORDS, tasks(), 1)) >= 3
 

@@ -28,7 +28,9 @@ SIDE = 60_000
 CAP = Fraction(50_000)
 
 
-def plane(n: int, noise: float = 0.0, slope: float = 0.2, side: int = SIDE, seed: int = 1) -> np.ndarray:
+def plane(
+    n: int, noise: float = 0.0, slope: float = 0.2, side: int = SIDE, seed: int = 1
+) -> np.ndarray:
     """Points on a plane with noise (counts), int64 (n, 3)."""
     random = np.random.default_rng(seed)
     x, y = random.integers(0, side, (2, n))
@@ -46,7 +48,14 @@ def gridded(scene: Scene, size: Fraction = PIXEL) -> RasterSpec:
 
 def work_of(spec: RasterSpec, block: Block, kind: str | None = LASER) -> SigmaBlock:
     return SigmaBlock(
-        name="sigma", spec=spec, block=block, rule=FINAL, terrain="dtm", mask="mask", kind=kind, cap=CAP
+        name="sigma",
+        spec=spec,
+        block=block,
+        rule=FINAL,
+        terrain="dtm",
+        mask="mask",
+        kind=kind,
+        cap=CAP,
     )
 
 
@@ -56,7 +65,9 @@ def sigma(
     """Sigma of the whole raster, NaN without a height, and the records."""
     spec = gridded(scene, size)
     records = [sigma_block(scene.store.url, work_of(spec, b, kind)) for b in spec.blocks(512)]
-    found = scene.store.read_block("sigma", Block(0, 0, spec.height, spec.width)).astype(np.float64)
+    found = scene.store.read_block("sigma", Block(0, 0, spec.height, spec.width)).astype(
+        np.float64
+    )
     return np.where(found == NODATA, np.nan, found), records
 
 
@@ -77,12 +88,16 @@ def test_a_plane_with_noise_is_as_uncertain_as_theory_says(
 
 
 def heights_of(scene: Scene) -> np.ndarray:
-    found = scene.store.read_block("dtm", Block(0, 0, SIDE // 1000, SIDE // 1000)).astype(np.float64)
+    found = scene.store.read_block("dtm", Block(0, 0, SIDE // 1000, SIDE // 1000)).astype(
+        np.float64
+    )
     return np.where(found == NODATA, np.nan, found)
 
 
 def test_more_noise_and_wider_gaps_are_more_uncertain(make_scene) -> None:
-    quiet, loud = (np.nanmean(sigma(make_scene(plane(8000, noise)))[0]) for noise in (30.0, 200.0))
+    quiet, loud = (
+        np.nanmean(sigma(make_scene(plane(8000, noise)))[0]) for noise in (30.0, 200.0)
+    )
     assert loud > 2 * quiet
     xyz = plane(8000, 30.0)
     gap = np.hypot(*(xyz[:, :2] - 30_000).T) < 15_000
@@ -164,8 +179,14 @@ def test_blocks_do_not_show(make_scene, size: Fraction) -> None:
     xyz, labels = scattered_town()
     scene = make_scene(xyz, labels)
     spec = gridded(scene, size)
-    whole = measures_of(scene.store, FINAL, spec, Block(0, 0, spec.height, spec.width), "dtm", CAP)
-    for b in (Block(3, 5, 9, 11), Block(spec.height - 8, 0, 8, spec.width), Block(7, spec.width - 3, 13, 3)):
+    whole = measures_of(
+        scene.store, FINAL, spec, Block(0, 0, spec.height, spec.width), "dtm", CAP
+    )
+    for b in (
+        Block(3, 5, 9, 11),
+        Block(spec.height - 8, 0, 8, spec.width),
+        Block(7, spec.width - 3, 13, 3),
+    ):
         part = measures_of(scene.store, FINAL, spec, b, "dtm", CAP)
         for name in Measures._fields:
             mine = getattr(whole, name)[b.row : b.row + b.height, b.col : b.col + b.width]
@@ -219,5 +240,7 @@ def test_few_points_and_none_are_no_error(make_scene) -> None:
     taller = replace(spec, height=spec.height + 1)
     for name in ("mask", "sigma"):
         scene.store.create_raster(name, taller.height, taller.width)
-    record = sigma_block(scene.store.url, work_of(taller, Block(0, 0, taller.height, taller.width)))
+    record = sigma_block(
+        scene.store.url, work_of(taller, Block(0, 0, taller.height, taller.width))
+    )
     assert record.filled == 0

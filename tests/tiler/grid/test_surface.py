@@ -25,12 +25,21 @@ PIXEL = Fraction(2000)
 
 
 def surface_work(scene: Scene, spec: RasterSpec, block: Block, **options: Any) -> SurfaceBlock:
-    where = {"name": "dsm", "terrain": "dtm", "spec": spec, "block": block, "data": scene.data, "rule": FINAL}
+    where = {
+        "name": "dsm",
+        "terrain": "dtm",
+        "spec": spec,
+        "block": block,
+        "data": scene.data,
+        "rule": FINAL,
+    }
     usual = {"max_edge": Fraction(50_000), "halo": 0, "reach": 1, "spike": Fraction(5000)}
     return SurfaceBlock(**{**where, **usual, **options})
 
 
-def dsm(scene: Scene, block: int = 512, **options: Any) -> tuple[np.ndarray, list[SurfaceRecord]]:
+def dsm(
+    scene: Scene, block: int = 512, **options: Any
+) -> tuple[np.ndarray, list[SurfaceRecord]]:
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
     heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
     for b in spec.blocks(block):
@@ -77,7 +86,9 @@ def test_spikes_noise_and_withheld_points_are_left_out(make_scene) -> None:
     assert 0 < higher.sum() <= np.isin(labels[-len(rows) :], (1, 2)).sum()
 
 
-@pytest.mark.parametrize("shape", [lambda p: p, void, l_shape, islands], ids=["full", "void", "l", "islands"])
+@pytest.mark.parametrize(
+    "shape", [lambda p: p, void, l_shape, islands], ids=["full", "void", "l", "islands"]
+)
 def test_blocks_do_not_show(make_scene, shape) -> None:
     xyz = shape(scattered(4_000, 100_000))
     xyz[::97, 2] += 30_000
@@ -88,7 +99,9 @@ def test_blocks_do_not_show(make_scene, shape) -> None:
         tiled, records = dsm(scene, block, halo=halo)
         assert tiled.tobytes() == whole.tobytes()
         assert sum(r.marked for r in records) == 0
-    other, _ = dsm(make_scene(xyz[::-1], frame=CoordFrame(origin=(-5_000, 70_001)), bucket=23_000), 25)
+    other, _ = dsm(
+        make_scene(xyz[::-1], frame=CoordFrame(origin=(-5_000, 70_001)), bucket=23_000), 25
+    )
     assert other.tobytes() == whole.tobytes()
 
 
@@ -97,7 +110,9 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     xyz = scattered(8_000, 120_000)
     xyz[:, 2] = xyz[:, 0]
     labels = np.full(len(xyz), 2, np.uint8)
-    pixels, first, counts = np.unique(xyz[:, :2] // 2000, axis=0, return_index=True, return_counts=True)
+    pixels, first, counts = np.unique(
+        xyz[:, :2] // 2000, axis=0, return_index=True, return_counts=True
+    )
     alone = first[(counts == 1) & (pixels > 1).all(axis=1) & (pixels < 58).all(axis=1)][::40]
     xyz[alone, 2] -= 30_000
     labels[alone] = 1
@@ -106,7 +121,10 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     scene.store.create_raster("dsm", spec.height, spec.width)
     (block,) = spec.blocks(512)
     record = surface_block(scene.store.url, surface_work(scene, spec, block))
-    surface, terrain = scene.store.read_block("dsm", block), scene.store.read_block("dtm", block)
+    surface, terrain = (
+        scene.store.read_block("dsm", block),
+        scene.store.read_block("dtm", block),
+    )
     both = (surface != np.float32(NODATA)) & (terrain != np.float32(NODATA))
     assert both.mean() > 0.9
     assert (surface[both] >= terrain[both]).all()
@@ -120,7 +138,9 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
 
 def test_only_known_heights_are_held_against_the_terrain() -> None:
     none = np.float32(NODATA)
-    surface, deep = above_terrain(np.float32([5, 5, none, none, 5]), np.float32([4, 7, 3, none, none]), 1.0)
+    surface, deep = above_terrain(
+        np.float32([5, 5, none, none, 5]), np.float32([4, 7, 3, none, none]), 1.0
+    )
     assert surface.tolist() == [5, 7, none, none, 5]
     assert deep.tolist() == [False, True, False, False, False]
 
@@ -134,7 +154,9 @@ def test_the_distance_is_that_of_the_nearest_ground_point(make_scene, shape, uni
     spec, cap = RasterSpec.covering(Lattice(Fraction(1000)), scene.data), 15_000
     scene.store.create_raster("distance", spec.height, spec.width, 0.0)
     how = {"name": "distance", "spec": spec, "rule": FINAL, "cap": Fraction(cap)}
-    records = [distance_block(scene.store.url, DistanceBlock(block=b, **how)) for b in spec.blocks(512)]
+    records = [
+        distance_block(scene.store.url, DistanceBlock(block=b, **how)) for b in spec.blocks(512)
+    ]
     (found,) = [scene.store.read_block("distance", b) for b in spec.blocks(1024)]
     x = (np.arange(spec.width) + spec.west) * 1000 + 500
     y = (spec.north - np.arange(spec.height)) * 1000 - 500

@@ -70,7 +70,12 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     survey_block(
         url,
         SurveyBlock(
-            name="survey", opened="open", outside=tuple(outside[0, 0]), empty=(), pixels=spec, **common
+            name="survey",
+            opened="open",
+            outside=tuple(outside[0, 0]),
+            empty=(),
+            pixels=spec,
+            **common,
         ),
     )
     rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
@@ -78,7 +83,9 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     voids = tuple(Void((Piece(0, 0, n + 1),)) for n in range(record.labels))
     work = FillBlock("filled", Block(0, 0, spec.height, spec.width), rasters, voids)
     for name in ("filled", "mask"):
-        scene.store.create_raster(name, spec.height, spec.width, NODATA if name == "filled" else OUTSIDE)
+        scene.store.create_raster(
+            name, spec.height, spec.width, NODATA if name == "filled" else OUTSIDE
+        )
     row, col = np.mgrid[: spec.height, : spec.width]
     truth = 50 + pixel_m * ((spec.west + col + 0.5) / 4 - (spec.north - row - 0.5) / 8)
     return scene, spec, work, truth
@@ -96,12 +103,20 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     assert np.array_equal(before[had], after[had])
     assert record.added == (has & ~had).sum() > 5_000
     assert np.abs(after - truth)[has].max() < 0.002
-    x, y = (spec.west + np.arange(spec.width) + 0.5), (spec.north - np.arange(spec.height) - 0.5)
+    x, y = (
+        (spec.west + np.arange(spec.width) + 0.5),
+        (spec.north - np.arange(spec.height) - 0.5),
+    )
     in_lake = (x[None] - 70) ** 2 + (y[:, None] - 80) ** 2 < 30**2
     in_notch = (x[None] > 160) & (y[:, None] > 140)
     assert has[in_lake].all()
     assert not has[in_notch].any()
-    sources = {"dtm": "dtm", "filled": "filled", "survey": "survey", "coarse": work.rasters.coarse}
+    sources = {
+        "dtm": "dtm",
+        "filled": "filled",
+        "survey": "survey",
+        "coarse": work.rasters.coarse,
+    }
     mask_work = MaskBlock(name="mask", spec=spec, block=work.block, rule=FINAL, **sources)
     mask_block(scene.store.url, mask_work)
     mask = whole(scene, spec, "mask")
@@ -121,18 +136,25 @@ def test_holes_of_pixels_larger_than_a_coarse_cell_are_whole(
     assert len(work.voids) == 2
     fill_block(scene.store.url, work)
     before, after = whole(scene, spec, "dtm"), whole(scene, spec, "filled")
-    x, y = (spec.west + np.arange(spec.width) + 0.5), (spec.north - np.arange(spec.height) - 0.5)
+    x, y = (
+        (spec.west + np.arange(spec.width) + 0.5),
+        (spec.north - np.arange(spec.height) - 0.5),
+    )
     in_lake = (x[None] * pixel_m - 70) ** 2 + (y[:, None] * pixel_m - 80) ** 2 < 30**2
     assert (before[in_lake] == np.float32(NODATA)).any()
     assert np.abs(after - truth)[in_lake].max() < 0.003
 
 
-def test_each_hole_is_one_and_blocks_do_not_show(filled, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_hole_is_one_and_blocks_do_not_show(
+    filled, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene, spec, work, _ = filled
     assert len(work.voids) == 2
     pixels: list[np.ndarray] = []
     monkeypatch.setattr(
-        scene.store.__class__, "write_block", lambda self, name, block, values: pixels.append(values)
+        scene.store.__class__,
+        "write_block",
+        lambda self, name, block, values: pixels.append(values),
     )
     fill_block(scene.store.url, work)
     (one,) = pixels

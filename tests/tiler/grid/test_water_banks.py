@@ -40,7 +40,9 @@ def test_a_plane_keeps_its_heights_between_the_middles_of_cells() -> None:
     fine_rows, fine_columns = (np.mgrid[0:20, 0:24] + 0.5) / FINER - 0.5
     inner = np.s_[1:-1, 1:-1]
     expected = 2.0 * fine_rows - 0.5 * fine_columns + 1.0
-    np.testing.assert_allclose(finer_field(2.0 * rows - 0.5 * columns + 1.0)[inner], expected[inner])
+    np.testing.assert_allclose(
+        finer_field(2.0 * rows - 0.5 * columns + 1.0)[inner], expected[inner]
+    )
 
 
 @pytest.mark.parametrize(("height", "is_land"), [(HIGH_M + 0.01, True), (HIGH_M - 0.01, False)])
@@ -92,7 +94,9 @@ def quay_line(y: np.ndarray) -> np.ndarray:
     return 50.0 + SLANT * y
 
 
-def test_a_quay_aslant_to_the_cells_has_no_seen_ground_in_the_water(make_scene: Callable[..., Scene]) -> None:
+def test_a_quay_aslant_to_the_cells_has_no_seen_ground_in_the_water(
+    make_scene: Callable[..., Scene],
+) -> None:
     """With 8 points per m2 the ground ends 0.1 m before the edge of the quay, and one coarse cell has both."""
     rng = np.random.default_rng(7)
     x, y = rng.uniform(0, SIDE_M, (2, 8 * SIDE_M**2))
@@ -100,7 +104,12 @@ def test_a_quay_aslant_to_the_cells_has_no_seen_ground_in_the_water(make_scene: 
     xyz = np.stack((x[land], y[land], np.full(land.sum(), LEVEL_M + QUAY_M)), axis=1)
     scene = make_scene(np.rint(xyz * METRE).astype(np.int64))
     coarse = RasterSpec(Lattice(Fraction(2 * METRE)), 0, SIDE_M // 2, SIDE_M // 2, SIDE_M // 2)
-    block = Block(BANK_MARGIN, BANK_MARGIN, coarse.height - 2 * BANK_MARGIN, coarse.width - 2 * BANK_MARGIN)
+    block = Block(
+        BANK_MARGIN,
+        BANK_MARGIN,
+        coarse.height - 2 * BANK_MARGIN,
+        coarse.width - 2 * BANK_MARGIN,
+    )
     window = padded(block, BANK_MARGIN)
     middle_x, middle_y = (values / METRE for values in coarse.centres(window))
     field = np.where(
@@ -125,7 +134,9 @@ def test_a_quay_aslant_to_the_cells_has_no_seen_ground_in_the_water(make_scene: 
     part = shapely.box(20, 20, SIDE_M - 20, SIDE_M - 20)
     found = shapely.transform(shapely.union_all(after), lambda at: at / METRE)
     error = shapely.intersection(shapely.symmetric_difference(found, truth), part).area
-    assert error / (SIDE_M - 40) / np.hypot(1, SLANT) < 0.5, "metres from the edge of the quay, on average"
+    assert error / (SIDE_M - 40) / np.hypot(1, SLANT) < 0.5, (
+        "metres from the edge of the quay, on average"
+    )
 
 
 @pytest.mark.parametrize(

@@ -52,10 +52,14 @@ def cells(ground: np.ndarray, few: np.ndarray, left: float = 0.0, seed: int = 1)
 
 def usual(given: WaterCells) -> tuple[int, float] | None:
     """How many cells are merged, and the median of their returns, in whole squares of 16."""
-    return usual_returns([histograms(given.returns.astype(np.int64)[:112, :112])], ENOUGH_RETURNS)
+    return usual_returns(
+        [histograms(given.returns.astype(np.int64)[:112, :112])], ENOUGH_RETURNS
+    )
 
 
-def bodies(given: WaterCells, trusted: bool = True, pieces: int = 1) -> list[tuple[np.ndarray, float]]:
+def bodies(
+    given: WaterCells, trusted: bool = True, pieces: int = 1
+) -> list[tuple[np.ndarray, float]]:
     """Cells of each area of water, and how sure it is; the land around it is counted in strips."""
     times, median = usual(given) or (1, None)
     assert times == 1
@@ -83,14 +87,18 @@ def found(given: WaterCells, trusted: bool = True) -> np.ndarray:
 
 @pytest.mark.parametrize(("ground", "wet"), [(BASIN, LAKE), (VALLEY, RIVER)])
 @pytest.mark.parametrize("left", [0.0, 0.3])
-def test_water_between_rising_banks_is_found(ground: np.ndarray, wet: np.ndarray, left: float) -> None:
+def test_water_between_rising_banks_is_found(
+    ground: np.ndarray, wet: np.ndarray, left: float
+) -> None:
     water = found(cells(ground, wet, left))
     assert (water & wet).sum() > 0.85 * wet.sum()
     assert (water & ~wet).sum() <= 0.01 * wet.sum()
 
 
 @pytest.mark.parametrize("left", [0.0, 0.3])
-def test_the_land_around_may_be_compared_in_pieces(left: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_land_around_may_be_compared_in_pieces(
+    left: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     given = cells(VALLEY, RIVER, left)
     whole = [(body.tolist(), sure) for body, sure in bodies(given)]
     monkeypatch.setattr(water_cells, "CELLS_PER_BATCH", 7)
@@ -112,7 +120,9 @@ def test_the_land_around_may_be_compared_in_pieces(left: float, monkeypatch: pyt
         (FLAT + 6 * (np.abs(COL - 80) < 6), np.abs(COL - 69) < 5, 0.0),  # the shadow of a wall
     ],
 )
-def test_what_returns_little_elsewhere_is_no_water(ground: np.ndarray, few: np.ndarray, left: float) -> None:
+def test_what_returns_little_elsewhere_is_no_water(
+    ground: np.ndarray, few: np.ndarray, left: float
+) -> None:
     assert not found(cells(ground, few, left)).any()
 
 
@@ -159,7 +169,10 @@ def test_the_usual_returns_are_the_median_of_cells_with_any() -> None:
     counts[:4] = 9
     counts[4:6] = 13
     assert usual_returns([histograms(counts)], 8) == (1, pytest.approx(9, rel=0.03))
-    assert usual_returns([histograms(counts), histograms(counts + 40)], 8) == (1, pytest.approx(40, rel=0.03))
+    assert usual_returns([histograms(counts), histograms(counts + 40)], 8) == (
+        1,
+        pytest.approx(40, rel=0.03),
+    )
 
 
 def test_small_islands_become_water_and_land_at_the_border_stays() -> None:
@@ -208,7 +221,9 @@ def test_a_window_that_cuts_a_long_bar_says_the_same_as_one_that_holds_it() -> N
     bar[29:32, 100:300] = True
     ground[bar] = 0.3
     whole = close_bridge_gaps(ground, ~bar, 2.0, 128, np.zeros_like(bar))
-    part = close_bridge_gaps(ground[:, :200], ~bar[:, :200], 2.0, 128, np.zeros_like(bar[:, :200]))
+    part = close_bridge_gaps(
+        ground[:, :200], ~bar[:, :200], 2.0, 128, np.zeros_like(bar[:, :200])
+    )
     inner = np.s_[:, 20:150]
     assert (whole[inner] == part[inner]).all()
 

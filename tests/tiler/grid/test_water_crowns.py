@@ -34,12 +34,16 @@ def test_a_plane_is_smooth_whatever_its_slope_and_a_crown_is_rough() -> None:
     assert np.nanmax(roughness(roof, numbers, 400)) < 1
     crown = roof.copy()
     crown[2] += np.random.default_rng(2).integers(0, 6000, 4000).astype(np.int32)
-    assert np.nanmedian(roughness(crown, numbers, 400)) == pytest.approx(6000 / 12**0.5, rel=0.2)
+    assert np.nanmedian(roughness(crown, numbers, 400)) == pytest.approx(
+        6000 / 12**0.5, rel=0.2
+    )
 
 
 def test_roughness_does_not_depend_on_the_order_of_points_and_needs_four() -> None:
     (x, y), numbers = scattered()
-    points = np.stack((x, y, np.random.default_rng(3).integers(-9000, 9000, 4000))).astype(np.int32)
+    points = np.stack((x, y, np.random.default_rng(3).integers(-9000, 9000, 4000))).astype(
+        np.int32
+    )
     order = np.random.default_rng(4).permutation(4000)
     np.testing.assert_array_equal(
         roughness(points, numbers, 400), roughness(points[:, order], numbers[order], 400)
@@ -97,7 +101,8 @@ def test_an_arm_that_the_border_of_the_survey_cuts_is_not_narrow() -> None:
 
 @pytest.mark.parametrize(
     ("rise", "wide", "is_water"),
-    [(0.5, 2, True), (1.2, 2, False), (0.5, 15, False)],  # a higher tide, a bank, more than a small island
+    # a higher tide, a bank, more than a small island
+    [(0.5, 2, True), (1.2, 2, False), (0.5, 15, False)],
 )
 def test_low_flat_land_at_the_border_is_water(rise: float, wide: int, is_water: bool) -> None:
     notch = (ROWS >= 20) & (ROWS < 24) & (np.abs(COLUMNS - 30) <= wide)
@@ -127,13 +132,17 @@ def shore_of(ground: np.ndarray, in_first_cell: float = 20.0) -> float:
     return float(np.interp(0.0, field[SHORE - 2 : SHORE + 3], np.arange(SHORE - 2, SHORE + 3)))
 
 
-def test_the_shore_of_a_quay_is_between_cells_and_that_of_a_slope_where_it_reaches_the_level() -> None:
+def test_the_shore_of_a_quay_is_between_cells_and_that_of_a_slope_where_it_reaches_the_level() -> (
+    None
+):
     assert shore_of(np.full(ROWS.shape, 0.9)) == pytest.approx(SHORE - 0.5)
     assert shore_of(0.6 * (COLUMNS - SHORE + 0.8)) == pytest.approx(SHORE - 0.8, abs=0.02)
 
 
 @pytest.mark.parametrize(("returns", "shore"), [(4, SHORE + 0.5), (15, SHORE - 0.5)])
-def test_a_cell_of_a_quay_with_few_returns_is_mostly_water(returns: float, shore: float) -> None:
+def test_a_cell_of_a_quay_with_few_returns_is_mostly_water(
+    returns: float, shore: float
+) -> None:
     assert shore_of(np.full(ROWS.shape, 0.9), returns) == pytest.approx(shore)
 
 

@@ -43,7 +43,9 @@ def body(store: TileStore, wet: np.ndarray, surveyed: np.ndarray) -> shapely.Geo
         store.write_block(name, block, values.astype(np.float32))
     sources = Sources("occupancy", "ground", "domain")
     rule = GroundSelection("final")
-    work = DescribeBody((Piece(0, 0, 1),), "water", "crowns", sources, rule, spec, 0.95, 100.0, 15.0, 1000.0)
+    work = DescribeBody(
+        (Piece(0, 0, 1),), "water", "crowns", sources, rule, spec, 0.95, 100.0, 15.0, 1000.0
+    )
     found = describe_body(store.url, work).body
     polygon = polygon_of(Water.from_json(found).area)
     return shapely.transform(

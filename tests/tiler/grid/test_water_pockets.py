@@ -49,7 +49,9 @@ def test_banks_above_the_water_stay(depth: np.ndarray) -> None:
 def test_a_pocket_that_is_closed_off_joins_with_its_shallow_pixels(depth: np.ndarray) -> None:
     depth[5:8, 10:13] = 500
     depth[6, 11] = 2_000
-    assert np.argwhere(joined(depth)).tolist() == [[r, c] for r in (5, 6, 7) for c in (10, 11, 12)]
+    assert np.argwhere(joined(depth)).tolist() == [
+        [r, c] for r in (5, 6, 7) for c in (10, 11, 12)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -61,7 +63,9 @@ def test_a_pocket_that_is_closed_off_joins_with_its_shallow_pixels(depth: np.nda
     ],
     ids=["goes on", "within the noise", "apart from the water"],
 )
-def test_other_low_terrain_stays(rows: slice, cols: slice, deep: int, depth: np.ndarray) -> None:
+def test_other_low_terrain_stays(
+    rows: slice, cols: slice, deep: int, depth: np.ndarray
+) -> None:
     depth[rows, cols] = deep
     assert not joined(depth).any()
 

@@ -78,10 +78,14 @@ def test_reed_is_low_and_rough_and_its_lowest_points_may_be_ground(
     low: int, high: int, is_reed: bool
 ) -> None:
     """Eight points per cell of 2 m, of which the lowest fifth counts as ground."""
-    x, y, z = np.random.default_rng(3).integers((0, 0, low), (40_000, 40_000, high), (3200, 3)).T
+    x, y, z = (
+        np.random.default_rng(3).integers((0, 0, low), (40_000, 40_000, high), (3200, 3)).T
+    )
     xyz = np.stack((x, y, z)).astype(np.int32)
     objects = z > low + (high - low) // 5
-    kinds = plant_kinds(xyz, y // 2000 * 20 + x // 2000, objects, np.full((20, 20), 0.4), Fraction(1, 1000))
+    kinds = plant_kinds(
+        xyz, y // 2000 * 20 + x // 2000, objects, np.full((20, 20), 0.4), Fraction(1, 1000)
+    )
     assert ((kinds >= REED).mean() > 0.9) == is_reed
     assert ((kinds >= REED).mean() < 0.1) != is_reed
 

@@ -42,7 +42,9 @@ def test_the_border_of_a_block_is_no_bank() -> None:
     wet = (np.abs(ROWS - 30) < 20) & (np.abs(COLUMNS - 30) < 20)
     ground = np.where(wet, 94.0, 94.0 + 0.01 * ROWS + 0.03 * COLUMNS)
     parts = [bank_rises(ground, wet, wet & half) for half in (COLUMNS < 30, COLUMNS >= 30)]
-    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.sort(bank_rises(ground, wet, wet)))
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate(parts)), np.sort(bank_rises(ground, wet, wet))
+    )
 
 
 def test_too_few_heights_show_no_lower_level() -> None:

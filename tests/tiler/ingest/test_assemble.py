@@ -26,7 +26,9 @@ def block_of(xyz: Any, source: Any = 0, classes: Any = 1, flags: Any = 0) -> Poi
     sources = np.broadcast_to(np.asarray(source, dtype=np.int64), n)
     return PointBlock(
         np.ascontiguousarray(xyz),
-        np.full(n, classes, np.uint8) if np.isscalar(classes) else np.asarray(classes, np.uint8),
+        np.full(n, classes, np.uint8)
+        if np.isscalar(classes)
+        else np.asarray(classes, np.uint8),
         np.full(n, flags, np.uint8) if np.isscalar(flags) else np.asarray(flags, np.uint8),
         np.ones((2, n), np.uint8),
         None,
@@ -34,7 +36,9 @@ def block_of(xyz: Any, source: Any = 0, classes: Any = 1, flags: Any = 0) -> Poi
     )
 
 
-def slow_candidates(block: PointBlock, taking: np.ndarray, fine: Lattice) -> set[tuple[int, int, int]]:
+def slow_candidates(
+    block: PointBlock, taking: np.ndarray, fine: Lattice
+) -> set[tuple[int, int, int]]:
     """The lowest point of each fine cell, found point by point."""
     best: dict[tuple[int, int], tuple[int, int, int]] = {}
     for (x, y, z), takes in zip(block.xyz.T.tolist(), taking.tolist(), strict=True):
@@ -46,7 +50,11 @@ def slow_candidates(block: PointBlock, taking: np.ndarray, fine: Lattice) -> set
 
 POINTS = st.lists(
     st.tuples(
-        st.integers(30, 119), st.integers(10, 99), st.integers(-3, 3), st.integers(0, 2), st.booleans()
+        st.integers(30, 119),
+        st.integers(10, 99),
+        st.integers(-3, 3),
+        st.integers(0, 2),
+        st.booleans(),
     ),
     min_size=1,
     max_size=60,
@@ -83,11 +91,19 @@ def test_candidates_are_the_lowest_points_in_any_order_of_input(
 
 def test_the_origin_of_the_frame_does_not_change_the_order() -> None:
     rng = np.random.default_rng(2)
-    xyz = np.stack([rng.integers(30, 120, 300), rng.integers(10, 100, 300), rng.integers(0, 9, 300)], axis=1)
+    xyz = np.stack(
+        [rng.integers(30, 120, 300), rng.integers(10, 100, 300), rng.integers(0, 9, 300)],
+        axis=1,
+    )
     taking = np.ones(300, dtype=bool)
     found = bucket_order(block_of(xyz), taking, FRAME, BUCKET, FINE, CELL)
     moved = bucket_order(
-        block_of(xyz + [1000, -500, 0]), taking, CoordFrame(origin=(-850, 400)), BUCKET, FINE, CELL
+        block_of(xyz + [1000, -500, 0]),
+        taking,
+        CoordFrame(origin=(-850, 400)),
+        BUCKET,
+        FINE,
+        CELL,
     )
     np.testing.assert_array_equal(found.order, moved.order)
 
@@ -103,9 +119,17 @@ def test_keys_too_long_for_one_word_give_the_same_order() -> None:
 
 
 def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
-    memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = FRAME, BUCKET, FINE
-    memory_store.pieces["a"] = block_of([[99, 99, 9], [30, 10, 5], [31, 11, 4]], classes=[1, 2, 7])
-    memory_store.pieces["b"] = block_of([[30, 10, 5], [32, 12, 3]], source=1, flags=[0, WITHHELD_FLAG])
+    memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = (
+        FRAME,
+        BUCKET,
+        FINE,
+    )
+    memory_store.pieces["a"] = block_of(
+        [[99, 99, 9], [30, 10, 5], [31, 11, 4]], classes=[1, 2, 7]
+    )
+    memory_store.pieces["b"] = block_of(
+        [[30, 10, 5], [32, 12, 3]], source=1, flags=[0, WITHHELD_FLAG]
+    )
     work = AssembleBuckets((BucketParts(Cell(2, -1), (("a", 1, 3), ("b", 0, 2))),), (7, 18))
     record = assemble_buckets("memory", work)
     assert to_json(record) == {
@@ -132,7 +156,11 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
 
 
 def test_a_bucket_in_which_no_point_takes_part(memory_store: Any) -> None:
-    memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = FRAME, BUCKET, FINE
+    memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = (
+        FRAME,
+        BUCKET,
+        FINE,
+    )
     memory_store.pieces["a"] = block_of([[30, 10, 5]], classes=18)
     (bucket,) = assemble_buckets(
         "memory", AssembleBuckets((BucketParts(Cell(2, -1), (("a", 0, 1),)),))

@@ -28,7 +28,9 @@ def paths(make_cloud: MakeCloud) -> list[Path]:
     return [make_cloud(f"{i}.las", n=30, seed=i) for i in range(10)]
 
 
-def register_sources(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
+def register_sources(
+    paths: list[Path], store: TileStore, **settings: Any
+) -> tuple[list[Source], Any]:
     """The sources, and what stood for the run."""
     plan = SimpleNamespace(
         inputs=SimpleNamespace(sources=[inspect(path) for path in paths]),
@@ -61,12 +63,15 @@ def test_all_bytes_once_and_again_where_something_changed(
 ) -> None:
     monkeypatch.setattr(fingerprints, "GROUP_FILES", 4)
     sources, _ = register_sources(paths, small_store)
-    contents = [hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest() for path in paths]
+    contents = [
+        hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest() for path in paths
+    ]
     assert [(s.number, s.content) for s in sources] == list(enumerate(contents))
     assert seen == [4, 4, 2]
     assert register_sources(paths, small_store)[0] == sources
     assert seen == [4, 4, 2]
-    os.utime(paths[3], ns=(0, 1_000_000_007))  # a touch may leave the time as it was, which goes on in steps
+    # a touch may leave the time as it was, which goes on in steps
+    os.utime(paths[3], ns=(0, 1_000_000_007))
     again, _ = register_sources(paths[2:], small_store)
     assert [(s.number, s.content) for s in again] == list(enumerate(contents))[2:]
     assert seen == [4, 4, 2, 1]
@@ -109,7 +114,11 @@ def test_a_file_that_changes_meanwhile_is_left_out(
 @pytest.mark.parametrize(
     ("grown", "settings", "text"),
     [
-        ([4], {"on_error": "stop"}, r"4\.las: was replaced or .* \(.* bytes before, .* now\); run"),
+        (
+            [4],
+            {"on_error": "stop"},
+            r"4\.las: was replaced or .* \(.* bytes before, .* now\); run",
+        ),
         (range(10), {}, r"no input could be read; the first error: .*0\.las: "),
     ],
 )

@@ -27,13 +27,17 @@ FRAME = CoordFrame(origin=(500_000_000, 5_400_000_000))
 def ingest(
     url: str, paths: list[Path], size: int = 400, wanted: Any = None
 ) -> tuple[TileStore, list[dict[str, Any]], list[dict[str, Any]]]:
-    store = create_store(url, StoreMeta(FRAME, Lattice(Fraction(500_000)), Lattice(Fraction(5000)), True))
+    store = create_store(
+        url, StoreMeta(FRAME, Lattice(Fraction(500_000)), Lattice(Fraction(5000)), True)
+    )
     spooled = []
     fragments: dict[tuple[int, int], list[Any]] = defaultdict(list)
     for source, path in enumerate(paths):
         for number, (start, count) in enumerate(pieces(inspect(path), size)):
             piece = f"s{source:06d}p{number:06d}"
-            record = spool_piece(url, SpoolPiece(str(path), source, piece, start, count, wanted))
+            record = spool_piece(
+                url, SpoolPiece(str(path), source, piece, start, count, wanted)
+            )
             spooled.append(record)
             stops = list(itertools.accumulate(n for _, _, n in record.buckets))
             for (ix, iy, n), stop in zip(record.buckets, stops, strict=True):
@@ -52,15 +56,22 @@ def content(store: TileStore) -> list[Any]:
     for cell, info in store.buckets().items():
         block = store.read_bucket(cell, columns=columns)
         rows = np.vstack([block.xyz, block.classification, block.flags, block.returns])
-        points, candidates = sorted(map(tuple, rows.T.tolist())), rows[:3, : info.n_candidates].tolist()
+        points, candidates = (
+            sorted(map(tuple, rows.T.tolist())),
+            rows[:3, : info.n_candidates].tolist(),
+        )
         found.append((cell, info, points, candidates))
     return found
 
 
 @pytest.mark.parametrize("twin", ["b.laz", "a.laz"])
-def test_a_las_beside_its_laz_is_found_to_be_double(make_cloud: Any, tmp_path: Path, twin: str) -> None:
+def test_a_las_beside_its_laz_is_found_to_be_double(
+    make_cloud: Any, tmp_path: Path, twin: str
+) -> None:
     one, other = make_cloud("a.las"), make_cloud(twin)
-    store, spooled, made = ingest(str(tmp_path / "store.zarr"), find_inputs([str(one), str(other)]))
+    store, spooled, made = ingest(
+        str(tmp_path / "store.zarr"), find_inputs([str(one), str(other)])
+    )
     _, _, alone = ingest(str(tmp_path / "alone.zarr"), [one])
     assert sum(r.stored for r in spooled) == sum(r.n for r in made) == 2000
     assert sum(r.duplicates["between"] for r in made) == 1000
@@ -83,7 +94,10 @@ def test_order_and_split_of_the_files_change_nothing(make_cloud: Any, tmp_path: 
 
 def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: Path) -> None:
     url = str(tmp_path / "store.zarr")
-    paths = [make_cloud("a.las", seed=1), make_cloud("b.laz", seed=2, point_format=7, version="1.4")]
+    paths = [
+        make_cloud("a.las", seed=1),
+        make_cloud("b.laz", seed=2, point_format=7, version="1.4"),
+    ]
     wanted = [[iy, 997, 1003] for iy in range(10_798, 10_802)]
     store, spooled, _ = ingest(url, paths, wanted=wanted)
     stored = [set(), set()]
@@ -94,12 +108,21 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
         store.write_labels("final", cell, (1 + rows % 2).astype(np.uint8) | 0x80)
         for source in (0, 1):
             stored[source] |= set(rows[origin >> SOURCE_SHIFT == source].tolist())
-    assert 0 < sum(r.dropped.get("outside the area", 0) for r in spooled) == 2000 - sum(map(len, stored))
+    assert (
+        0
+        < sum(r.dropped.get("outside the area", 0) for r in spooled)
+        == 2000 - sum(map(len, stored))
+    )
     cells = tuple(store.buckets())
     for source, path in enumerate(paths):
         out = tmp_path / "out" / f"{source}.laz"
         work = WriteClassified(
-            path=str(path), source=source, out=str(out), labels="final", cells=cells, reclass="all"
+            path=str(path),
+            source=source,
+            out=str(out),
+            labels="final",
+            cells=cells,
+            reclass="all",
         )
         write_classified(url, work)
         before, after = laspy.read(path), laspy.read(out)

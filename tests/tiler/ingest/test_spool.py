@@ -15,15 +15,25 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.points import PointBlock, unpack_origin
 from tiler.core.records import SpoolRecord
-from tiler.ingest.spool import BEYOND_FRAME, OUTSIDE_AREA, SpoolPiece, sort_by_bucket, spool_piece
+from tiler.ingest.spool import (
+    BEYOND_FRAME,
+    OUTSIDE_AREA,
+    SpoolPiece,
+    sort_by_bucket,
+    spool_piece,
+)
 from tiler.inputs.sources import inspect, pieces
 
 ORIGIN = (500_000_000, 5_400_000_000)
 
 
-def spool(store: Any, path: Any, source: int = 0, size: int = 10**6, **options: Any) -> list[SpoolRecord]:
+def spool(
+    store: Any, path: Any, source: int = 0, size: int = 10**6, **options: Any
+) -> list[SpoolRecord]:
     works = [
-        SpoolPiece(str(path), source, f"s{source}p{k}", start, count, identity="of k", **options)
+        SpoolPiece(
+            str(path), source, f"s{source}p{k}", start, count, identity="of k", **options
+        )
         for k, (start, count) in enumerate(pieces(inspect(path), size))
     ]
     return [spool_piece("memory", work) for work in works]
@@ -36,7 +46,9 @@ def gathered(store: Any) -> PointBlock:
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
-@pytest.mark.parametrize(("point_format", "version"), [(3, "1.2"), (7, "1.4"), (0, "1.2"), (6, "1.4")])
+@pytest.mark.parametrize(
+    ("point_format", "version"), [(3, "1.2"), (7, "1.4"), (0, "1.2"), (6, "1.4")]
+)
 def test_the_spool_holds_what_the_file_holds(
     make_cloud: Any, memory_store: Any, suffix: str, point_format: int, version: str
 ) -> None:
@@ -59,7 +71,9 @@ def test_the_spool_holds_what_the_file_holds(
     assert all(r.largest_rounding == 0.0 for r in records)
 
 
-def test_pieces_are_sorted_by_bucket_and_keep_their_order_within(make_cloud: Any, memory_store: Any) -> None:
+def test_pieces_are_sorted_by_bucket_and_keep_their_order_within(
+    make_cloud: Any, memory_store: Any
+) -> None:
     memory_store.meta.frame = CoordFrame(origin=ORIGIN)
     (record,) = spool(memory_store, make_cloud("a.las", n=5000))
     block, lattice = memory_store.pieces["s0p0"], memory_store.meta.bucket
@@ -76,7 +90,12 @@ def test_pieces_are_sorted_by_bucket_and_keep_their_order_within(make_cloud: Any
     assert cells == sorted(set(cells))
     low, high = block.xyz.min(axis=1).tolist(), block.xyz.max(axis=1).tolist()
     west, south = ORIGIN
-    assert record.bounds == [low[0] + west, low[1] + south, high[0] + west + 1, high[1] + south + 1]
+    assert record.bounds == [
+        low[0] + west,
+        low[1] + south,
+        high[0] + west + 1,
+        high[1] + south + 1,
+    ]
     assert record.z == [low[2], high[2]]
 
 
@@ -88,14 +107,20 @@ def test_the_origin_of_the_frame_changes_nothing(make_cloud: Any, memory_store: 
         memory_store.meta.frame = CoordFrame(origin=(ORIGIN[0] + shift, ORIGIN[1] - shift))
         (record,) = spool(memory_store, path)
         block = gathered(memory_store)
-        absolute = block.xyz.astype(np.int64) + np.array([[ORIGIN[0] + shift], [ORIGIN[1] - shift], [0]])
-        found.append((absolute.tolist(), record.buckets, record.bounds, record.largest_rounding))
+        absolute = block.xyz.astype(np.int64) + np.array(
+            [[ORIGIN[0] + shift], [ORIGIN[1] - shift], [0]]
+        )
+        found.append(
+            (absolute.tolist(), record.buckets, record.bounds, record.largest_rounding)
+        )
     assert found[0] == found[1] == found[2]
     assert 0 < found[0][3] <= 0.0005
 
 
 @given(data=st.data())
-def test_read_is_stored_and_dropped_by_reason(make_cloud_once: Any, data: st.DataObject) -> None:
+def test_read_is_stored_and_dropped_by_reason(
+    make_cloud_once: Any, data: st.DataObject
+) -> None:
     store, path, cloud = make_cloud_once
     x0, y0 = data.draw(st.integers(9_940, 10_040)), data.draw(st.integers(107_960, 108_020))
     width, height = data.draw(st.integers(1, 100)), data.draw(st.integers(1, 100))
@@ -113,7 +138,9 @@ def test_read_is_stored_and_dropped_by_reason(make_cloud_once: Any, data: st.Dat
         assert record.stored == sum(n for _, _, n in record.buckets)
         assert record.dropped.get(OUTSIDE_AREA, 0) == sum(n for _, _, n in record.left)
     assert sum(r.stored for r in records) == np.count_nonzero(inside & framed)
-    assert sum(r.dropped.get(OUTSIDE_AREA, 0) for r in records) == np.count_nonzero(~inside & framed)
+    assert sum(r.dropped.get(OUTSIDE_AREA, 0) for r in records) == np.count_nonzero(
+        ~inside & framed
+    )
     assert sum(r.dropped.get(BEYOND_FRAME, 0) for r in records) == np.count_nonzero(~framed)
 
 
@@ -123,14 +150,19 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
     header.scales, header.offsets = np.full(3, 0.01), np.array([500_000.0, 5_400_000.0, 0.0])
     cloud = laspy.LasData(header)
     rng = np.random.default_rng(5)
-    cloud.X, cloud.Y = rng.integers(-200_000, 200_000, 500), rng.integers(-150_000, 150_000, 500)
+    cloud.X, cloud.Y = (
+        rng.integers(-200_000, 200_000, 500),
+        rng.integers(-150_000, 150_000, 500),
+    )
     cloud.Z = np.zeros(500, dtype=np.int32)
     path = tmp_path_factory.mktemp("once") / "a.las"
     cloud.write(path)
 
     class Store:
         pieces: ClassVar[dict[str, PointBlock]] = {}
-        meta = SimpleNamespace(frame=CoordFrame(), bucket=Lattice(Fraction(50_000)), has_rgb=False)
+        meta = SimpleNamespace(
+            frame=CoordFrame(), bucket=Lattice(Fraction(50_000)), has_rgb=False
+        )
 
         def write_piece(self, piece: str, block: PointBlock) -> None:
             self.pieces[piece] = block
@@ -151,7 +183,9 @@ def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: An
     assert memory_store.pieces == {}
 
 
-def test_coordinates_that_are_not_finite_are_dropped(make_cloud: Any, memory_store: Any) -> None:
+def test_coordinates_that_are_not_finite_are_dropped(
+    make_cloud: Any, memory_store: Any
+) -> None:
     path = make_cloud("a.las", n=10)
     data = bytearray(path.read_bytes())
     struct.pack_into("<d", data, 155, 1e306)
@@ -161,7 +195,9 @@ def test_coordinates_that_are_not_finite_are_dropped(make_cloud: Any, memory_sto
     assert record.dropped["not finite"] == 10
 
 
-@pytest.mark.parametrize("size", [Fraction(1000), Fraction(10**7), Fraction(1000, 3), Fraction(1)])
+@pytest.mark.parametrize(
+    "size", [Fraction(1000), Fraction(10**7), Fraction(1000, 3), Fraction(1)]
+)
 def test_sorting_by_bucket_is_a_stable_permutation(size: Fraction) -> None:
     rng = np.random.default_rng(1)
     local = rng.integers(-500_000, 500_000, (3, 20_000)).astype(np.int32)

@@ -83,7 +83,9 @@ def mutants(data: bytes, seed: str, number: int) -> Iterator[Mutant]:
     """``number`` mutants of a file."""
     for i in range(number):
         rng = random.Random(f"{seed}/{i}")
-        kind = rng.choice((_field, _field, _field, _records, _records, _table, _bits, _bits, _cut, _block))
+        kind = rng.choice(
+            (_field, _field, _field, _records, _records, _table, _bits, _bits, _cut, _block)
+        )
         mutant = kind(data, rng)
         yield Mutant(f"{seed}/{i}: {mutant.name}", mutant.data, mutant.points_untouched)
 
@@ -127,13 +129,19 @@ def _table(data: bytes, rng: random.Random) -> Mutant:
     (table,) = struct.unpack_from("<q", data, points)
     place = rng.choice(("pointer", "chunks", "entries", "first chunk"))
     if place == "pointer":
-        value = rng.choice((0, -1, len(data), len(data) - 8, table + 1, table - 1, 2**62, points + 8))
+        value = rng.choice(
+            (0, -1, len(data), len(data) - 8, table + 1, table - 1, 2**62, points + 8)
+        )
         return Mutant(f"table at {value}", _patched(data, points, "q", value))
     if place == "chunks":
-        return Mutant("chunks", _patched(data, table + 4, "I", rng.choice((*INTEGERS["I"], 2, 3, 1000))))
-    if place == "first chunk":  # its head: number of points and bytes of each layer where there are layers
         return Mutant(
-            "first chunk", _patched(data, points + 8 + 4 * rng.randrange(30), "I", rng.choice(INTEGERS["I"]))
+            "chunks", _patched(data, table + 4, "I", rng.choice((*INTEGERS["I"], 2, 3, 1000)))
+        )
+    # its head: number of points and bytes of each layer where there are layers
+    if place == "first chunk":
+        return Mutant(
+            "first chunk",
+            _patched(data, points + 8 + 4 * rng.randrange(30), "I", rng.choice(INTEGERS["I"])),
         )
     position = rng.randrange(min(table + 8, len(data) - 1), len(data))
     return Mutant(f"table byte {position}", _patched(data, position, "B", rng.randrange(256)))
@@ -154,7 +162,9 @@ def _cut(data: bytes, rng: random.Random) -> Mutant:
         position, form = FIELDS["count" if data[25] >= 4 else "legacy count"]
         (points,) = struct.unpack_from("<" + form, data, position)
         return Mutant("longer", data + rng.randbytes(rng.choice((1, 8, 1000))), points > 0)
-    size = rng.choice((rng.randrange(len(data)), rng.randrange(min(len(data), 700)), len(data) - 1))
+    size = rng.choice(
+        (rng.randrange(len(data)), rng.randrange(min(len(data), 700)), len(data) - 1)
+    )
     return Mutant(f"cut to {size}", data[:size])
 
 
@@ -163,8 +173,12 @@ def _block(data: bytes, rng: random.Random) -> Mutant:
     start = rng.randrange(len(data))
     size = min(rng.choice((4, 64, 512, 4096)), len(data) - start)
     other = rng.randrange(len(data) - size + 1)
-    filling = rng.choice((bytes(size), b"\xff" * size, rng.randbytes(size), data[other : other + size]))
-    return Mutant(f"bytes {start} to {start + size}", data[:start] + filling + data[start + size :])
+    filling = rng.choice(
+        (bytes(size), b"\xff" * size, rng.randbytes(size), data[other : other + size])
+    )
+    return Mutant(
+        f"bytes {start} to {start + size}", data[:start] + filling + data[start + size :]
+    )
 
 
 def check(path: Path, reading: Reading | InputError) -> None:

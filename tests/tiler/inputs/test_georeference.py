@@ -36,7 +36,9 @@ UNITS = {
 @pytest.mark.parametrize("point_format", [3, 6])
 def test_units_of_each_axis_are_exact(make_cloud: Any, code: str, point_format: int) -> None:
     version = "1.4" if point_format > 5 else "1.2"
-    agreed = settle(make_cloud("u.las", n=5, crs=code, point_format=point_format, version=version))
+    agreed = settle(
+        make_cloud("u.las", n=5, crs=code, point_format=point_format, version=version)
+    )
     assert agreed.units == UNITS[code]
     assert agreed.wkt is not None
     assert ("no vertical CRS" in " ".join(agreed.notes)) == ("+" not in code)
@@ -80,7 +82,9 @@ def test_the_same_crs_written_in_two_ways_agrees_in_any_order(make_cloud: Any) -
 
 
 def test_names_do_not_make_a_crs() -> None:
-    assert same_horizontal(CRS.from_epsg(2154), CRS.from_wkt(CRS.from_epsg(2154).to_wkt("WKT1_GDAL")))
+    assert same_horizontal(
+        CRS.from_epsg(2154), CRS.from_wkt(CRS.from_epsg(2154).to_wkt("WKT1_GDAL"))
+    )
     assert not same_horizontal(CRS.from_epsg(2992), CRS.from_epsg(2991))
     assert not same_horizontal(CRS.from_epsg(25832), CRS.from_epsg(32632))
 
@@ -133,7 +137,8 @@ def test_notes_say_which_settings_are_used_and_which_are_not(make_cloud: Any) ->
         begin = f"--crs {given}: is only for files without a CRS"
         (note,) = [text for text in agreed.notes if text.startswith(begin)]
         assert (
-            "1 of 1 files have their own, ETRS89 / UTM zone 32N, which is used; if it is wrong, write" in note
+            "1 of 1 files have their own, ETRS89 / UTM zone 32N, which is used; if it is wrong, write"
+            in note
         )
     (note,) = [text for text in settle(path, units="ft").notes if "although" in text]
     assert "x and y are taken as foot although their CRS has metre" in note
@@ -157,7 +162,9 @@ def with_keys(*entries: tuple[int, int], wkt: str | None = None) -> Any:
     def edit(cloud: laspy.LasData) -> None:
         cloud.header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", keys(*entries)))
         if wkt is not None:
-            cloud.header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", wkt.encode() + b"\0"))
+            cloud.header.vlrs.append(
+                laspy.VLR("LASF_Projection", 2112, "", wkt.encode() + b"\0")
+            )
 
     return edit
 
@@ -179,7 +186,9 @@ def test_geotiff_keys(make_cloud: Any, name: str) -> None:
 
 
 def test_user_defined_keys_are_noted(make_cloud: Any) -> None:
-    path = make_cloud("k.las", n=5, crs=None, edit=with_keys((1024, 1), (3072, 32767), (2048, 4326)))
+    path = make_cloud(
+        "k.las", n=5, crs=None, edit=with_keys((1024, 1), (3072, 32767), (2048, 4326))
+    )
     with pytest.raises(InputError, match=r"only EPSG codes.*--crs"):
         settle(path)
 
@@ -195,7 +204,9 @@ def test_the_wkt_bit_decides_between_wkt_and_keys(make_cloud: Any, bit: bool) ->
     assert CRS.from_wkt(settle(path).wkt).to_epsg() == (25833 if bit else 25832)
 
 
-@pytest.mark.parametrize("text", [b"", b"\0\0\0", b"\xef\xbb\xbf", b"PROJCS[broken", b"\xff\xfe\x00"])
+@pytest.mark.parametrize(
+    "text", [b"", b"\0\0\0", b"\xef\xbb\xbf", b"PROJCS[broken", b"\xff\xfe\x00"]
+)
 def test_unusable_wkt_is_a_missing_crs(make_cloud: Any, text: bytes) -> None:
     def edit(cloud: laspy.LasData) -> None:
         cloud.header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", text))

@@ -19,13 +19,26 @@ from tiler.schedule import ChildDiedError, ChildProcess
 
 SECONDS = 30.0
 LARGEST = 110_000
-"""Largest real files that are mutated; in larger ones, mutations would seldom hit interesting bytes."""
+"""Largest real files that are mutated; in larger ones, mutations would seldom hit interesting
+bytes."""
 
 FIXTURES: dict[str, dict[str, Any]] = {
     "plain.las": {"n": 200, "point_format": 3},
-    "records.las": {"n": 50, "point_format": 6, "version": "1.4", "evlr": b"extended" * 20, "extra": True},
+    "records.las": {
+        "n": 50,
+        "point_format": 6,
+        "version": "1.4",
+        "evlr": b"extended" * 20,
+        "extra": True,
+    },
     "points.laz": {"n": 900, "point_format": 1},
-    "layers.laz": {"n": 900, "point_format": 7, "version": "1.4", "extra": True, "evlr": b"extended"},
+    "layers.laz": {
+        "n": 900,
+        "point_format": 7,
+        "version": "1.4",
+        "extra": True,
+        "evlr": b"extended",
+    },
     "waves.laz": {"n": 60, "point_format": 10, "version": "1.4"},
     "empty.laz": {"n": 0, "point_format": 6, "version": "1.4"},
     "octree.laz": {"n": 600, "point_format": 6, "version": "1.4"},
@@ -55,7 +68,9 @@ def outcome(guard: ChildProcess, path: Path, salvage: bool) -> Reading | InputEr
         return InputError(f"{path}: the process that reads it {died}; get the file again")
 
 
-def hunt(guard: ChildProcess, original: bytes, path: Path, found: Iterator[Mutant]) -> Counter[str]:
+def hunt(
+    guard: ChildProcess, original: bytes, path: Path, found: Iterator[Mutant]
+) -> Counter[str]:
     """Read mutants of a file; count how many were read, refused, or killed their reader."""
     path.write_bytes(original)
     truth = outcome(guard, path, False)
@@ -82,7 +97,9 @@ def hunt(guard: ChildProcess, original: bytes, path: Path, found: Iterator[Mutan
 
 
 @pytest.mark.parametrize("name", FIXTURES)
-def test_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard: ChildProcess) -> None:
+def test_mutants_of_made_files(
+    name: str, make_cloud: Any, tmp_path: Path, guard: ChildProcess
+) -> None:
     original = fixture(name, make_cloud).read_bytes()
     ends = hunt(guard, original, tmp_path / name, mutants(original, name, 40))
     assert ends["refused"] > 0
@@ -90,7 +107,9 @@ def test_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FIXTURES)
-def test_many_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard: ChildProcess) -> None:
+def test_many_mutants_of_made_files(
+    name: str, make_cloud: Any, tmp_path: Path, guard: ChildProcess
+) -> None:
     original = fixture(name, make_cloud).read_bytes()
     ends = hunt(guard, original, tmp_path / name, mutants(original, f"many {name}", 300))
     assert ends["read"] > 10
@@ -98,13 +117,19 @@ def test_many_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, 
 
 
 @pytest.mark.slow
-def test_many_mutants_of_odd_files(shared_data: Path, tmp_path: Path, guard: ChildProcess) -> None:
-    paths = [p for p in sorted((shared_data / "odd").glob("*.la[sz]")) if p.stat().st_size <= LARGEST]
+def test_many_mutants_of_odd_files(
+    shared_data: Path, tmp_path: Path, guard: ChildProcess
+) -> None:
+    paths = [
+        p for p in sorted((shared_data / "odd").glob("*.la[sz]")) if p.stat().st_size <= LARGEST
+    ]
     if not paths:
         pytest.skip("no odd files: ../shared/data/odd is absent")
     total: Counter[str] = Counter()
     for path in paths:
         original = path.read_bytes()
-        total += hunt(guard, original, tmp_path / path.name, mutants(original, f"odd {path.name}", 40))
+        total += hunt(
+            guard, original, tmp_path / path.name, mutants(original, f"odd {path.name}", 40)
+        )
     assert total["read"] > 50
     assert total["refused"] > 100

@@ -27,7 +27,9 @@ def test_links_to_folders_are_not_followed_and_named(make_cloud: Any, tmp_path: 
     assert [p.name for p in find_inputs([str(tmp_path / "in")], note=notes.append)] == ["a.las"]
     assert sum("is a link to a folder, not followed" in note for note in notes) == 2
     shutil.move(tmp_path / "in" / "a.las", tmp_path / "elsewhere" / "a.las")
-    assert [p.name for p in find_inputs([str(tmp_path / "in" / "away")])] == ["a.las"], "named itself, it is"
+    assert [p.name for p in find_inputs([str(tmp_path / "in" / "away")])] == ["a.las"], (
+        "named itself, it is"
+    )
 
 
 def test_an_unreadable_folder_is_named(
@@ -49,7 +51,9 @@ def test_an_unreadable_folder_is_named(
     assert "shut: cannot be listed (Permission denied); skipped" in note
 
 
-@pytest.mark.parametrize("kind", ["pipe", "device", "dangling link", "folder", "link to itself"])
+@pytest.mark.parametrize(
+    "kind", ["pipe", "device", "dangling link", "folder", "link to itself"]
+)
 def test_a_pipe_is_refused_without_waiting_for_it(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "odd.las"
     if kind == "pipe":
@@ -57,7 +61,9 @@ def test_a_pipe_is_refused_without_waiting_for_it(kind: str, tmp_path: Path) -> 
     elif kind == "folder":
         path.mkdir()
     else:
-        path.symlink_to({"device": "/dev/zero", "dangling link": "nowhere", "link to itself": path}[kind])
+        path.symlink_to(
+            {"device": "/dev/zero", "dangling link": "nowhere", "link to itself": path}[kind]
+        )
     with pytest.raises(InputError, match=r"odd\.las: (is not a regular file|cannot be read)"):
         inspect(path)
 
@@ -69,12 +75,15 @@ def test_inputs_that_cannot_be_opened_are_refused(tmp_path: Path) -> None:
     for one, other in (("a.las", "b.las"), ("b.las", "a.las")):
         (tmp_path / one).symlink_to(other)
     for inputs in ("a.las", "*.las", ""):
-        with pytest.raises(InputError, match=r"las: cannot be read \(Too many levels of symbolic links"):
+        with pytest.raises(
+            InputError, match=r"las: cannot be read \(Too many levels of symbolic links"
+        ):
             make_plan([str(tmp_path / inputs)], RunConfig(in_process=True, on_error="stop"))
 
 
 @pytest.mark.parametrize(
-    "name", [b"gr\xfc\xdfe.las", b"line\nbreak.las", b"\x1b[2Jclear.las", b"-o.las", b"a b;$(c).las"]
+    "name",
+    [b"gr\xfc\xdfe.las", b"line\nbreak.las", b"\x1b[2Jclear.las", b"-o.las", b"a b;$(c).las"],
 )
 def test_any_name_is_read_and_kept(name: bytes, make_cloud: Any, tmp_path: Path) -> None:
     path = Path(os.fsdecode(os.path.join(os.fsencode(tmp_path / "in"), name)))
@@ -96,13 +105,17 @@ def test_classified_files_stay_below_their_folder(
         assert sorted(n.name for n in names.values()) == ["one.laz", "two.laz"]
 
 
-def test_inputs_whose_results_would_have_one_name_are_refused(make_cloud: Any, tmp_path: Path) -> None:
+def test_inputs_whose_results_would_have_one_name_are_refused(
+    make_cloud: Any, tmp_path: Path
+) -> None:
     paths = [make_cloud("a/Cloud.las", n=3), make_cloud("b/cloud.laz", n=3)]
     with pytest.raises(ConfigError, match="would both become classified/"):
         make_plan([str(p) for p in paths], RunConfig(in_process=True))
 
 
-RUN: dict[str, Any] = {name: {} for name in ("state", "version", "configuration", "plan", "stages")}
+RUN: dict[str, Any] = {
+    name: {} for name in ("state", "version", "configuration", "plan", "stages")
+}
 
 
 def a_run(folder: Path) -> None:
@@ -149,12 +162,16 @@ def test_results_are_recognised_by_a_damaged_run_file(make_cloud: Any, tmp_path:
     make_cloud("a.las", n=3)
     make_cloud("out/classified/a.laz", n=3)
     (tmp_path / "out" / "run.json").write_text('{"state": "do')
-    assert found([], tmp_path, tmp_path) == ["a.las", "out/classified/a.laz"], "of another program"
+    assert found([], tmp_path, tmp_path) == ["a.las", "out/classified/a.laz"], (
+        "of another program"
+    )
     (tmp_path / "out" / "events.jsonl").write_text("")
     assert found([], tmp_path, tmp_path) == ["a.las"]
 
 
-def test_a_folder_of_results_that_is_a_link_into_the_inputs(make_cloud: Any, tmp_path: Path) -> None:
+def test_a_folder_of_results_that_is_a_link_into_the_inputs(
+    make_cloud: Any, tmp_path: Path
+) -> None:
     make_cloud("in/a.las", n=3)
     make_cloud("in/made/a.laz", n=3)
     (tmp_path / "out").mkdir()
@@ -163,7 +180,9 @@ def test_a_folder_of_results_that_is_a_link_into_the_inputs(make_cloud: Any, tmp
     assert found([], tmp_path, tmp_path / "in", out=tmp_path / "out") == ["in/a.las"]
 
 
-def test_a_run_does_not_overwrite_the_results_that_it_reads(make_cloud: Any, tmp_path: Path) -> None:
+def test_a_run_does_not_overwrite_the_results_that_it_reads(
+    make_cloud: Any, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     make_cloud("out/classified/a.laz", n=3)
     for known in (False, True):
@@ -178,7 +197,12 @@ def test_results_at_a_url(pattern: str, make_cloud: Any) -> None:
     pytest.importorskip("upath")
     url = f"memory://{uuid.uuid4().hex}"
     data = make_cloud("a.laz", n=3).read_bytes()
-    for name in ("a.laz", "out/classified/a.laz", "out/outdated/b.laz", "else/classified/c.laz"):
+    for name in (
+        "a.laz",
+        "out/classified/a.laz",
+        "out/outdated/b.laz",
+        "else/classified/c.laz",
+    ):
         as_path(f"{url}/{name}").write_bytes(data)
     as_path(f"{url}/out/run.json").write_bytes(json.dumps(RUN).encode())
     names = {str(path).removeprefix(f"{url}/") for path in find_inputs([f"{url}{pattern}"])}

@@ -20,7 +20,9 @@ OFFSETS = st.sampled_from(
 
 
 @given(st.lists(INT32, min_size=1, max_size=50), SCALES, OFFSETS)
-def test_counts_are_the_nearest_to_the_coordinates(values: list[int], scale: float, offset: float) -> None:
+def test_counts_are_the_nearest_to_the_coordinates(
+    values: list[int], scale: float, offset: float
+) -> None:
     found = to_counts(np.array(values, dtype=np.int32), scale, offset)
     assert found.usable.all()
     slack = Fraction(0) if decimal_terms(scale, offset) else Fraction(1, 100)
@@ -32,7 +34,9 @@ def test_counts_are_the_nearest_to_the_coordinates(values: list[int], scale: flo
 
 
 @given(st.lists(INT32, min_size=2, max_size=50, unique=True), SCALES, OFFSETS)
-def test_the_order_of_coordinates_is_kept(values: list[int], scale: float, offset: float) -> None:
+def test_the_order_of_coordinates_is_kept(
+    values: list[int], scale: float, offset: float
+) -> None:
     counts = to_counts(np.array(sorted(values), dtype=np.int32), scale, offset).counts
     assert (np.diff(counts) >= 0).all()
 
@@ -66,7 +70,9 @@ def test_numbers_that_are_no_coordinates_are_not_usable() -> None:
 
 
 @given(st.floats(-1e7, 1e7), INT32)
-def test_bounds_in_counts_hold_the_counts_of_the_coordinates_inside(edge: float, count: int) -> None:
+def test_bounds_in_counts_hold_the_counts_of_the_coordinates_inside(
+    edge: float, count: int
+) -> None:
     bounds = bounds_in_counts((edge, edge, edge + 1, edge + 1))
     assert (count >= bounds.x0) == (Fraction(count, 1000) >= Fraction(repr(edge)))
     assert bounds.x0 == math.ceil(Fraction(repr(edge)) * 1000)

@@ -98,7 +98,9 @@ def test_salvage_of_the_odd_files(shared_data: Path) -> None:
             inspect(odd(shared_data, name), salvage=True)
 
 
-def test_one_point_outside_of_the_bounds_is_a_stray_and_does_not_move_them(shared_data: Path) -> None:
+def test_one_point_outside_of_the_bounds_is_a_stray_and_does_not_move_them(
+    shared_data: Path,
+) -> None:
     info = inspect(odd(shared_data, "spurious.las"))
     cloud = laspy.read(info.path)
     assert np.count_nonzero(np.asarray(cloud.x) < cloud.header.mins[0] - 1e-6) == 1
@@ -165,7 +167,9 @@ def test_pieces_of_chunks_of_any_length_cover_each_point_once(
     laz_info: SourceInfo, counts: list[int], size: int, record_length: int
 ) -> None:
     """Chunks of a LAZ file may have more points than a piece, and fewer than make it worth to divide them."""
-    info = replace(laz_info, chunks=tuple(counts), points=sum(counts), record_length=record_length)
+    info = replace(
+        laz_info, chunks=tuple(counts), points=sum(counts), record_length=record_length
+    )
     ranges = pieces(info, size)
     ends = np.cumsum([n for _, n in ranges], dtype=np.int64).tolist()
     assert [start for start, _ in ranges] == [0, *ends][: len(ranges)]
@@ -188,7 +192,14 @@ def test_a_file_named_twice_is_read_once_and_noted(make_cloud: Any, tmp_path: Pa
     path = make_cloud("once.las", n=3)
     (tmp_path / "link.las").symlink_to(path)
     notes: list[str] = []
-    assert len(find_inputs([str(path), str(tmp_path), str(tmp_path / "link.las")], note=notes.append)) == 1
+    assert (
+        len(
+            find_inputs(
+                [str(path), str(tmp_path), str(tmp_path / "link.las")], note=notes.append
+            )
+        )
+        == 1
+    )
     assert any("named twice" in n for n in notes)
 
 

@@ -25,7 +25,9 @@ def folder() -> str:
 
 def test_clouds_are_listed(folder: str) -> None:
     def names(url: str) -> list[str]:
-        return [str(p).removeprefix(folder) for p in locations.list_inputs(url, (".las", ".laz"))]
+        return [
+            str(p).removeprefix(folder) for p in locations.list_inputs(url, (".las", ".laz"))
+        ]
 
     assert names(folder) == names(f"{folder}/") == ["/a.laz", "/b/c.LAS"]
     assert names(f"{folder}/**/*.LAS") == ["/b/c.LAS"]
@@ -53,7 +55,10 @@ def test_any_part_of_an_object_is_read(folder: str) -> None:
 
 def test_two_views_of_an_object_have_their_own_positions(folder: str) -> None:
     path = locations.as_path(f"{folder}/a.laz")
-    with cloud_reading.open_location(path, 100) as stream, cloud_reading.reopen(stream, path) as other:
+    with (
+        cloud_reading.open_location(path, 100) as stream,
+        cloud_reading.reopen(stream, path) as other,
+    ):
         assert stream.seek(210) == 210
         assert other.read(2) == bytes((0, 1))
         assert stream.read(2) == bytes((10, 11))

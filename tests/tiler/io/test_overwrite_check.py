@@ -19,7 +19,9 @@ def read(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("kind", ["same", "dots", "link", "hard link", "link of a folder", "file URL"])
+@pytest.mark.parametrize(
+    "kind", ["same", "dots", "link", "hard link", "link of a folder", "file URL"]
+)
 def test_an_input_is_recognised_by_any_name(kind: str, read: Path, tmp_path: Path) -> None:
     target: str | Path = read
     if kind == "dots":
@@ -35,7 +37,9 @@ def test_an_input_is_recognised_by_any_name(kind: str, read: Path, tmp_path: Pat
         target = tmp_path / "out" / "a.laz"
     elif kind == "file URL":
         target = f"file://{read}"
-    with pytest.raises(ConfigError, match=r"^-o .*: is an input \(.*a\.laz\); give another output"):
+    with pytest.raises(
+        ConfigError, match=r"^-o .*: is an input \(.*a\.laz\); give another output"
+    ):
         check_targets([Target("-o", target)], [tmp_path / "none", read])
     check_targets([Target("-o", tmp_path / "c.laz")], [read])
 
@@ -78,7 +82,9 @@ def test_a_folder_that_a_command_fills_must_hold_nothing_else(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     (tmp_path / "link").symlink_to("out")
-    with pytest.raises(ConfigError, match=f"^--store {folder}: {what} {other}; give another folder"):
+    with pytest.raises(
+        ConfigError, match=f"^--store {folder}: {what} {other}; give another folder"
+    ):
         check_folder("--store", folder, [other])
     check_folder("--store", "out/store.zarr", ["out", "outside", "s3://b"])
 
@@ -86,6 +92,7 @@ def test_a_folder_that_a_command_fills_must_hold_nothing_else(
 def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
     check_targets([Target("-o", tmp_path / f"{'ä' * 125}a.png")], [])
     with pytest.raises(
-        ConfigError, match=r"^-o ä{20}\.\.\.: its name has 256 bytes, 255 are possible; give a shorter name$"
+        ConfigError,
+        match=r"^-o ä{20}\.\.\.: its name has 256 bytes, 255 are possible; give a shorter name$",
     ):
         check_targets([Target("-o", tmp_path / f"{'ä' * 126}.png")], [])

@@ -33,7 +33,9 @@ class Run:
         self.now = 0.0
         self.job = JobProgress(lambda: self.now)
         self.listeners = (self.job, *listeners)
-        self.tell(JobStarted([{"stage": k, "title": k, "seconds": s} for k, s in STAGES.items()]))
+        self.tell(
+            JobStarted([{"stage": k, "title": k, "seconds": s} for k, s in STAGES.items()])
+        )
 
     def tell(self, event: Event) -> None:
         for listener in self.listeners:
@@ -159,7 +161,8 @@ def test_work_of_earlier_runs_takes_no_time() -> None:
 
 def test_the_bar_never_falls_back() -> None:
     run, seen = Run(), list[float]()
-    for stage in ("spool", "filter0", "spool", "filter0", "filter1", "export"):  # the store was repaired
+    # the store was repaired
+    for stage in ("spool", "filter0", "spool", "filter0", "filter1", "export"):
         run.begin(stage)
         run.work(stage, 10, 1.0)
         seen.append(run.job.fraction())
@@ -190,7 +193,9 @@ def test_lines_for_programs_have_the_same_entries() -> None:
         "message": None,
         "level": "info",
     }
-    assert [line["message"] for line in lines if line["level"] == "warning"] == ["z looks like feet"]
+    assert [line["message"] for line in lines if line["level"] == "warning"] == [
+        "z looks like feet"
+    ]
 
 
 def test_an_error_is_a_line_for_programs_too(capsys: pytest.CaptureFixture[str]) -> None:

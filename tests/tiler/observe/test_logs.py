@@ -43,7 +43,9 @@ def test_libraries_are_quieter_than_tiler(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().err == "INFO rasterio: opened\n"
 
 
-def test_logging_set_up_twice_writes_each_message_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_logging_set_up_twice_writes_each_message_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     set_up_logging(0)
     set_up_logging(0)
     logging.getLogger("tiler").warning("once")

@@ -61,9 +61,19 @@ def task(key: str, points: int = 1_000_000) -> TaskDone:
     [
         (
             count_text,
-            {0: "0", 870: "870", 1_000: "1.0 k", 12_345: "12.3 k", 10_653_336: "10.7 M", 2.5e9: "2.5 G"},
+            {
+                0: "0",
+                870: "870",
+                1_000: "1.0 k",
+                12_345: "12.3 k",
+                10_653_336: "10.7 M",
+                2.5e9: "2.5 G",
+            },
         ),
-        (duration_text, {4.23: "4.2 s", 59.9: "59.9 s", 60: "1:00 min", 205: "3:25 min", 3727: "1:02:07 h"}),
+        (
+            duration_text,
+            {4.23: "4.2 s", 59.9: "59.9 s", 60: "1:00 min", 205: "3:25 min", 3727: "1:02:07 h"},
+        ),
         (size_text, {10: "10 bytes", 1536: "1.5 KiB", 3 << 30: "3.0 GiB"}),
     ],
 )
@@ -116,7 +126,9 @@ def test_rates_are_of_pixels_where_pixels_are_made() -> None:
     clock.now += 2
     listen(replace(task("a"), pixels=1_000_000))
     listen(StageFinished("filter", 2.0))
-    assert stream.getvalue() == "filter: 1 task, 4.0 M points, done in 2.0 s, 500.0 k pixels/s\n"
+    assert (
+        stream.getvalue() == "filter: 1 task, 4.0 M points, done in 2.0 s, 500.0 k pixels/s\n"
+    )
 
 
 def test_a_stage_of_a_few_seconds_has_one_line() -> None:
@@ -138,7 +150,10 @@ def test_quiet_shows_only_trouble() -> None:
         listen(STARTED)
         listen(Warned("z looks like feet"))
         listen(TaskFailed("filter", "filter", "t+1", "disk full"))
-    assert stream.getvalue() == "warning: z looks like feet\nwarning: filter t+1 failed: disk full\n"
+    assert (
+        stream.getvalue()
+        == "warning: z looks like feet\nwarning: filter t+1 failed: disk full\n"
+    )
 
 
 def test_bars_on_a_terminal_only() -> None:
@@ -165,7 +180,9 @@ def test_bar_of_an_empty_stage_is_full() -> None:
 
 def test_combined_listeners_receive_all_events_in_order() -> None:
     heard: list[tuple[int, Event]] = []
-    listen = combine(lambda event: heard.append((1, event)), lambda event: heard.append((2, event)))
+    listen = combine(
+        lambda event: heard.append((1, event)), lambda event: heard.append((2, event))
+    )
     first, second = Note("a"), Warned("b")
     listen(first)
     listen(second)
@@ -175,7 +192,9 @@ def test_combined_listeners_receive_all_events_in_order() -> None:
 def test_secrets_do_not_reach_a_listener() -> None:
     heard: list[Event] = []
     redacting(heard.append)(Warned("https://anna:secret@host/a.laz?token=1: cut short"))
-    redacting(heard.append)(JobStarted([{"stage": "s", "title": "ftp://a:b@c/", "seconds": 1.0}]))
+    redacting(heard.append)(
+        JobStarted([{"stage": "s", "title": "ftp://a:b@c/", "seconds": 1.0}])
+    )
     assert heard == [
         Warned("https://host/a.laz: cut short"),
         JobStarted([{"stage": "s", "title": "ftp://c/", "seconds": 1.0}]),

@@ -34,12 +34,19 @@ MATCHED, LASER = Finding("dim", 0.9, "colours"), Finding("lidar", 0.9, "returns"
             ["--resolution 0.5 m is finer", "point spacing of 1 m", "use --resolution 1"],
         ),
         (None, {"resolution": "0.5"}, 3.0, []),
-        (None, {"halo": "10"}, 3.0, ["--halo 10 m is too small", "leave it out, or use --halo 100"]),
+        (
+            None,
+            {"halo": "10"},
+            3.0,
+            ["--halo 10 m is too small", "leave it out, or use --halo 100"],
+        ),
         (None, {"halo": "60"}, 3.0, []),
         (None, {}, 0.1, []),
     ],
 )
-def test_choices(made: Finding | None, settings: dict[str, Any], density: float, words: list[str]) -> None:
+def test_choices(
+    made: Finding | None, settings: dict[str, Any], density: float, words: list[str]
+) -> None:
     config = RunConfig.from_mapping({"method": "classic", **settings})
     found = list(preflight_warnings(config, made, density, 100.0))
     assert len(found) == bool(words)
@@ -56,7 +63,8 @@ def test_the_plan_gives_the_advice(make_cloud: MakeCloud) -> None:
 
 
 @pytest.mark.parametrize(
-    ("side", "tile", "times"), [(90, 128, None), (900, 512, None), (900, 128, "6.6"), (300, 100, "9.0")]
+    ("side", "tile", "times"),
+    [(90, 128, None), (900, 512, None), (900, 128, "6.6"), (300, 100, "9.0")],
 )
 def test_small_tiles_are_told_of_where_there_are_several(
     side: int, tile: int, times: str | None, make_cloud: MakeCloud
@@ -65,12 +73,15 @@ def test_small_tiles_are_told_of_where_there_are_several(
     plan = make_plan([str(make_cloud())], RunConfig.from_mapping(settings))
     found = warnings_of(changed(plan, extent=Bounds(0, 0, 1000 * side, 1000 * side)))
     assert [
-        f"need {times} times the work; use --tile-size 483 or more --memory" in text for text in found
+        f"need {times} times the work; use --tile-size 483 or more --memory" in text
+        for text in found
     ] == ([True] if times else [])
 
 
 @pytest.mark.parametrize(("crs", "told"), [("EPSG:3857", 1), ("EPSG:25832", 0)])
-def test_a_crs_that_stretches_lengths_is_told_of(crs: str, told: int, make_cloud: MakeCloud) -> None:
+def test_a_crs_that_stretches_lengths_is_told_of(
+    crs: str, told: int, make_cloud: MakeCloud
+) -> None:
     plan = make_plan([str(make_cloud(crs=crs))], RunConfig.from_mapping({"in_process": True}))
     found = [text for text in plan.warnings if "times those on the ground" in text]
     assert len(found) == told

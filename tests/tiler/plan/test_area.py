@@ -37,7 +37,9 @@ def test_nothing_asked_for_is_everything() -> None:
 
 def test_polygons_of_the_same_crs_are_taken_to_the_count(tmp_path: Path) -> None:
     area = of(write(tmp_path / "a.gpkg", [SQUARE], "Polygon"))
-    assert area.to_json() == [[[round(v * 1000) for place in SQUARE.exterior.coords[:-1] for v in place]]]
+    assert area.to_json() == [
+        [[round(v * 1000) for place in SQUARE.exterior.coords[:-1] for v in place]]
+    ]
 
 
 def test_polygons_of_another_crs_are_brought_into_that_of_the_clouds(tmp_path: Path) -> None:
@@ -53,15 +55,24 @@ def test_polygons_of_another_crs_are_brought_into_that_of_the_clouds(tmp_path: P
     assert notes == [f"{paths[0]}: was transformed from WGS 84 to ETRS89 / UTM zone 32N"]
     move = Transformer.from_crs(4326, 25832, always_xy=True).transform
     rng = np.random.default_rng(1)
-    lon, lat = rng.uniform(west - 0.01, east + 0.01, 3000), rng.uniform(south - 0.01, north + 0.01, 3000)
-    near = rng.uniform(-1, 1, 3000) * 5e-7 + np.where(rng.random(3000) < 0.5, south, north)  # within 6 cm
+    lon, lat = (
+        rng.uniform(west - 0.01, east + 0.01, 3000),
+        rng.uniform(south - 0.01, north + 0.01, 3000),
+    )
+    # within 6 cm
+    near = rng.uniform(-1, 1, 3000) * 5e-7 + np.where(rng.random(3000) < 0.5, south, north)
     for latitude in (lat, near):
         x, y = (np.rint(np.asarray(v) * 1000).astype(np.int64) for v in move(lon, latitude))
         inside = (lon > west) & (lon < east) & (latitude > south) & (latitude < north)
-        clear = np.min(np.abs([lon - west, lon - east, latitude - south, latitude - north]), axis=0) > 2e-7
+        clear = (
+            np.min(np.abs([lon - west, lon - east, latitude - south, latitude - north]), axis=0)
+            > 2e-7
+        )
         assert (area.inside(x, y) == inside)[clear].all()
     places = {tuple(p) for p in np.reshape(area.to_json()[0][0], (-1, 2)).tolist()}
-    assert {tuple(p) for p in np.reshape(of(paths[1]).to_json()[0][0], (-1, 2)).tolist()} == places
+    assert {
+        tuple(p) for p in np.reshape(of(paths[1]).to_json()[0][0], (-1, 2)).tolist()
+    } == places
 
 
 def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
@@ -76,12 +87,20 @@ def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"bounds": (0.0, 0.0, 1.0, 1.0), "aoi": "a.shp"}, ConfigError, "--bounds and --aoi: both select"),
+        (
+            {"bounds": (0.0, 0.0, 1.0, 1.0), "aoi": "a.shp"},
+            ConfigError,
+            "--bounds and --aoi: both select",
+        ),
         ({"bounds": (0.0001, 0.0, 0.0002, 1.0)}, ConfigError, "is empty"),
         ({"aoi": "absent.gpkg"}, InputError, "no such file"),
         ({"aoi": "a.shp"}, InputError, "has no CRS; write it with one"),
         ({"aoi": "odd.shp"}, InputError, "its CRS .* is not known|has no CRS"),
-        ({"aoi": "world.geojson"}, InputError, "extends beyond the area of use of ETRS89 / UTM zone 32N"),
+        (
+            {"aoi": "world.geojson"},
+            InputError,
+            "extends beyond the area of use of ETRS89 / UTM zone 32N",
+        ),
         ({"aoi": "thin.gpkg"}, InputError, "has no area"),
     ],
 )
@@ -109,17 +128,28 @@ def test_where_the_crs_of_the_clouds_is_unknown(tmp_path: Path) -> None:
     notes: list[str] = []
     assert area_of(RunConfig(aoi=str(path), in_process=True), None, notes) is not None
     assert "the CRS of the clouds is assumed" in notes[0]
-    with pytest.raises(InputError, match="the CRS of the clouds is unknown; give it with --crs, or use"):
+    with pytest.raises(
+        InputError, match="the CRS of the clouds is unknown; give it with --crs, or use"
+    ):
         of(write(tmp_path / "a.gpkg", [SQUARE], "Polygon"), None)
 
 
 def test_files_far_off_are_not_read(make_cloud: Any, tmp_path: Path) -> None:
-    near, far = make_cloud("near.las"), make_cloud("far.las", offsets=(509_000.0, 5_400_000.0, 0.0))
+    near, far = (
+        make_cloud("near.las"),
+        make_cloud("far.las", offsets=(509_000.0, 5_400_000.0, 0.0)),
+    )
     everything = make_plan([str(near), str(far)], RunConfig())
     bounds = (499_000.0, 5_399_000.0, 500_000.0, 5_400_000.0)
     plan = make_plan([str(near), str(far)], RunConfig(bounds=bounds))
-    assert [source.path for source in plan.inputs.sources] == list(plan.inputs.cloud_names) == [near]
-    assert any(note.endswith("1 files lie farther away and are not read") for note in plan.notes)
+    assert (
+        [source.path for source in plan.inputs.sources]
+        == list(plan.inputs.cloud_names)
+        == [near]
+    )
+    assert any(
+        note.endswith("1 files lie farther away and are not read") for note in plan.notes
+    )
     assert 0 < plan.inputs.points < 1000 < everything.inputs.points
     assert plan.grid == everything.grid
     assert plan.method.tile == everything.method.tile
@@ -139,7 +169,11 @@ def test_files_far_off_are_not_read(make_cloud: Any, tmp_path: Path) -> None:
             2,
             "--aoi far.gpkg: (700000, 5400000) to (700001, 5400001) contains no part of",
         ),
-        (["--aoi", "far.gpkg", "--bounds", "0", "0", "9", "9"], 2, "--bounds and --aoi: both select a part"),
+        (
+            ["--aoi", "far.gpkg", "--bounds", "0", "0", "9", "9"],
+            2,
+            "--bounds and --aoi: both select a part",
+        ),
         (["--aoi", "none.gpkg"], 3, "none.gpkg: no such file"),
         (["--aoi", "no.shp"], 3, "no.shp: contains no polygon"),
     ],

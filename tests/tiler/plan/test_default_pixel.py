@@ -39,6 +39,8 @@ def test_it_follows_the_density_of_matched_clouds(
     notes: list[str] = []
     assert resolution_of(RunConfig(), density, kind, unit, notes) == pixel
     usual = 1 if unit == 1 else 2 * unit
-    assert bool(notes) == (pixel != usual or (unit != 1 and density * pixel**2 >= 9 and kind == "dim"))
+    assert bool(notes) == (
+        pixel != usual or (unit != 1 and density * pixel**2 >= 9 and kind == "dim")
+    )
     said = RunConfig(resolution=Fraction(3))
     assert resolution_of(said, density, kind, unit, []) == 3

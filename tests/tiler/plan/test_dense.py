@@ -28,16 +28,26 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def spot(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return clouds.write(tmp_path_factory.mktemp("spot") / "spot.las", scattered(36_000, SPOT_M2**0.5, 80.0))
+    return clouds.write(
+        tmp_path_factory.mktemp("spot") / "spot.las", scattered(36_000, SPOT_M2**0.5, 80.0)
+    )
 
 
 def planned(*paths: Path, **settings: str | dict[str, str]) -> Plan:
     """With parts of blocks that see 52 m."""
-    values = {"max_edge": "9.9", "resolution": "1", "memory": "1GiB", "method": "classic", **settings}
+    values = {
+        "max_edge": "9.9",
+        "resolution": "1",
+        "memory": "1GiB",
+        "method": "classic",
+        **settings,
+    }
     return make_plan([str(path) for path in paths], RunConfig.from_mapping(values))
 
 
-def test_one_dense_place_is_enough_to_thin(wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_dense_place_is_enough_to_thin(
+    wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("tiler.plan.model.MAX_GROUND", 10_000)
     alone, both = planned(wide), planned(wide, spot)
     assert not alone.thin_ground
@@ -76,7 +86,9 @@ def test_a_part_that_cannot_fit_is_refused_with_what_helps(
     for module in ("model", "projection"):
         monkeypatch.setattr(f"tiler.plan.{module}.GROUND_BYTES", 100_000)
     monkeypatch.setattr("tiler.plan.model.MAX_GROUND", 60_000)
-    with pytest.raises(ConfigError, match=r"grid needs .* MiB per worker, .*MiB or a smaller --max-edge"):
+    with pytest.raises(
+        ConfigError, match=r"grid needs .* MiB per worker, .*MiB or a smaller --max-edge"
+    ):
         planned(wide, spot)
     fits = projected_memory(planned(wide, spot, memory="4GiB", max_edge="5"))
     assert BASE_BYTES < before["grid"] < fits["grid"] <= 4 << 30
@@ -88,7 +100,9 @@ def test_what_is_written_is_projected(spot: Path) -> None:
 
 
 def test_workers_that_no_machine_can_hold_are_refused(wide: Path) -> None:
-    with pytest.raises(ConfigError, match=r"--workers 1000000: each needs \d+ MiB .* use --workers \d+"):
+    with pytest.raises(
+        ConfigError, match=r"--workers 1000000: each needs \d+ MiB .* use --workers \d+"
+    ):
         make_plan([str(wide)], RunConfig(method="classic", workers=1_000_000))
     assert make_plan([str(wide)], RunConfig(method="classic", workers=1)).resources.workers == 1
 

@@ -65,7 +65,9 @@ def test_a_diagonal_strip_is_not_thinned_out_over_its_bounds() -> None:
 
 
 def test_strips_that_cross_add_up() -> None:
-    patches = [DensityPatch(0, 0, 1000, 1000, 1e6)] * 20 + [DensityPatch(5000, 0, 6000, 1000, 1e6)]
+    patches = [DensityPatch(0, 0, 1000, 1000, 1e6)] * 20 + [
+        DensityPatch(5000, 0, 6000, 1000, 1e6)
+    ]
     density_map = DensityMap(patches, 1.0)
     assert density_map.max_points(100) == pytest.approx(20 * 100**2, rel=0.05)
     assert density_map.max_points(10) == pytest.approx(20 * 10**2, rel=0.05)
@@ -74,7 +76,9 @@ def test_strips_that_cross_add_up() -> None:
 
 
 def test_a_map_of_a_country_stays_small() -> None:
-    patches = [DensityPatch(x, y, x + 5e4, y + 5e4, 1e10) for x in (0, 5e4) for y in (0, 5e4, 1e5)]
+    patches = [
+        DensityPatch(x, y, x + 5e4, y + 5e4, 1e10) for x in (0, 5e4) for y in (0, 5e4, 1e5)
+    ]
     density_map = DensityMap(patches, 1.0)
     assert density_map.max_points(512) == pytest.approx(4 * 512**2, rel=0.05)
 
@@ -119,7 +123,9 @@ def test_voids_between_islands_are_no_part_of_the_density() -> None:
 
 
 @pytest.mark.parametrize("density", [0.3, 6.0])
-@pytest.mark.parametrize("order", [lambda cloud: cloud, in_lines, lambda cloud: in_tiles(cloud, 25.0)])
+@pytest.mark.parametrize(
+    "order", [lambda cloud: cloud, in_lines, lambda cloud: in_tiles(cloud, 25.0)]
+)
 @pytest.mark.parametrize("files", [1, 9])
 def test_every_place_counts_once_where_files_are_full(
     density: float, order: Callable[[Array], Array], files: int

@@ -17,20 +17,25 @@ NEXT_M = 1000.0
 
 def grey(las: laspy.LasData) -> None:
     without_sensor(las)
-    las.intensity[:] = (np.asarray(las.red) / 3 + las.green / 3 + las.blue / 3).astype(np.uint16)
+    las.intensity[:] = (np.asarray(las.red) / 3 + las.green / 3 + las.blue / 3).astype(
+        np.uint16
+    )
 
 
 def test_files_decide_before_a_point_is_filtered(make_cloud: MakeCloud) -> None:
     laser = make_plan([str(make_cloud("laser.las"))], RunConfig(in_process=True))
     matched = make_plan(
-        [str(make_cloud("drone.las", point_format=2, edit=without_sensor))], RunConfig(in_process=True)
+        [str(make_cloud("drone.las", point_format=2, edit=without_sensor))],
+        RunConfig(in_process=True),
     )
     assert (laser.method.kind, matched.method.kind) == (LIDAR, DIM)
     said = make_plan([str(make_cloud("laser.las"))], RunConfig(in_process=True, kind="dim"))
     assert said.method.kind == DIM
 
 
-def test_both_kinds_in_one_run_are_refused_unless_the_user_says_which(make_cloud: MakeCloud) -> None:
+def test_both_kinds_in_one_run_are_refused_unless_the_user_says_which(
+    make_cloud: MakeCloud,
+) -> None:
     places = [(500_000.0 + i * NEXT_M, 5_400_000.0, 0.0) for i in range(2)]
     clouds = [
         str(make_cloud("laser.las", offsets=places[0])),
@@ -40,13 +45,19 @@ def test_both_kinds_in_one_run_are_refused_unless_the_user_says_which(make_cloud
     with pytest.raises(ConfigError, match=told):
         make_plan(clouds, RunConfig(in_process=True))
     assert make_plan(clouds, RunConfig(in_process=True, kind="als")).method.kind == LIDAR
-    assert make_plan(clouds, RunConfig(in_process=True, method="classic")).method.kind is not None
+    assert (
+        make_plan(clouds, RunConfig(in_process=True, method="classic")).method.kind is not None
+    )
 
 
 def test_a_quiet_piece_of_the_same_writer_is_no_other_kind(make_cloud: MakeCloud) -> None:
     places = [(500_000.0 + i * NEXT_M, 5_400_000.0, 0.0) for i in range(4)]
     clouds = [
-        str(make_cloud(f"{i}.las", offsets=place, seed=i, edit=without_sensor if i == 3 else None))
+        str(
+            make_cloud(
+                f"{i}.las", offsets=place, seed=i, edit=without_sensor if i == 3 else None
+            )
+        )
         for i, place in enumerate(places)
     ]
     assert make_plan(clouds, RunConfig(in_process=True)).method.kind == LIDAR

@@ -28,8 +28,15 @@ def folder(make_cloud: MakeCloud, tmp_path: Path) -> Path:
 def test_the_plan_is_the_same_with_any_number_of_reading_processes(folder: Path) -> None:
     found = []
     for values in ({"in_process": True}, {"workers": 1}, {"workers": 3}):
-        plan = make_plan([str(folder)], RunConfig.from_mapping({"workers": 1, "memory": 1 << 30, **values}))
-        found.append(({**plan_json(plan), "workers": None, "projected_seconds": None}, plan.inputs.sources))
+        plan = make_plan(
+            [str(folder)], RunConfig.from_mapping({"workers": 1, "memory": 1 << 30, **values})
+        )
+        found.append(
+            (
+                {**plan_json(plan), "workers": None, "projected_seconds": None},
+                plan.inputs.sources,
+            )
+        )
     assert found[0] == found[1] == found[2]
     assert [Path(path).name for path, _ in found[0][0]["unreadable"]] == ["07.las", "23.las"]
     assert [s.points for s in found[0][1]] == [20 + i for i in range(24) if i not in (7, 23)]
@@ -45,7 +52,14 @@ def test_a_reader_is_started_where_it_pays() -> None:
     pytest.importorskip("upath")
 
     def readers(near: int, far: int = 0) -> int:
-        return reading_processes([Path("x.las")] * near + [as_path("memory://x/y.las")] * far, config)
+        return reading_processes(
+            [Path("x.las")] * near + [as_path("memory://x/y.las")] * far, config
+        )
 
-    assert [readers(n) for n in (1, FILES_PER_READER, FILES_PER_READER + 1, 10_000)] == [1, 1, 2, 4]
+    assert [readers(n) for n in (1, FILES_PER_READER, FILES_PER_READER + 1, 10_000)] == [
+        1,
+        1,
+        2,
+        4,
+    ]
     assert [readers(0, n) for n in (1, FILES_PER_READER + 1, 10_000)] == [1, 2, MAX_URL_READERS]

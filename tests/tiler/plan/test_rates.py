@@ -19,7 +19,8 @@ from tiler.plan.rates import projected_seconds
 def plan(make_cloud: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     small = make_plan(
-        [str(make_cloud("a.las", n=50))], RunConfig(method="classic", in_process=True, workers=2)
+        [str(make_cloud("a.las", n=50))],
+        RunConfig(method="classic", in_process=True, workers=2),
     )
     return changed(small, points=4_000_000)
 
@@ -39,7 +40,10 @@ def test_time_follows_from_the_rates_of_earlier_runs(plan: Plan) -> None:
     assert guess > 0
     remember(plan, stages(10.0))
     assert projected_seconds(plan) == (pytest.approx(50.0), True)
-    assert projected_seconds(changed(plan, points=8_000_000, workers=4)) == (pytest.approx(50.0), True)
+    assert projected_seconds(changed(plan, points=8_000_000, workers=4)) == (
+        pytest.approx(50.0),
+        True,
+    )
     remember(plan, stages(20.0))
     assert projected_seconds(plan) == (pytest.approx(75.0), True), "half of it is the newest"
     other = changed(replace(plan, config=plan.config.updated(method="keep")), passes=())

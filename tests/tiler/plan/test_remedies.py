@@ -18,7 +18,9 @@ from tiler.plan import Plan, make_plan
 def square(path: Path, unit: float) -> Path:
     """Four points per m2 on 400 x 400 m, in units of so many metres."""
     xyz = np.random.default_rng(1).uniform(0, 1, (640_000, 3)) * [400.0, 400.0, 1.0]
-    return clouds.write(path, clouds.Cloud(np.round(xyz / unit, 3), np.ones(len(xyz), np.uint8)))
+    return clouds.write(
+        path, clouds.Cloud(np.round(xyz / unit, 3), np.ones(len(xyz), np.uint8))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -47,18 +49,23 @@ def refusal(path: Path, **settings: str) -> str:
 @pytest.mark.parametrize("method", ["auto", "classic"])
 @pytest.mark.parametrize("memory", ["100MiB", "500MiB", "700MiB", "900MiB"])
 def test_the_memory_that_is_named_suffices(wide: Path, method: str, memory: str) -> None:
-    settings = {"method": method, "tile_size": "400"} if method == "classic" else {"method": method}
+    settings = (
+        {"method": method, "tile_size": "400"} if method == "classic" else {"method": method}
+    )
     text = refusal(wide, memory=memory, **settings)
     named = re.search(r"use --memory (\d+MiB)", text)
     assert named, text
     assert (
-        planned(wide, memory=named[1], **settings).resources.memory == int(named[1].removesuffix("MiB")) << 20
+        planned(wide, memory=named[1], **settings).resources.memory
+        == int(named[1].removesuffix("MiB")) << 20
     )
 
 
 @pytest.mark.usefixtures("dear")
 @pytest.mark.parametrize(("metres", "units", "unit"), [(1.0, "m", ""), (0.3048, "ft", "ft")])
-def test_the_halo_that_is_named_suffices(metres: float, units: str, unit: str, tmp_path: Path) -> None:
+def test_the_halo_that_is_named_suffices(
+    metres: float, units: str, unit: str, tmp_path: Path
+) -> None:
     wide = square(tmp_path / "wide.las", metres)
     settings = {"method": "classic", "memory": "700MiB", "units": units}
     text = refusal(wide, **settings, halo="200")
@@ -67,7 +74,9 @@ def test_the_halo_that_is_named_suffices(metres: float, units: str, unit: str, t
     assert 1 < planned(wide, **settings, halo=named[1], tile_size=named[2]).method.halo_m < 200
 
 
-def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(wide: Path, tmp_path: Path) -> None:
+def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(
+    wide: Path, tmp_path: Path
+) -> None:
     text = refusal(wide, resolution="0.0001")
     assert re.fullmatch(
         r"--resolution 0.0001 m: a single raster would have 1.6e\+13 pixels, but the points are 0.5 m apart; "
@@ -105,7 +114,8 @@ def test_a_disk_too_small_for_fine_pixels(
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1 << 30))
     with pytest.raises(
-        ConfigError, match=r"MB are free; use --resolution 1 instead of 0.01, or free some space$"
+        ConfigError,
+        match=r"MB are free; use --resolution 1 instead of 0.01, or free some space$",
     ):
         planned(wide, tmp_path / "out", resolution="0.01")
     assert planned(wide, tmp_path / "out").grid.resolution == 1

@@ -20,7 +20,8 @@ def sparse(tmp_path_factory: pytest.TempPathFactory) -> Path:
     z = 0.01 * x + 30 * np.exp(-((x - 2000) ** 2 + (y - 2000) ** 2) / 1e6)
     xyz = np.round(np.column_stack([x, y, z]), 3)
     return clouds.write(
-        tmp_path_factory.mktemp("sparse") / "sparse.las", clouds.Cloud(xyz, np.ones(400, np.uint8))
+        tmp_path_factory.mktemp("sparse") / "sparse.las",
+        clouds.Cloud(xyz, np.ones(400, np.uint8)),
     )
 
 
@@ -31,13 +32,18 @@ def test_few_tiles_and_buckets(sparse: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_result_depends_on_it(sparse: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_result_depends_on_it(
+    sparse: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     settings = {"until": "filter", "method": "classic", "resolution": "50"}
     do(sparse, tmp_path / "few", **settings)
     monkeypatch.setattr("tiler.plan.sizes.BUCKETS_M", (256,))
     many = do(sparse, tmp_path / "many", tile_size="1024", halo=2000, **settings)
     assert many.summary["filter"]["tiles"] > 9
-    (labels, marks), (others, other_marks) = stored_labels(tmp_path / "few"), stored_labels(tmp_path / "many")
+    (labels, marks), (others, other_marks) = (
+        stored_labels(tmp_path / "few"),
+        stored_labels(tmp_path / "many"),
+    )
     assert not marks.any()
     assert np.array_equal(labels[~other_marks], others[~other_marks])
     assert not other_marks.any()

@@ -138,7 +138,8 @@ class Reader(HTMLParser):
     def close(self) -> None:
         super().close()
         self.texts = {
-            name: re.sub(r"\s+", " ", " ".join(["", *parts])) for name, parts in self._parts.items()
+            name: re.sub(r"\s+", " ", " ".join(["", *parts]))
+            for name, parts in self._parts.items()
         }
 
 

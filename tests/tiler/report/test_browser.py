@@ -16,7 +16,11 @@ from tiler.report.html import write_report
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = [pytest.mark.slow, pytest.mark.processes]
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMIUM = (
+    shutil.which("chromium")
+    or shutil.which("chromium-browser")
+    or shutil.which("google-chrome")
+)
 
 FRAMES_OF_A_DRAG = 20
 PATIENCE_MS = 1000 * PATIENCE_SECONDS
@@ -32,7 +36,9 @@ SHARE_PAINTED = """() => {
 }"""
 
 
-NEXT_FRAMES = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+NEXT_FRAMES = (
+    "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+)
 
 
 def painted(page: Any) -> float:
@@ -53,7 +59,9 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium on this machine")
     unprivileged = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's sandbox refuses root
     with playwright.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=unprivileged, timeout=PATIENCE_MS)
+        chromium = started.chromium.launch(
+            executable_path=CHROMIUM, args=unprivileged, timeout=PATIENCE_MS
+        )
         yield chromium
         chromium.close()
 
@@ -77,7 +85,9 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
 
     yield open_report
     page.close()
-    assert [text for text in told if not text.startswith(("data:image/png;base64,", "file://"))] == []
+    assert [
+        text for text in told if not text.startswith(("data:image/png;base64,", "file://"))
+    ] == []
     assert sum(text.startswith("file://") for text in told) == 1
 
 
@@ -85,11 +95,19 @@ def run_of_many_tiles(**changes: Any) -> dict[str, Any]:
     tiles = [results.tile(i, 40, 1.5, tries=1 + i % 2) for i in range(1000)]
     tiles[2].update(state="failed", seconds=None)
     failed = [
-        {"stage": "filter0", "key": tiles[2]["key"], "error": results.HOSTILE, "bounds": tiles[2]["bounds"]}
+        {
+            "stage": "filter0",
+            "key": tiles[2]["key"],
+            "error": results.HOSTILE,
+            "bounds": tiles[2]["bounds"],
+        }
     ]
     outputs = dict.fromkeys(("dtm.tif", "mask.tif", "density.tif"), 1)
     return results.run(
-        tiles={"filter0": tiles, "grid-dtm": tiles[:9]}, failed_tasks=failed, outputs=outputs, **changes
+        tiles={"filter0": tiles, "grid-dtm": tiles[:9]},
+        failed_tasks=failed,
+        outputs=outputs,
+        **changes,
     )
 
 
@@ -97,7 +115,8 @@ def run_of_many_tiles(**changes: Any) -> dict[str, Any]:
 def test_everything_is_drawn(opened: Any, scheme: str) -> None:
     left = [{"path": results.HOSTILE, "error": f"{results.HOSTILE}: cut short"}]
     page = opened(
-        run_of_many_tiles(inputs=[results.source(results.HOSTILE)], quarantined=left), color_scheme=scheme
+        run_of_many_tiles(inputs=[results.source(results.HOSTILE)], quarantined=left),
+        color_scheme=scheme,
     )
     assert painted(page) > 0.2
     assert page.locator("#state").inner_text() == "Finished, but incomplete"
@@ -136,7 +155,9 @@ def test_the_keyboard_goes_everywhere(opened: Any) -> None:
     page.keyboard.press("0")
     assert painted(page) == pytest.approx(before, abs=0.01)
     page.keyboard.press("n")
-    assert page.locator("#told").inner_text().startswith("tile t+000+000, done, 1,000 points, 1 s")
+    assert (
+        page.locator("#told").inner_text().startswith("tile t+000+000, done, 1,000 points, 1 s")
+    )
     for _ in range(2):
         page.keyboard.press("n")
     assert "failed" in page.locator("#told").inner_text()
@@ -146,7 +167,9 @@ def test_the_keyboard_goes_everywhere(opened: Any) -> None:
     reached = set()
     for _ in range(30):
         page.keyboard.press("Tab")
-        reached.add(page.evaluate("document.activeElement.id || document.activeElement.tagName"))
+        reached.add(
+            page.evaluate("document.activeElement.id || document.activeElement.tagName")
+        )
     assert {"DIV", "A", "SUMMARY"} & reached
 
 

@@ -21,11 +21,17 @@ def run_with(kind: str | None, vertical: float = 1.0) -> dict:
     one = SigmaRecord(
         filled=400,
         groups={"open": [300, 300 * 100**2], "covered": [100, 100 * 500**2]},
-        histogram={"open": [0] * 5 + [300] + empty[6:], "covered": [0] * 9 + [100] + empty[10:]},
+        histogram={
+            "open": [0] * 5 + [300] + empty[6:],
+            "covered": [0] * 9 + [100] + empty[10:],
+        },
     )
     none = SigmaRecord(filled=0, groups={}, histogram={})
     units = {"horizontal": 1.0, "vertical": vertical}
-    return {"plan": {"metres_per_unit": units}, "sigma": to_json(sigma_result(kind, [one, none]))}
+    return {
+        "plan": {"metres_per_unit": units},
+        "sigma": to_json(sigma_result(kind, [one, none])),
+    }
 
 
 def test_each_kind_of_ground_has_its_expected_rmse() -> None:

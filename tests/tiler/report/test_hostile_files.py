@@ -28,15 +28,25 @@ def measured(folder: Path) -> dict[str, object]:
     """What `tiler check --json` says, of a few checkpoints."""
     xy = [[5.5, 10.5, 20.5], [5.5, 20.5, 30.5]]
     kinds = ("NVA", "NVA", "VVA")
-    points = Checkpoints(*map(np.array, (xy, [100.0, 99.0, 101.0])), kinds, ("grass",) * 3, ("a", "b", "c"))  # type: ignore[arg-type]
-    report = {"accuracy": check_dtm(write_surface(folder / "dtm.tif", tilted), points, PointOptions())}
+    points = Checkpoints(
+        *map(np.array, (xy, [100.0, 99.0, 101.0])), kinds, ("grass",) * 3, ("a", "b", "c")
+    )  # type: ignore[arg-type]
+    report = {
+        "accuracy": check_dtm(write_surface(folder / "dtm.tif", tilted), points, PointOptions())
+    }
     seams = {"unit": "metre", "interior": {"pairs": 7, "mean_step": 0.1}}
-    return {**report, "seams": seams, "requirements": judge(parse_requirements(["rmse=0.1"]), report)}
+    return {
+        **report,
+        "seams": seams,
+        "requirements": judge(parse_requirements(["rmse=0.1"]), report),
+    }
 
 
 @pytest.mark.parametrize("name", ["check.json", "evaluate.json"])
 def test_what_was_measured_with_junk_anywhere(name: str, out: Path, tmp_path: Path) -> None:
-    document = json.loads(json.dumps(results.EVALUATION if name == "evaluate.json" else measured(tmp_path)))
+    document = json.loads(
+        json.dumps(results.EVALUATION if name == "evaluate.json" else measured(tmp_path))
+    )
     (out / name).write_text(json.dumps(document))
     assert name not in results.read(write_report(out)).texts["accuracy"]
     blamed = 0
@@ -57,10 +67,23 @@ def test_a_damaged_log_costs_the_times_alone(out: Path) -> None:
     for tile in run["tiles"]["filter0"]:
         tile["seconds"] = None
     results.write(out, run)
-    done = {"event": "task_done", "stage": "filter0", "key": "t+000+000", "seconds": 5, "peak_rss_bytes": 6}
-    lines = [json.dumps(changed) for changed in spoilt(done)] + ["[" * 100_000, "5", "{", json.dumps(done)]
+    done = {
+        "event": "task_done",
+        "stage": "filter0",
+        "key": "t+000+000",
+        "seconds": 5,
+        "peak_rss_bytes": 6,
+    }
+    lines = [json.dumps(changed) for changed in spoilt(done)] + [
+        "[" * 100_000,
+        "5",
+        "{",
+        json.dumps(done),
+    ]
     (out / "events.jsonl").write_text("\n".join(lines))
-    times = {row[0]: row[7] for row in results.read(write_report(out)).data["stages"][0]["tiles"]}
+    times = {
+        row[0]: row[7] for row in results.read(write_report(out)).data["stages"][0]["tiles"]
+    }
     assert times["t+000+000"] == 5
 
 

@@ -22,7 +22,14 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
     page = results.read(write_report(out))
     assert "Terrain of town" in page.texts[""]
     assert "4,000 points of 2 files" in page.texts[""]
-    for figure in ("4.0 k", "50.0%", "60 x 40", "1:15 min", "300.0 MiB", "Nothing was left out"):
+    for figure in (
+        "4.0 k",
+        "50.0%",
+        "60 x 40",
+        "1:15 min",
+        "300.0 MiB",
+        "Nothing was left out",
+    ):
         assert figure in page.texts[""]
     told = {
         "problems": ["heights span 9,876 m"],
@@ -34,7 +41,13 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
             "halo 104 m automatic the radius that the method needs",
             "WGS 84 / UTM zone 32N",
         ],
-        "counts": ["read 4,000", "stored 3,800", "dropped: withheld 200", "ground 1,900", "low noise 10"],
+        "counts": [
+            "read 4,000",
+            "stored 3,800",
+            "dropped: withheld 200",
+            "ground 1,900",
+            "low noise 10",
+        ],
         "inputs": ["/data/a.laz", "/data/b.laz", "LAS 1.4, format 6", "4.0 KiB"],
         "outputs": ["dtm.tif 4.0 KiB"],
         "timings": [
@@ -53,7 +66,10 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
 
 def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> None:
     advice = "the terrain holds what looks like a roof 36 m wide"
-    statistics = {"survey": {"kind": "dim", "notes": ["x"]}, "seeds": {"kind": "dim", "rise_m": 0.25}}
+    statistics = {
+        "survey": {"kind": "dim", "notes": ["x"]},
+        "seeds": {"kind": "dim", "rise_m": 0.25},
+    }
     content = results.run(advice=[advice], statistics=statistics)
     page = results.read(write_report(results.write(tmp_path / "out", content)))
     assert advice in page.texts["problems"]
@@ -66,7 +82,9 @@ def page_of(out: Path, content: dict[str, Any]) -> results.Reader:
     return results.read(write_report(results.write(out, content)))
 
 
-@pytest.mark.parametrize(("metre", "noise"), [(1.0, "0.0255 m"), (0.3048, "0.0837 ft (0.0255 m)")])
+@pytest.mark.parametrize(
+    ("metre", "noise"), [(1.0, "0.0255 m"), (0.3048, "0.0837 ft (0.0255 m)")]
+)
 def test_measured_lengths_are_in_the_unit_of_the_crs(metre: float, noise: str) -> None:
     run = {
         "plan": {"metres_per_unit": {"horizontal": metre}},
@@ -80,13 +98,21 @@ def test_it_loads_nothing_and_runs_its_own_script_alone(tmp_path: Path) -> None:
     page = results.read(tmp_path / "out" / "report.html")
     for tag, name, value in page.attributes:
         if name in ("src", "href", "action", "srcset"):
-            assert value.startswith(("data:image/png;base64,", "#")) or (tag, value) == ("a", "dtm.tif")
+            assert value.startswith(("data:image/png;base64,", "#")) or (tag, value) == (
+                "a",
+                "dtm.tif",
+            )
         assert not name.startswith("on")
         assert name != "style"
-    policy = next(value for tag, _, value in page.attributes if tag == "meta" and "default-src" in value)
+    policy = next(
+        value for tag, _, value in page.attributes if tag == "meta" and "default-src" in value
+    )
     assert policy.startswith("default-src 'none'; img-src data:;")
     script = text.rsplit("<script>", 1)[1].split("</script>")[0]
-    assert f"script-src 'sha256-{b64encode(hashlib.sha256(script.encode()).digest()).decode()}'" in policy
+    assert (
+        f"script-src 'sha256-{b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+        in policy
+    )
     assert "http://" not in text
     assert "https://" not in text
     ids = [value for _, name, value in page.attributes if name == "id"]
@@ -107,20 +133,30 @@ def test_names_of_files_cannot_become_markup(tmp_path: Path) -> None:
     )
     content["tiles"]["filter0"][0]["state"] = "failed"
     page = page_of(tmp_path / "out", content)
-    escaped = name.replace("\x1b", "\\x1b").replace("\udc80", "\\udc80").replace("\u202e", "\\u202e")
+    escaped = (
+        name.replace("\x1b", "\\x1b").replace("\udc80", "\\udc80").replace("\u202e", "\\u202e")
+    )
     for part in ("problems", "inputs", "outputs"):
         assert escaped in page.texts[part]
     for tag in ("img", "script", "style", "html", "body"):
         assert page.tags.count(tag) == plain.tags.count(tag)
-    assert name in json.dumps(page.data, ensure_ascii=False).replace('\\"', '"').replace("\\u001b", "\x1b")
-    (link,) = [v for tag, n, v in page.attributes if (tag, n) == ("a", "href") and v.startswith("classified")]
+    assert name in json.dumps(page.data, ensure_ascii=False).replace('\\"', '"').replace(
+        "\\u001b", "\x1b"
+    )
+    (link,) = [
+        v
+        for tag, n, v in page.attributes
+        if (tag, n) == ("a", "href") and v.startswith("classified")
+    ]
     assert link.startswith("classified/%3C/script%3E%3Cimg")
 
 
 def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
     content = results.run(
         quarantined=[{"path": "cut.laz", "error": "cut.laz: cut short"}],
-        failed_tasks=[{"stage": "filter0", "key": "t+1+1", "error": "no memory", "bounds": [1, 2, 3, 4.5]}],
+        failed_tasks=[
+            {"stage": "filter0", "key": "t+1+1", "error": "no memory", "bounds": [1, 2, 3, 4.5]}
+        ],
     )
     page = page_of(tmp_path / "out", content)
     assert "Finished, but incomplete" in page.texts[""]
@@ -128,7 +164,9 @@ def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
     assert next(iter(page.texts)) == ""
     assert list(page.texts)[1] == "problems"
     assert "file left out - cut.laz: cut short" in page.texts["problems"]
-    failed = "failed task 2.0, 3.2 filter: seeds, densification, labels t+1+1: no memory run again"
+    failed = (
+        "failed task 2.0, 3.2 filter: seeds, densification, labels t+1+1: no memory run again"
+    )
     assert failed in page.texts["problems"]
 
 
@@ -149,7 +187,16 @@ def test_a_thousand_tiles_and_large_rasters_stay_below_five_megabytes(tmp_path: 
 
 def test_a_run_without_rasters_has_a_map_of_its_plan(tmp_path: Path) -> None:
     content = results.run(state="interrupted", outputs={})
-    for name in ("dtm", "filter", "counts", "inputs", "seconds", "tiles", "statistics", "notes"):
+    for name in (
+        "dtm",
+        "filter",
+        "counts",
+        "inputs",
+        "seconds",
+        "tiles",
+        "statistics",
+        "notes",
+    ):
         content.pop(name)
     page = page_of(tmp_path / "out", content)
     assert "Interrupted" in page.texts[""]
@@ -162,7 +209,13 @@ def test_measured_accuracy_is_shown(tmp_path: Path) -> None:
     out = results.write(tmp_path / "out", results.run())
     (out / "evaluate.json").write_text(json.dumps(results.EVALUATION))
     text = results.read(write_report(out)).texts["accuracy"]
-    for figure in ("1.23 %", "1.00 % of 3,790 points", "97.50 %", "RMSE 0.123 metre", "mean -0.010 metre"):
+    for figure in (
+        "1.23 %",
+        "1.00 % of 3,790 points",
+        "97.50 %",
+        "RMSE 0.123 metre",
+        "mean -0.010 metre",
+    ):
         assert figure in text
     assert "Nothing was measured" not in text
     (out / "check.json").write_text("[")
@@ -175,7 +228,9 @@ def test_measurements_of_an_earlier_dtm_are_told_from_those_of_this_one(tmp_path
     (out / "check.json").write_text(json.dumps({"seams": seams}))
     assert "interior 7 0.1000" in results.read(write_report(out)).texts["accuracy"]
     os.utime(out / "check.json", (1, 1))
-    assert "check.json is older than the DTM" in results.read(write_report(out)).texts["accuracy"]
+    assert (
+        "check.json is older than the DTM" in results.read(write_report(out)).texts["accuracy"]
+    )
 
 
 def test_refusals(tmp_path: Path) -> None:

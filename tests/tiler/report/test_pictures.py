@@ -36,7 +36,12 @@ def drawn(tmp_path: Path, rows: int = 40, columns: int = 60) -> dict[str, Pictur
     out = results.write(tmp_path / "out", results.run(outputs=ALL), rows, columns)
     found = draw({name.removesuffix(".tif"): out / name for name in ALL}, results.run())
     assert found is not None
-    assert found.extent == (results.WEST, results.NORTH - rows, results.WEST + columns, results.NORTH)
+    assert found.extent == (
+        results.WEST,
+        results.NORTH - rows,
+        results.WEST + columns,
+        results.NORTH,
+    )
     return {picture.name: picture for picture in found.pictures}
 
 
@@ -58,7 +63,8 @@ def test_colours_are_those_of_the_legend(tmp_path: Path) -> None:
     heights = rgba(found["dtm"])[..., :3].astype(int)
     values = results.raster("dtm", 40, 60)
     low, high = (
-        tuple(heights[np.unravel_index(f(values[:, :30]), (40, 30))]) for f in (np.argmin, np.argmax)
+        tuple(heights[np.unravel_index(f(values[:, :30]), (40, 30))])
+        for f in (np.argmin, np.argmax)
     )
     assert (low, high) == (TERRAIN[0], TERRAIN[-1])
     assert found["dtm"].legend[0][1].endswith(" ft")
@@ -68,7 +74,9 @@ def test_colours_are_those_of_the_legend(tmp_path: Path) -> None:
 
 def test_slopes_to_the_north_west_are_lit(tmp_path: Path) -> None:
     y, x = np.mgrid[:40, :60]
-    results.write_raster(tmp_path / "dtm.tif", -np.hypot(x - 30, y - 20).astype(np.float32) + 100)
+    results.write_raster(
+        tmp_path / "dtm.tif", -np.hypot(x - 30, y - 20).astype(np.float32) + 100
+    )
     found = draw({"dtm": tmp_path / "dtm.tif"}, results.run())
     assert found is not None
     shade = rgba(found.pictures[0])[..., 0].astype(int)
@@ -84,7 +92,9 @@ def test_a_single_pixel_and_an_empty_raster(tmp_path: Path) -> None:
     assert draw({}, results.run()) is None
 
 
-def test_pictures_shrink_until_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_shrink_until_they_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     noise = np.random.default_rng(1).normal(100, 20, (600, 900)).astype(np.float32)
     results.write_raster(tmp_path / "dtm.tif", noise)
     monkeypatch.setattr(pictures, "MAX_BYTES", 100_000)
@@ -102,7 +112,9 @@ def test_strips_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("side", [400, 1600])
-def test_memory_is_that_of_one_picture(side: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_that_of_one_picture(
+    side: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(pictures, "LONGER_SIDE", 300)
     monkeypatch.setattr(pictures, "STRIP_ROWS", 32)
     out = results.write(tmp_path / "out", results.run(outputs=ALL), side, side)
@@ -115,7 +127,9 @@ def test_memory_is_that_of_one_picture(side: int, tmp_path: Path, monkeypatch: p
     assert peak < 30 * 300 * 300
 
 
-def test_a_large_raster_is_read_from_its_overviews(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_raster_is_read_from_its_overviews(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(pictures, "LONGER_SIDE", 100)
     assert drawn(tmp_path, 200, 300)["dtm"].size == (100, 67)
 

@@ -37,14 +37,18 @@ def test_a_run_without_problems_says_so(tmp_path: Path) -> None:
 
 
 def test_doubts_about_water_are_problems_with_a_place() -> None:
-    (problem,) = found(water_doubts=[{"text": "lake 3 is water with 79% certainty", "place": [1.0, 2.0]}])
+    (problem,) = found(
+        water_doubts=[{"text": "lake 3 is water with 79% certainty", "place": [1.0, 2.0]}]
+    )
     assert problem.where == (1.0, 2.0, 1.0, 2.0)
     assert problem.why == "lake 3 is water with 79% certainty"
     assert "water.gpkg" in problem.remedy
 
 
 def test_squares_that_a_canopy_hides_are_problems_with_a_place() -> None:
-    (problem,) = found(canopy_doubts=[{"text": "a closed canopy", "place": [0.0, 64.0, 64.0, 128.0]}])
+    (problem,) = found(
+        canopy_doubts=[{"text": "a closed canopy", "place": [0.0, 64.0, 64.0, 128.0]}]
+    )
     assert problem.where == (0.0, 64.0, 64.0, 128.0)
     assert problem.why == "a closed canopy"
     assert "--canopy void" in problem.remedy
@@ -75,7 +79,12 @@ def test_doubtful_tiles_have_a_place() -> None:
             "of an earlier version",
         ),
         ({"doubts": ["not sure"]}, "doubtful decision", None, "not sure"),
-        ({"healed": ["a", "b"]}, "damaged store", None, "a, b: was damaged; it was computed again"),
+        (
+            {"healed": ["a", "b"]},
+            "damaged store",
+            None,
+            "a, b: was damaged; it was computed again",
+        ),
         (
             {"classes": {"no_part": {"17": 1200}}},
             "class kept",
@@ -98,7 +107,9 @@ def test_each_kind(change: dict[str, Any], what: str, where: Any, why: str) -> N
 def test_a_place_is_a_link_to_the_map_and_marked_there(tmp_path: Path) -> None:
     content = results.run(advice=["a roof"], advice_at=[[500003.25, 5399990.0]])
     page = results.read(write_report(results.write(tmp_path / "out", content)))
-    assert "objects suspected in the terrain 500003.2, 5399990.0 a roof" in page.texts["problems"]
+    assert (
+        "objects suspected in the terrain 500003.2, 5399990.0 a roof" in page.texts["problems"]
+    )
     links = [value for _, name, value in page.attributes if name == "data-place"]
     assert links == ["500003.25,5399990,500003.25,5399990"]
     assert page.data["problems"] == [

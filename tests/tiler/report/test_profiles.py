@@ -15,7 +15,11 @@ from tiler.report.profiles import BANKS, HEIGHT, WATER, WIDTH, profile, round_st
 def river(*stations: tuple[float, float, int, float | None, float | None]) -> dict[str, Any]:
     """A river of run.json; of each station the place, the level, pixels of the water, and the levels of the banks."""
     names = ("along", "level", "seen", "left", "right")
-    return {"kind": "river", "number": 3, "stations": [dict(zip(names, s, strict=True)) for s in stations]}
+    return {
+        "kind": "river",
+        "number": 3,
+        "stations": [dict(zip(names, s, strict=True)) for s in stations],
+    }
 
 
 def line_of(picture: Node) -> list[tuple[float, ...]]:
@@ -29,7 +33,9 @@ def circles(picture: Node, colour: str) -> list[tuple[float, float]]:
 
 
 def test_the_line_falls_along_the_flow_and_marks_show_what_each_place_rests_on() -> None:
-    picture = profile(river((0, 9.0, 40, 9.2, None), (50, 8.0, 0, 8.1, 8.0), (90, 7.5, 3, 60.0, 7.6)), "ft")
+    picture = profile(
+        river((0, 9.0, 40, 9.2, None), (50, 8.0, 0, 8.1, 8.0), (90, 7.5, 3, 60.0, 7.6)), "ft"
+    )
     assert picture is not None
     line = line_of(picture)
     assert [x for x, _ in line] == sorted(x for x, _ in line)
@@ -48,9 +54,15 @@ def test_a_lake_and_a_river_with_one_station_have_none() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.floats(0, 1e4), st.floats(-50, 4000), st.integers(0, 9)), min_size=2, max_size=12)
+    st.lists(
+        st.tuples(st.floats(0, 1e4), st.floats(-50, 4000), st.integers(0, 9)),
+        min_size=2,
+        max_size=12,
+    )
 )
-def test_all_that_is_drawn_lies_in_the_picture(stations: list[tuple[float, float, int]]) -> None:
+def test_all_that_is_drawn_lies_in_the_picture(
+    stations: list[tuple[float, float, int]],
+) -> None:
     picture = profile(river(*((*s, s[1] + 0.1, None) for s in sorted(stations))), "m")
     assert picture is not None
     for x, y in [*line_of(picture), *circles(picture, WATER), *circles(picture, BANKS)]:
@@ -67,7 +79,11 @@ def test_lines_lie_at_round_numbers_and_are_few(low: float, span: float, most: i
 
 @pytest.mark.parametrize(
     ("low", "high", "steps"),
-    [(417.17, 417.91, [417.2, 417.4, 417.6, 417.8]), (0.0, 1404.0, [0, 500, 1000]), (0.0, 10.0, [0, 5, 10])],
+    [
+        (417.17, 417.91, [417.2, 417.4, 417.6, 417.8]),
+        (0.0, 1404.0, [0, 500, 1000]),
+        (0.0, 10.0, [0, 5, 10]),
+    ],
 )
 def test_examples_of_round_numbers(low: float, high: float, steps: list[float]) -> None:
     assert round_steps(low, high, 4) == pytest.approx(steps)

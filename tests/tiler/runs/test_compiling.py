@@ -67,7 +67,10 @@ def test_a_run_waits_for_its_kernels(told: list[Event], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("work", "why"),
-    [(crash, "the process crashed (SIGSEGV)"), (fill_disk, "OSError: [Errno 28] No space left on device")],
+    [
+        (crash, "the process crashed (SIGSEGV)"),
+        (fill_disk, "OSError: [Errno 28] No space left on device"),
+    ],
 )
 def test_a_failed_compilation_is_reported(
     work: Callable[[Callable[[], None]], None],
@@ -90,6 +93,9 @@ def test_the_kind_of_a_cloud_is_guessed(make_cloud: MakeCloud) -> None:
     plan = make_plan([path], RunConfig(in_process=True))
     single = tuple(dataclasses.replace(source, returns=1) for source in plan.inputs.sources)
     plan = changed(plan, sources=single, covered_m2=1.0, kind=None)
-    no_trace, measured = Evidence(trace=0.0), Evidence(own_intensity=1.0, grey_intensity=0.0, colour=1.0)
+    no_trace, measured = (
+        Evidence(trace=0.0),
+        Evidence(own_intensity=1.0, grey_intensity=0.0, colour=1.0),
+    )
     for evidence, kind in ((Evidence(), "dim"), (no_trace, "dim"), (measured, "lidar")):
         assert likely_kind(changed(plan, evidence=evidence)) == kind

@@ -46,7 +46,9 @@ def store(small_store: TileStore) -> TileStore:
 def undone(store: TileStore, *keys: str) -> dict[str, set[str]]:
     """Stage -> tasks that are no longer done after a repair."""
     notes: list[str] = []
-    job: Any = SimpleNamespace(store=store, note=notes.append, invalidate=lambda s, k: store.uncommit(s, *k))
+    job: Any = SimpleNamespace(
+        store=store, note=notes.append, invalidate=lambda s, k: store.uncommit(s, *k)
+    )
     job.results = Results()
     job.results.healed = ["earlier"]
     repair(job, keys)
@@ -72,7 +74,10 @@ BOTH = {"f-west", "f-east"}
         ("elected/filter0/c.0.0", {"filter0": {"f-west"}, "filter1": {"f-west"}}),
         ("labels/filter0/zarr.json", {"filter0": BOTH, "filter1": BOTH}),
         ("index/0", {"assemble": {"a-west", "a-east"}, "filter0": BOTH, "filter1": BOTH}),
-        ("points/xyz/zarr.json", {"assemble": {"a-west", "a-east"}, "filter0": BOTH, "filter1": BOTH}),
+        (
+            "points/xyz/zarr.json",
+            {"assemble": {"a-west", "a-east"}, "filter0": BOTH, "filter1": BOTH},
+        ),
     ],
 )
 def test_the_task_that_wrote_an_object_is_done_again(

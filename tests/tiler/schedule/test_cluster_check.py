@@ -29,10 +29,14 @@ def here(function: Callable[..., Any], *arguments: Any) -> Any:
 def asked(tmp_path: Path) -> Callable[..., ClusterAccess]:
     cloud, store = tmp_path / "cloud.laz", tmp_path / "store.zarr"
     cloud.write_bytes(b"x" * 100)
-    meta = StoreMeta(CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
+    meta = StoreMeta(
+        CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False
+    )
     create_store(str(store), meta)
 
-    def make(path: Path = cloud, size: int = 100, url: str = str(store), there: bool = True) -> ClusterAccess:
+    def make(
+        path: Path = cloud, size: int = 100, url: str = str(store), there: bool = True
+    ) -> ClusterAccess:
         source = (str(path), replace(state_of(cloud), size=size))
         return ClusterAccess("tcp://s:1", [source], url, str(tmp_path), there)
 
@@ -91,10 +95,16 @@ def test_a_worker_without_tiler_is_refused(asked: Callable[..., ClusterAccess]) 
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"path": Path("/nowhere/a.laz")}, r"cannot read /nowhere/a.laz \(No such file.*inputs by URL"),
+        (
+            {"path": Path("/nowhere/a.laz")},
+            r"cannot read /nowhere/a.laz \(No such file.*inputs by URL",
+        ),
         ({"size": 99}, r"cannot read .*cloud.laz \(100 bytes there, 99 here\)"),
         ({"url": "/nowhere/store.zarr"}, r"cannot use /nowhere/store.zarr \(.*--store by URL"),
-        ({"url": "nosuch://bucket"}, r"cannot use nosuch://bucket .*check the URL and the credentials"),
+        (
+            {"url": "nosuch://bucket"},
+            r"cannot use nosuch://bucket .*check the URL and the credentials",
+        ),
     ],
 )
 def test_a_worker_without_access_is_refused(
@@ -128,4 +138,6 @@ def test_machines_with_too_little_memory_are_refused() -> None:
     look.validate_memory([Machine("a", 4 << 30, 2, 4), Machine("b", 1 << 30, 1, 1)], 1 << 30)
     line = r"tcp://s:1: machine b has 4,096 MiB for 5 tasks at a time of up to 1,024 MiB; start fewer"
     with pytest.raises(ConfigError, match=line):
-        look.validate_memory([Machine("a", 4 << 30, 2, 4), Machine("b", 4 << 30, 1, 5)], 1 << 30)
+        look.validate_memory(
+            [Machine("a", 4 << 30, 2, 4), Machine("b", 4 << 30, 1, 5)], 1 << 30
+        )

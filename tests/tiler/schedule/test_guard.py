@@ -57,7 +57,11 @@ def test_an_error_of_the_call_is_raised(guard: ChildProcess) -> None:
     ],
 )
 def test_a_child_that_dies_is_replaced(
-    guard: ChildProcess, work: Callable[..., Any], arguments: tuple[Any, ...], seconds: float, fate: str
+    guard: ChildProcess,
+    work: Callable[..., Any],
+    arguments: tuple[Any, ...],
+    seconds: float,
+    fate: str,
 ) -> None:
     with pytest.raises(ChildDiedError, match=f"^{fate}"):
         guard.call(work, *arguments, seconds=seconds)
@@ -114,7 +118,8 @@ def test_the_preparation_is_there_in_each_child() -> None:
 def test_the_server_of_forks_is_shared_and_replaced_when_it_dies() -> None:
     with ChildProcess() as first, ChildProcess() as second:
         parents = {
-            psutil.Process(g.call(calls.pid, seconds=PATIENCE_SECONDS)).ppid() for g in (first, second)
+            psutil.Process(g.call(calls.pid, seconds=PATIENCE_SECONDS)).ppid()
+            for g in (first, second)
         }
         assert len(parents) == 1
         psutil.Process(parents.pop()).kill()
@@ -136,8 +141,12 @@ def test_a_failed_fork_fails_only_its_own_call(monkeypatch: pytest.MonkeyPatch) 
     first, second = (ChildProcess(prepare=calls.refuse_forks) for _ in range(2))
     with first, second:
         child = first.call(calls.pid, seconds=PATIENCE_SECONDS)
-        with pytest.raises(ChildStartError, match="^could not start: the system has no memory left"):
+        with pytest.raises(
+            ChildStartError, match="^could not start: the system has no memory left"
+        ):
             second.call(calls.pid, seconds=PATIENCE_SECONDS)
-        with pytest.raises(ProcessingError, match="could not start: .* end other programs, then run again$"):
+        with pytest.raises(
+            ProcessingError, match="could not start: .* end other programs, then run again$"
+        ):
             read_in_child(second, calls.fail, Path(__file__))  # the file is not to blame
         assert first.call(calls.pid, seconds=PATIENCE_SECONDS) == child

@@ -27,12 +27,17 @@ def takes(_: str, args: dict[str, Any]) -> dict[str, Any]:
     return {"pieces": len(pieces)}
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peaks begin anew on Linux alone")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="peaks begin anew on Linux alone"
+)
 def test_each_task_reports_its_own_peak(tmp_path: Path) -> None:
     url = str(tmp_path / "store.zarr")
-    create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
+    create_store(
+        url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
+    )
     large, small = (
-        run_task(url, Task("s", f"{size}", "d", takes, {"megabytes": size}, 1)) for size in (256, 1)
+        run_task(url, Task("s", f"{size}", "d", takes, {"megabytes": size}, 1))
+        for size in (256, 1)
     )
     assert large.record == {"pieces": 1024}
     assert large.peak_rss_bytes - small.peak_rss_bytes > 200 << 20
@@ -45,10 +50,16 @@ def resident_after(url: str) -> int:
     return int(psutil.Process().memory_info().rss)
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other allocators give back at once")
-def test_a_worker_keeps_freed_memory_up_to_a_twentieth_of_what_it_may_have(tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="other allocators give back at once"
+)
+def test_a_worker_keeps_freed_memory_up_to_a_twentieth_of_what_it_may_have(
+    tmp_path: Path,
+) -> None:
     url = str(tmp_path / "store.zarr")
-    create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
+    create_store(
+        url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
+    )
     left = []
     for memory_bytes in (64 << 20, 8 << 30):
         with ChildProcess(None, partial(prepare, memory_bytes)) as guard:
@@ -62,11 +73,17 @@ def peak_of_small_task(url: str, stage: str) -> int:
     return run_task(url, Task(stage, "small", "d", takes, {"megabytes": 1}, 1)).peak_rss_bytes
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peaks begin anew on Linux alone")
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other allocators give back at once")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="peaks begin anew on Linux alone"
+)
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="other allocators give back at once"
+)
 def test_the_first_task_of_a_stage_begins_without_what_its_worker_kept(tmp_path: Path) -> None:
     url = str(tmp_path / "store.zarr")
-    create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
+    create_store(
+        url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
+    )
     peaks = []
     for stage in ("next", "s"):
         with ChildProcess(None, partial(prepare, 8 << 30)) as guard:
@@ -85,6 +102,9 @@ def grown() -> int:
 @pytest.mark.skipif(not limits_memory(), reason="memory is not limited here")
 def test_a_reader_that_is_forked_beside_workers_has_all_of_its_memory() -> None:
     """Without `mremap`, the reader would need the old and the new buffer at the same time."""
-    with ChildProcess(None, partial(prepare, 4 << 30)) as worker, ChildProcess(1 << 30) as reader:
+    with (
+        ChildProcess(None, partial(prepare, 4 << 30)) as worker,
+        ChildProcess(1 << 30) as reader,
+    ):
         worker.call(peak_rss_bytes, seconds=300.0)
         assert reader.call(grown, seconds=300.0) == 700 << 20

@@ -31,17 +31,23 @@ from tiler.schedule.workers import DaskExecutor
 
 
 def task(value: int, **arguments: Any) -> Task:
-    return Task("stage", f"t{value}", "digest", calls.square, {"value": value, **arguments}, points=10)
+    return Task(
+        "stage", f"t{value}", "digest", calls.square, {"value": value, **arguments}, points=10
+    )
 
 
 @pytest.fixture(scope="module")
 def two() -> Iterator[DaskExecutor]:
-    executor = DaskExecutor(2, limits=TaskLimits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS))
+    executor = DaskExecutor(
+        2, limits=TaskLimits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS)
+    )
     yield executor
     executor.close()
 
 
-def run(executor: Executor, tasks: list[Task], folder: Path) -> tuple[dict[int, Outcome], Counter[int]]:
+def run(
+    executor: Executor, tasks: list[Task], folder: Path
+) -> tuple[dict[int, Outcome], Counter[int]]:
     """The last outcome of each task by its value, and how many were tried again."""
     ends: dict[int, Outcome] = {}
     again: Counter[int] = Counter()
@@ -112,7 +118,9 @@ def test_a_task_that_kills_its_worker_once_is_done_at_the_second_try(
     assert len(ends) == 5
 
 
-def test_a_task_is_not_tried_again_if_that_cannot_help(two: DaskExecutor, tmp_path: Path) -> None:
+def test_a_task_is_not_tried_again_if_that_cannot_help(
+    two: DaskExecutor, tmp_path: Path
+) -> None:
     ends, again = run(two, [task(1, does="fail")], tmp_path)
     assert ends[1].error == "cloud.las: bad"
     assert not again
@@ -134,13 +142,16 @@ def test_workers_can_be_ended_during_their_work(tmp_path: Path) -> None:
     before = set(psutil.Process().children(recursive=True))
     level = logging.getLogger("distributed").level
     executor = DaskExecutor(2)
-    outcomes = executor.run(calls.run_task, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
+    outcomes = executor.run(
+        calls.run_task, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)]
+    )
     next(outcomes)
 
     def workers() -> set[psutil.Process]:
         return set(psutil.Process().children(recursive=True)) - before
 
-    # The server of forks is included; the second worker may not have started when the first one is done.
+    # The server of forks is included; the second worker may not have started when the first one
+    # is done.
     wait_until(lambda: len(workers()) == 3)
     at_work = workers()
     executor.close()
@@ -151,7 +162,12 @@ def test_workers_can_be_ended_during_their_work(tmp_path: Path) -> None:
 def listening() -> set[Any]:
     """Addresses on which this process and its children accept connections."""
     here = psutil.Process()
-    return {c.laddr for p in (here, *here.children()) for c in p.net_connections() if c.status == "LISTEN"}
+    return {
+        c.laddr
+        for p in (here, *here.children())
+        for c in p.net_connections()
+        if c.status == "LISTEN"
+    }
 
 
 LISTENING_BEFORE = listening()
@@ -219,7 +235,9 @@ def test_executors_made_at_the_same_time_restore_the_configuration_of_dask() -> 
 def test_the_serial_executor_tries_as_often(
     times: int, record: dict[str, int] | None, tmp_path: Path
 ) -> None:
-    ends, again = run(SerialExecutor(), [task(1, does="stumble", times=times), *others(1)], tmp_path)
+    ends, again = run(
+        SerialExecutor(), [task(1, does="stumble", times=times), *others(1)], tmp_path
+    )
     assert ends[1].record == record
     assert again == {1: TRIES - 1}
     assert ends[100].record
@@ -242,8 +260,15 @@ def test_a_malformed_address_is_refused_at_once(address: str) -> None:
 @pytest.fixture(scope="module")
 def port() -> Iterator[int]:
     """Address of a scheduler with one worker."""
-    options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
-    with LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options) as cluster:
+    options = {
+        "threads_per_worker": 1,
+        "processes": False,
+        "protocol": "tcp",
+        "memory_limit": 0,
+    }
+    with LocalCluster(
+        n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options
+    ) as cluster:
         yield int(cluster.scheduler_address.rsplit(":", 1)[1])
 
 
@@ -271,11 +296,15 @@ def test_the_connection_breaks_while_a_result_is_fetched(
     executor._client._gather_remote = cut
     try:
         if for_good:
-            with pytest.raises(ConnectionLostError, match="the connection broke and was not restored"):
+            with pytest.raises(
+                ConnectionLostError, match="the connection broke and was not restored"
+            ):
                 run(executor, others(2), tmp_path)
             with pytest.raises(ConnectionLostError):
                 executor.machines()
-            assert not [r for r in caplog.records if r.name == "distributed.client"], "said by Dask as well"
+            assert not [r for r in caplog.records if r.name == "distributed.client"], (
+                "said by Dask as well"
+            )
             return
         ends, again = run(executor, others(2), tmp_path)
     finally:
@@ -312,10 +341,19 @@ def test_a_cluster_whose_workers_come_late_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A cluster without workers is refused after a while."""
-    options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
-    with LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options) as cluster:
+    options = {
+        "threads_per_worker": 1,
+        "processes": False,
+        "protocol": "tcp",
+        "memory_limit": 0,
+    }
+    with LocalCluster(
+        n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options
+    ) as cluster:
         monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", 0.5)
-        with pytest.raises(ConfigError, match="it has no workers; start some with `dask worker"):
+        with pytest.raises(
+            ConfigError, match="it has no workers; start some with `dask worker"
+        ):
             DaskExecutor(1, cluster.scheduler_address)
         monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", PATIENCE_SECONDS)
         Timer(1.0, cluster.scale, [1]).start()
@@ -341,7 +379,9 @@ def test_a_process_that_cannot_start_is_not_reported_as_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("A_SERVER", "that forks once")
-    limits = TaskLimits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS, prepare=calls.refuse_forks)
+    limits = TaskLimits(
+        memory_bytes=1 << 30, seconds=PATIENCE_SECONDS, prepare=calls.refuse_forks
+    )
     executor = DaskExecutor(2, limits=limits)
     try:
         ends, _ = run(executor, [task(1, wait=3), task(2, wait=3)], tmp_path)
@@ -349,4 +389,6 @@ def test_a_process_that_cannot_start_is_not_reported_as_killed(
         executor.close()
     done, left = sorted(ends.values(), key=lambda outcome: outcome.error is not None)
     assert done.error is None
-    assert str(left.error).startswith("its process could not start: the system has no memory left")
+    assert str(left.error).startswith(
+        "its process could not start: the system has no memory left"
+    )

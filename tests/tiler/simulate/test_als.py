@@ -14,9 +14,13 @@ from tiler.simulate.terrain import Hill, Line, River
 CLEAN = AlsSensor(overlap_m=0.0, sigma_m=0.0, low_singles_km2=0, low_groups_km2=0, high_km2=0)
 
 
-def scan(objects: Objects, terrain: Terrain | None = None, sensor: AlsSensor = CLEAN) -> SimulatedPoints:
+def scan(
+    objects: Objects, terrain: Terrain | None = None, sensor: AlsSensor = CLEAN
+) -> SimulatedPoints:
     """Points of 60 x 60 m, all in one patch."""
-    return survey_patch(Site(terrain or Terrain(100.0), 60.0, 9, landmarks=objects), sensor, 0, 0)
+    return survey_patch(
+        Site(terrain or Terrain(100.0), 60.0, 9, landmarks=objects), sensor, 0, 0
+    )
 
 
 @pytest.mark.parametrize("kind", sorted(SITES))
@@ -36,7 +40,9 @@ def test_ground_points_lie_on_the_terrain_and_objects_above_it(kind):
 
 
 def test_noise_has_the_sigma_of_the_sensor_and_blunders_their_labels():
-    sensor = AlsSensor(sigma_m=0.05, low_singles_km2=5_000, low_groups_km2=2_000, high_km2=5_000)
+    sensor = AlsSensor(
+        sigma_m=0.05, low_singles_km2=5_000, low_groups_km2=2_000, high_km2=5_000
+    )
     site = make_site("plane", 1, 100.0)
     points = survey_patch(site, sensor, 0, 0)
     above = points.xyz[:, 2] - site.terrain.height_at(points.xyz[:, 0], points.xyz[:, 1])
@@ -54,7 +60,9 @@ def test_density_is_that_of_pulses_once_outside_overlaps_and_twice_within():
 
 
 def test_a_gabled_house_hides_the_ground_and_has_its_roof():
-    points = scan(Objects(solids=(Solid(30, 30, 35.0, length=20, width=10, base=95, top=110, pitch=0.8),)))
+    points = scan(
+        Objects(solids=(Solid(30, 30, 35.0, length=20, width=10, base=95, top=110, pitch=0.8),))
+    )
     roof = points.xyz[points.label == 6]
     along, across = (np.abs(d) for d in Line(30, 30, 35.0).along_across(roof[:, 0], roof[:, 1]))
     assert across.max() < 5.002
@@ -99,7 +107,9 @@ def test_returns_of_a_pulse_follow_one_another_downward():
 
 
 def test_low_plants_hide_a_share_of_the_ground():
-    points = scan(Objects(patches=(PlantPatch(30, 30, 0.0, 40, 20, height=0.6, cover=0.7, square=True),)))
+    points = scan(
+        Objects(patches=(PlantPatch(30, 30, 0.0, 40, 20, height=0.6, cover=0.7, square=True),))
+    )
     inside = (np.abs(points.xyz[:, 0] - 30) < 20) & (np.abs(points.xyz[:, 1] - 30) < 10)
     plants = points.label == 3
     assert np.mean(plants[inside]) == pytest.approx(0.7, abs=0.04)
@@ -108,7 +118,9 @@ def test_low_plants_hide_a_share_of_the_ground():
 
 
 def test_plants_are_labelled_by_their_height_above_ground():
-    points = scan(Objects(patches=(PlantPatch(30, 30, 0.0, 50, 50, height=4.0, cover=0.9, square=True),)))
+    points = scan(
+        Objects(patches=(PlantPatch(30, 30, 0.0, 50, 50, height=4.0, cover=0.9, square=True),))
+    )
     above = points.xyz[:, 2] - 100.0
     for label, low, high in ((3, 0.0, 1.0), (4, 1.0, 3.0), (5, 3.0, 4.1)):
         chosen = above[points.label == label]

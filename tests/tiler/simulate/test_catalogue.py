@@ -39,19 +39,24 @@ def test_a_scene_has_its_truth_and_has_not_changed():
     assert scene.rgb is None
     assert scene.returns.shape == (len(scene.xyz), 2)
     assert np.all(scene.returns[:, 0] <= scene.returns[:, 1])
-    # Methods were tuned on these points; another numpy may move a point by a millimetre at most.
+    # Methods were tuned on these points; another numpy may move a point by a millimetre at
+    # most.
     assert np.bincount(scene.classification)[[1, 2, 3, 5, 6]] == pytest.approx(COUNTS, rel=1e-3)
     assert scene.xyz.mean(axis=0) == pytest.approx(MEANS, abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["dim_rows", "dim_forest"])
-def test_rough_matched_scenes_are_cut_by_their_border_and_their_ground_lies_on_the_truth(name: str):
+def test_rough_matched_scenes_are_cut_by_their_border_and_their_ground_lies_on_the_truth(
+    name: str,
+):
     spec = SCENES[name]
     site, sensor = spec.make_site(), spec.make_sensor()
     side = spec.side_m
     near = site.objects_near(0, 0, side, side)
     cut = [
-        o for o in (*near.solids, *near.crowns) if any(abs(edge - o.x) < o.radius / 2 for edge in (0, side))
+        o
+        for o in (*near.solids, *near.crowns)
+        if any(abs(edge - o.x) < o.radius / 2 for edge in (0, side))
     ]
     assert cut
     points = survey_patch(site, sensor, 1, 1)
@@ -64,6 +69,9 @@ def test_rough_matched_scenes_are_cut_by_their_border_and_their_ground_lies_on_t
 
 
 def test_unknown_names_are_refused():
-    for make, first in ((make_scene, "als_city"), (partial(make_site, seed=1, side_m=100.0), "city")):
+    for make, first in (
+        (make_scene, "als_city"),
+        (partial(make_site, seed=1, side_m=100.0), "city"),
+    ):
         with pytest.raises(ConfigError, match=f"unknown scene 'moon': choose one of {first}, "):
             make("moon")

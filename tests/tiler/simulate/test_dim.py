@@ -18,10 +18,15 @@ HOUSE = Solid(25, 25, 0.0, length=20, width=12, base=99, top=108)
 
 
 def match(
-    objects: Objects, sensor: DimSensor = SMOOTH, terrain: Terrain | None = None, green: float = 0.6
+    objects: Objects,
+    sensor: DimSensor = SMOOTH,
+    terrain: Terrain | None = None,
+    green: float = 0.6,
 ) -> SimulatedPoints:
     """Points of 50 x 50 m."""
-    return survey(Site(terrain or Terrain(100.0), 50.0, 5, landmarks=objects, green=green), sensor)
+    return survey(
+        Site(terrain or Terrain(100.0), 50.0, 5, landmarks=objects, green=green), sensor
+    )
 
 
 def gli(rgb: np.ndarray) -> np.ndarray:
@@ -36,7 +41,8 @@ def test_bare_ground_has_the_density_and_the_sigma_with_a_part_in_common():
     assert np.all(points.label == 2)
     assert len(points) / 2500 == pytest.approx(0.98 * 30, rel=0.02)
     assert off.std() == pytest.approx(0.066, rel=0.08)
-    # Means over cells of 0.5 m keep the shared part of the noise and average the independent part away.
+    # Means over cells of 0.5 m keep the shared part of the noise and average the independent
+    # part away.
     cell = np.floor(points.xyz[:, 0] / 0.5) * 100 + np.floor(points.xyz[:, 1] / 0.5)
     cells, members = np.unique(cell, return_inverse=True)
     means = np.bincount(members, off) / np.bincount(members)
@@ -72,7 +78,9 @@ def test_a_mesh_is_regular_and_may_have_no_colours():
 def test_plants_that_are_too_low_are_ground_but_not_what_a_crown_lifts():
     low = PlantPatch(15, 25, 0.0, 20, 40, height=0.3, cover=0.9, square=True)
     crown = Crown(35, 25, 106, radius=6, half_height=5)
-    points = match(Objects(patches=(low,), crowns=(crown,)), replace(SMOOTH, edge_m=0.6, plants_m=0.3))
+    points = match(
+        Objects(patches=(low,), crowns=(crown,)), replace(SMOOTH, edge_m=0.6, plants_m=0.3)
+    )
     x, y, z = points.xyz.T
     assert np.all(points.label[x < 24] == 2)
     assert z[points.label == 2].max() < 100.5
@@ -117,7 +125,9 @@ def test_facades_are_vertical_and_on_some_walls_only():
 
 
 def test_low_plants_are_a_surface_above_the_ground():
-    points = match(Objects(patches=(PlantPatch(25, 25, 0.0, 30, 20, height=0.8, cover=0.9, square=True),)))
+    points = match(
+        Objects(patches=(PlantPatch(25, 25, 0.0, 30, 20, height=0.8, cover=0.9, square=True),))
+    )
     inside = (np.abs(points.xyz[:, 0] - 25) < 12) & (np.abs(points.xyz[:, 1] - 25) < 7)
     assert np.mean(points.label[inside] == 3) > 0.7
     above = points.xyz[points.label == 3, 2] - 100
@@ -172,7 +182,11 @@ def test_shadows_fall_to_the_north_east_and_are_dark():
     assert dark[(x > 35.5) & (x < 39.5) & (y > 23) & (y < 31)].all()
     assert not dark[(x < 14.5) | (y < 18.5) | (x > 42) | (y > 36)].any()
     points = match(Objects(solids=(HOUSE,)), green=0.0)
-    shaded = (np.abs(points.xyz[:, 0] - 26) < 6) & (points.xyz[:, 1] > 32) & (points.xyz[:, 1] < 33.5)
+    shaded = (
+        (np.abs(points.xyz[:, 0] - 26) < 6)
+        & (points.xyz[:, 1] > 32)
+        & (points.xyz[:, 1] < 33.5)
+    )
     sunny = points.xyz[:, 1] < 15
     ratio = np.median(points.rgb[shaded], axis=0) / np.median(points.rgb[sunny], axis=0)
     assert ratio == pytest.approx(SHADE, abs=0.06)
@@ -185,7 +199,10 @@ def test_steep_ground_is_rock():
 
 def test_the_skin_of_a_place_does_not_depend_on_the_box_around_it():
     site = Site(
-        Terrain(100.0), 50.0, 5, landmarks=Objects(solids=(HOUSE,), crowns=(Crown(12, 12, 106, 4, 4),))
+        Terrain(100.0),
+        50.0,
+        5,
+        landmarks=Objects(solids=(HOUSE,), crowns=(Crown(12, 12, 106, 4, 4),)),
     )
     small = render_surface(site, (10.0, 10.0, 20.0, 20.0), 3.0, 0.3)
     large = render_surface(site, (0.0, 0.0, 50.0, 50.0), 3.0, 0.3)

@@ -37,7 +37,11 @@ def test_the_cloud_holds_the_survey(written):
     assert np.array_equal(cloud.return_number, points.number)
     assert np.array_equal(cloud.number_of_returns, points.count)
     corner = (500_000_000, 5_400_000_000, 0)
-    counts = np.column_stack((cloud.X, cloud.Y, cloud.Z)) + np.round(cloud.header.offsets * 1000) - corner
+    counts = (
+        np.column_stack((cloud.X, cloud.Y, cloud.Z))
+        + np.round(cloud.header.offsets * 1000)
+        - corner
+    )
     assert np.array_equal(counts, np.round(points.xyz * 1000))
     assert np.all(np.diff(cloud.gps_time) >= 0)
     assert cloud.header.parse_crs().to_epsg() == 32632
@@ -66,7 +70,8 @@ def test_the_same_settings_give_the_same_bytes_and_nothing_else_is_left(written,
 
 
 @pytest.mark.parametrize(
-    ("kind", "sensor"), [("suburb", AlsSensor(density=1.0)), ("village", DimSensor(density=4.0))]
+    ("kind", "sensor"),
+    [("suburb", AlsSensor(density=1.0)), ("village", DimSensor(density=4.0))],
 )
 def test_patches_depend_neither_on_their_order_nor_on_one_another(kind, sensor):
     side = 60.0
@@ -77,7 +82,10 @@ def test_patches_depend_neither_on_their_order_nor_on_one_another(kind, sensor):
         alone = survey_patch(make_site(kind, 7, side), sensor, *index)
         for name in ("xyz", "label", "number", "count", "angle_deg", "rgb"):
             one, other = getattr(alone, name), getattr(forward[index], name)
-            assert (one is None and other is None) or one.tobytes() == other.tobytes(), (index, name)
+            assert (one is None and other is None) or one.tobytes() == other.tobytes(), (
+                index,
+                name,
+            )
 
 
 def test_no_part_of_a_large_site_is_made_before_it_is_looked_at():
@@ -91,7 +99,9 @@ def test_no_part_of_a_large_site_is_made_before_it_is_looked_at():
 
 
 def test_a_matched_scene_has_colours(tmp_path):
-    facts = write_scene(tmp_path / "d.las", describe_scene("park", "dim", side_m=50.0, density=5.0))
+    facts = write_scene(
+        tmp_path / "d.las", describe_scene("park", "dim", side_m=50.0, density=5.0)
+    )
     cloud = laspy.read(tmp_path / "d.las")
     assert cloud.header.point_format.id == 7
     assert cloud.red.max() > 2**14
@@ -122,10 +132,16 @@ def test_a_written_scene_of_the_catalogue_is_the_scene(tmp_path):
     ("settings", "text"),
     [
         ({"scene": "moon"}, "unknown scene 'moon': choose one of city, "),
-        ({"scene": "als_city", "kind": "dim"}, "--kind dim: scene als_city is of kind als; use --scene city"),
+        (
+            {"scene": "als_city", "kind": "dim"},
+            "--kind dim: scene als_city is of kind als; use --scene city",
+        ),
         ({"kind": "radar"}, "--kind radar: choose one of als, dim"),
         ({"density": 0.0}, "--density 0: must be between 0.05 and 100 points/m2"),
-        ({"kind": "dim", "density": 1001.0}, "--density 1001: must be between 1 and 1000 points/m2"),
+        (
+            {"kind": "dim", "density": 1001.0},
+            "--density 1001: must be between 1 and 1000 points/m2",
+        ),
         ({"sigma_m": -0.1}, "--sigma -0.1: must be between 0 and 1 m"),
         ({"side_m": 1.0}, "--size 1: must be between 50 and 50000 m"),
         ({"blunders": float("nan")}, "--blunders nan: must be between 0 and 100 times"),

@@ -16,7 +16,9 @@ def test_generators_differ_by_seed_purpose_and_place_alone():
 
 
 def test_node_normals_are_standard_and_independent():
-    column, row = (grid.ravel() for grid in np.meshgrid(np.arange(-200, 200), np.arange(-100, 100)))
+    column, row = (
+        grid.ravel() for grid in np.meshgrid(np.arange(-200, 200), np.arange(-100, 100))
+    )
     numbers = node_normals(5, RELIEF, column, row)
     assert numbers.mean() == pytest.approx(0, abs=0.02)
     assert numbers.std() == pytest.approx(1, abs=0.01)

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import rasterio
 
-from tiler.simulate import AlsSensor, Site, Terrain, describe_scene, make_site, survey, write_scene
+from tiler.simulate import (
+    AlsSensor,
+    Site,
+    Terrain,
+    describe_scene,
+    make_site,
+    survey,
+    write_scene,
+)
 from tiler.simulate.points import SimulatedPoints
 from tiler.simulate.water_bodies import Masonry, WaterBody, Waters, constant
 
@@ -17,7 +25,9 @@ LEVEL = 95.0
 def pond(**changes: object) -> WaterBody:
     """A round pond of 20 m at (30, 30), whose returns have no waves."""
     settings = {"returned": constant(0.5), "waves_m": constant(0.0), **changes}
-    return WaterBody(lambda x, y: np.hypot(x - 30, y - 30) - 20, constant(LEVEL), 0.5, **settings)
+    return WaterBody(
+        lambda x, y: np.hypot(x - 30, y - 30) - 20, constant(LEVEL), 0.5, **settings
+    )
 
 
 def scan(waters: Waters) -> SimulatedPoints:
@@ -99,7 +109,8 @@ def test_a_site_has_its_extent_and_truth(kind: str):
     assert points.xyz[:, 1].max() < site.north_m < 400.0
     ground = points.label == 2
     x, y, z = points.xyz[ground].T
-    # On the faces of masonry, which rise 8 m per metre, a millimetre of x or y is 8 mm of height.
+    # On the faces of masonry, which rise 8 m per metre, a millimetre of x or y is 8 mm of
+    # height.
     assert np.abs(z - site.terrain.height_at(x, y)).max() < 0.2
     assert not site.terrain.wet_at(x, y).any()
     water = points.label == 9
@@ -109,7 +120,9 @@ def test_a_site_has_its_extent_and_truth(kind: str):
 
 
 def test_the_terrain_raster_of_a_long_site_has_its_shape(tmp_path):
-    facts = write_scene(tmp_path / "a.laz", describe_scene("als_meander", side_m=500.0, density=0.1))
+    facts = write_scene(
+        tmp_path / "a.laz", describe_scene("als_meander", side_m=500.0, density=0.1)
+    )
     with rasterio.open(facts.dtm) as raster:
         assert (raster.width, raster.height) == (500, 300)
         assert raster.transform[:6] == (1, 0, 500_000, 0, -1, 5_400_300)

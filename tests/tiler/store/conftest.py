@@ -15,7 +15,10 @@ from tiler.core.points import PointBlock, pack_origin
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
 
 META = StoreMeta(
-    CoordFrame(origin=(-7_000, 11_000)), Lattice(Fraction(10_000, 3)), Lattice(Fraction(10_000, 9)), True
+    CoordFrame(origin=(-7_000, 11_000)),
+    Lattice(Fraction(10_000, 3)),
+    Lattice(Fraction(10_000, 9)),
+    True,
 )
 
 
@@ -47,13 +50,17 @@ def local_store(tmp_path: Path) -> TileStore:
     return create_store(str(tmp_path / "store.zarr"), META)
 
 
-def make_points(x: np.ndarray, y: np.ndarray, has_rgb: bool = True, seed: int = 0) -> PointBlock:
+def make_points(
+    x: np.ndarray, y: np.ndarray, has_rgb: bool = True, seed: int = 0
+) -> PointBlock:
     """Points at absolute x, y (int64), every other value random."""
     rng = np.random.default_rng(seed)
     n = len(x)
     origin = META.frame.origin
     return PointBlock(
-        np.stack([x - origin[0], y - origin[1], rng.integers(-(2**31) + 1, 2**31, n)]).astype(np.int32),
+        np.stack([x - origin[0], y - origin[1], rng.integers(-(2**31) + 1, 2**31, n)]).astype(
+            np.int32
+        ),
         rng.integers(0, 256, n).astype(np.uint8),
         rng.integers(0, 256, n).astype(np.uint8),
         rng.integers(0, 256, (2, n)).astype(np.uint8),
@@ -62,12 +69,15 @@ def make_points(x: np.ndarray, y: np.ndarray, has_rgb: bool = True, seed: int = 
     )
 
 
-def put_points(store: TileStore, block: PointBlock, candidates: float = 0.4) -> dict[Cell, BucketInfo]:
+def put_points(
+    store: TileStore, block: PointBlock, candidates: float = 0.4
+) -> dict[Cell, BucketInfo]:
     """Write and publish points as ingest does; a share of each bucket counts as candidates."""
     x, y = (block.xyz[i].astype(np.int64) + store.meta.frame.origin[i] for i in (0, 1))
     ix, iy = store.meta.bucket.index(x), store.meta.bucket.index(y)
     masks = {
-        Cell(i, j): (ix == i) & (iy == j) for i, j in sorted(set(zip(ix.tolist(), iy.tolist(), strict=True)))
+        Cell(i, j): (ix == i) & (iy == j)
+        for i, j in sorted(set(zip(ix.tolist(), iy.tolist(), strict=True)))
     }
     store.allocate({cell: int(mask.sum()) for cell, mask in masks.items()})
     infos = {

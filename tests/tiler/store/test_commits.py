@@ -71,7 +71,9 @@ def test_names_that_cannot_be_keys_are_refused(store: TileStore, name: str) -> N
 @pytest.mark.parametrize(
     "damage", [lambda b: b[: len(b) // 2], lambda b: b.replace(b"aa", b"ab"), lambda b: b""]
 )
-def test_a_damaged_commit_counts_as_missing(tmp_path: Path, meta: StoreMeta, damage: object) -> None:
+def test_a_damaged_commit_counts_as_missing(
+    tmp_path: Path, meta: StoreMeta, damage: object
+) -> None:
     store = create_store(str(tmp_path / "s"), meta)
     store.commit("filter", "k", "aa", {})
     path = tmp_path / "s" / "commits" / "filter" / "k.json"
@@ -84,7 +86,9 @@ def test_a_damaged_commit_counts_as_missing(tmp_path: Path, meta: StoreMeta, dam
     assert store.committed("filter") == {}
 
 
-def test_a_half_written_commit_counts_as_missing(local_store: TileStore, tmp_path: Path) -> None:
+def test_a_half_written_commit_counts_as_missing(
+    local_store: TileStore, tmp_path: Path
+) -> None:
     local_store.commit("filter", "k", "aa", {})
     (tmp_path / "store.zarr" / "commits" / "filter" / "l.0123.partial").write_bytes(b'{"crc32"')
     assert list(local_store.committed("filter")) == ["k"]

@@ -56,14 +56,19 @@ ARRAYS: dict[str, tuple[str, Callable[[TileStore], object]]] = {
         c: (f"points/{c}/c.2.0.0", lambda s, f=field: s.window(EVERYWHERE, (f,)))
         for c, field in COLUMNS.items()
     },
-    "labels": ("labels/p/c.0.0.0", lambda store: store.read_labels("p", next(iter(store.buckets())))),
+    "labels": (
+        "labels/p/c.0.0.0",
+        lambda store: store.read_labels("p", next(iter(store.buckets()))),
+    ),
     "spool": ("spool/a/c.0.0", lambda store: store.read_fragment("a", 10, 20)),
 }
 """A chunk of each kind of array, and a function that reads it."""
 
 
 @pytest.mark.parametrize("kind", list(ARRAYS))
-def test_a_damaged_chunk_is_an_error(filled: TileStore, damage: Callable[[Path], None], kind: str) -> None:
+def test_a_damaged_chunk_is_an_error(
+    filled: TileStore, damage: Callable[[Path], None], kind: str
+) -> None:
     cell, info = next(iter(filled.buckets().items()))
     filled.write_labels("p", cell, np.zeros(info.n, np.uint8))
     filled.write_piece("a", make_points(np.arange(100), np.arange(100)))
@@ -73,7 +78,9 @@ def test_a_damaged_chunk_is_an_error(filled: TileStore, damage: Callable[[Path],
         read(open_store(filled.url))
 
 
-def test_a_damaged_raster_is_an_error(local_store: TileStore, damage: Callable[[Path], None]) -> None:
+def test_a_damaged_raster_is_an_error(
+    local_store: TileStore, damage: Callable[[Path], None]
+) -> None:
     local_store.create_raster("dtm", 100, 100)
     block = Block(0, 0, 100, 100)
     local_store.write_block("dtm", block, np.arange(10_000, dtype=np.float32).reshape(100, 100))
@@ -87,7 +94,9 @@ def test_a_damaged_raster_is_an_error(local_store: TileStore, damage: Callable[[
 
 
 @pytest.mark.parametrize("path", ["points/xyz/zarr.json", "zarr.json"])
-def test_any_flipped_bit_of_the_metadata_is_harmless_or_an_error(filled: TileStore, path: str) -> None:
+def test_any_flipped_bit_of_the_metadata_is_harmless_or_an_error(
+    filled: TileStore, path: str
+) -> None:
     """No other exception and no other points; zarr alone would accept a shorter shape or another fill."""
     cell = next(iter(filled.buckets()))
     truth, metadata = filled.read_bucket(cell).xyz, Path(filled.url, path)
@@ -132,7 +141,9 @@ def test_a_damaged_state_is_an_error(local_store: TileStore) -> None:
     local_store.put_state("plan", {"a": 1})
     path = Path(local_store.url, "state", "plan.json")
     path.write_bytes(path.read_bytes().replace(b"1}", b"2}"))
-    with pytest.raises(StoreError, match=r"state/plan\.json: damaged, its checksum does not fit"):
+    with pytest.raises(
+        StoreError, match=r"state/plan\.json: damaged, its checksum does not fit"
+    ):
         local_store.get_state("plan")
 
 
@@ -153,7 +164,11 @@ def test_a_full_disk_is_a_processing_error_with_its_remedy(
 
     monkeypatch.setattr(os, "replace", full)
     cell = next(iter(filled.buckets()))
-    with pytest.raises(DiskFullError, match="No space left on device.: the disk is full; free some"):
+    with pytest.raises(
+        DiskFullError, match="No space left on device.: the disk is full; free some"
+    ):
         filled.put_state("plan", 1)
-    with pytest.raises(DiskFullError, match="points/xyz/c.0.0.0: cannot be written .No space left"):
+    with pytest.raises(
+        DiskFullError, match="points/xyz/c.0.0.0: cannot be written .No space left"
+    ):
         filled.write_bucket(cell, filled.read_bucket(cell, FIELDS), 0)

@@ -17,7 +17,9 @@ from tiler.store.index import BucketIndex
 from tiler.store.layout import ROW_POINTS
 
 cells = st.builds(Cell, st.integers(-5, 5), st.integers(-5, 5))
-requests = st.lists(st.dictionaries(cells, st.integers(0, 350), max_size=20), min_size=1, max_size=4)
+requests = st.lists(
+    st.dictionaries(cells, st.integers(0, 350), max_size=20), min_size=1, max_size=4
+)
 
 
 @given(requests)
@@ -36,7 +38,9 @@ def test_each_row_has_one_owner_after_any_requests(steps: list[dict[Cell, int]])
             if old is not None and old.rows == needed:
                 assert bucket == old
         was = {c: bucket.rows for c in counts if (bucket := before.find(c)) is not None}
-        assert {b.cell for b in moved} == {c for c, rows in was.items() if 0 < rows < largest[c]}
+        assert {b.cell for b in moved} == {
+            c for c, rows in was.items() if 0 < rows < largest[c]
+        }
     found = [index.find(cell) for cell in largest]
     rows = [row for b in found if b is not None for row in range(b.row, b.row + b.rows)]
     assert len(rows) == len(set(rows))

@@ -31,7 +31,11 @@ def test_labels_of_several_rows_come_back(local_store: TileStore) -> None:
     n = ROW_POINTS + 3
     local_store.allocate({Cell(0, 0): n})
     local_store.publish_index(
-        {Cell(0, 0): local_store.write_bucket(Cell(0, 0), make_points(*np.zeros((2, n), int)), 0)}
+        {
+            Cell(0, 0): local_store.write_bucket(
+                Cell(0, 0), make_points(*np.zeros((2, n), int)), 0
+            )
+        }
     )
     labels = np.arange(n).astype(np.uint8)
     local_store.write_labels("p", Cell(0, 0), labels)

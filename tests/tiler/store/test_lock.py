@@ -17,7 +17,15 @@ import pytest
 
 from tests.waiting import wait_until
 from tiler.errors import LockedError
-from tiler.store import StoreMeta, TileStore, create_store, lock, locked_folder, open_store, remove_store
+from tiler.store import (
+    StoreMeta,
+    TileStore,
+    create_store,
+    lock,
+    locked_folder,
+    open_store,
+    remove_store,
+)
 from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 
@@ -34,7 +42,14 @@ def lease(**changes: Any) -> dict[str, Any]:
     me = psutil.Process()
     now = time.time()
     started = lock._start_of(me.pid)
-    body = {"token": "x", **lock._here(), "pid": me.pid, "started": started, "since": now, "renewed": now}
+    body = {
+        "token": "x",
+        **lock._here(),
+        "pid": me.pid,
+        "started": started,
+        "since": now,
+        "renewed": now,
+    }
     return {**body, **changes}
 
 
@@ -135,7 +150,10 @@ def test_a_jump_of_the_clock_does_not_free_a_lease(
     store, now = create_store(store_url, meta), time.time
     with store.lock() as held:
         monkeypatch.setattr(time, "time", lambda: now() + jump)
-        with pytest.raises(LockedError, match="in use by process"), open_store(store_url).lock():
+        with (
+            pytest.raises(LockedError, match="in use by process"),
+            open_store(store_url).lock(),
+        ):
             pass
         held.check()
 
@@ -158,13 +176,17 @@ def test_a_lease_of_a_host_with_another_clock_holds_while_it_is_renewed(
 
 @pytest.mark.processes
 @pytest.mark.parametrize("other", [{"pid_namespace": "pid:[1]"}, {"boot": "another"}])
-def test_a_process_number_of_another_container_means_nothing(other: dict[str, Any], store: TileStore) -> None:
+def test_a_process_number_of_another_container_means_nothing(
+    other: dict[str, Any], store: TileStore
+) -> None:
     """Two containers may share a host name: a process that is missing here may run in the other one."""
     Storage(store.url).put_json(LOCK_KEY, lease(pid=2**22 + 1, **other))
     remedy = r"wait for it, or stop it; if it was killed, its lease ends 120 s"
     with pytest.raises(LockedError, match=remedy), store.lock():
         pass
-    Storage(store.url).put_json(LOCK_KEY, lease(pid=2**22 + 1, renewed=time.time() - 1000, **other))
+    Storage(store.url).put_json(
+        LOCK_KEY, lease(pid=2**22 + 1, renewed=time.time() - 1000, **other)
+    )
     with store.lock() as held:
         held.check()
 
@@ -179,7 +201,10 @@ def test_a_lease_names_boot_and_processes(store_url: str, meta: StoreMeta) -> No
 
 def test_a_folder_of_results_has_a_lease_of_its_own(tmp_path: Path, meta: StoreMeta) -> None:
     with locked_folder(str(tmp_path)):
-        with pytest.raises(LockedError, match=f"{tmp_path}: in use by process"), locked_folder(str(tmp_path)):
+        with (
+            pytest.raises(LockedError, match=f"{tmp_path}: in use by process"),
+            locked_folder(str(tmp_path)),
+        ):
             pass
         with create_store(str(tmp_path / "store.zarr"), meta).lock():
             pass
@@ -190,7 +215,10 @@ def test_a_folder_of_results_has_a_lease_of_its_own(tmp_path: Path, meta: StoreM
 def test_a_run_in_another_container_is_alive(tmp_path: Path, meta: StoreMeta) -> None:
     """A PID namespace of its own with the same host name: process 1 in it is not process 1 here."""
     contained = ["unshare", "--pid", "--fork", "--kill-child"]
-    if shutil.which("unshare") is None or subprocess.run([*contained, "true"], check=False).returncode:
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run([*contained, "true"], check=False).returncode
+    ):
         pytest.skip("no namespaces here")
     store = create_store(str(tmp_path / "s"), meta)
     code = (
@@ -225,7 +253,10 @@ def test_a_disk_without_hard_links_has_leases(
     store = create_store(str(tmp_path / "s"), meta)
     with store.lock() as held:
         held.check()
-        with pytest.raises(LockedError, match="in use by process"), open_store(store.url).lock():
+        with (
+            pytest.raises(LockedError, match="in use by process"),
+            open_store(store.url).lock(),
+        ):
             pass
     with locked_folder(str(tmp_path)):
         pass

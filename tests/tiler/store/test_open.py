@@ -20,7 +20,15 @@ from tiler.core.points import PointBlock
 from tiler.core.raster import Block
 from tiler.core.units import US_SURVEY_FOOT, Units
 from tiler.errors import ConfigError, ForeignStoreError, StoreError
-from tiler.store import StoreMeta, TileStore, create_store, held_store, layout, open_store, remove_store
+from tiler.store import (
+    StoreMeta,
+    TileStore,
+    create_store,
+    held_store,
+    layout,
+    open_store,
+    remove_store,
+)
 from tiler.store.storage import Storage, sealed
 
 FEET = StoreMeta(
@@ -73,7 +81,9 @@ def test_an_unknown_scheme_is_refused() -> None:
         open_store("nosuchscheme://x/y")
 
 
-def test_a_folder_with_other_content_is_neither_used_nor_deleted(tmp_path: Path, meta: StoreMeta) -> None:
+def test_a_folder_with_other_content_is_neither_used_nor_deleted(
+    tmp_path: Path, meta: StoreMeta
+) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(StoreError, match="contains something other"):
         create_store(str(tmp_path), meta)
@@ -93,7 +103,10 @@ def test_a_foreign_zarr_group_is_refused(tmp_path: Path, meta: StoreMeta) -> Non
 
 
 def test_a_store_of_another_schema_is_refused(local_store: TileStore) -> None:
-    edit(Path(local_store.url, "zarr.json"), lambda d: d["attributes"]["tiler_store"].update(schema=99))
+    edit(
+        Path(local_store.url, "zarr.json"),
+        lambda d: d["attributes"]["tiler_store"].update(schema=99),
+    )
     with pytest.raises(StoreError, match="store of schema 99, this version reads"):
         open_store(local_store.url)
 
@@ -118,10 +131,19 @@ def test_a_damaged_description_is_refused(
     ("change", "message"),
     [
         (lambda d: d["codecs"].append({"name": "pickle"}), "codec pickle is not allowed"),
-        (lambda d: d["codecs"].insert(0, {"name": "transpose"}), "codec transpose is not allowed"),
+        (
+            lambda d: d["codecs"].insert(0, {"name": "transpose"}),
+            "codec transpose is not allowed",
+        ),
         (lambda d: d.update(data_type="float64"), "not an array that this version writes"),
-        (lambda d: d["chunk_grid"]["configuration"].update(chunk_shape=[1, 3, 9]), "not an array that this"),
-        (lambda d: d.update(storage_transformers=[{"name": "x"}]), "not an array that this version writes"),
+        (
+            lambda d: d["chunk_grid"]["configuration"].update(chunk_shape=[1, 3, 9]),
+            "not an array that this",
+        ),
+        (
+            lambda d: d.update(storage_transformers=[{"name": "x"}]),
+            "not an array that this version writes",
+        ),
         (lambda d: d.pop("codecs"), "metadata are damaged"),
         (lambda d: d.update(codecs="blosc"), "metadata are damaged"),
     ],
@@ -150,12 +172,20 @@ def test_a_file_in_place_of_a_store_is_refused(tmp_path: Path, meta: StoreMeta) 
     (tmp_path / "store.zarr").write_text("notes")
     with pytest.raises(ForeignStoreError, match="is a file") as caught:
         create_store(str(tmp_path / "store.zarr"), meta)
-    assert caught.value.exit_code == 2, "another place has to be named: nothing was wrong with the work"
+    assert caught.value.exit_code == 2, (
+        "another place has to be named: nothing was wrong with the work"
+    )
 
 
 def test_only_files_of_the_store_are_removed(filled: TileStore) -> None:
     root = Path(filled.url)
-    mine = ["notes.txt", "points/notes.txt", "points/xyz/c.0/notes", "state/notes.md", "clouds/a.laz"]
+    mine = [
+        "notes.txt",
+        "points/notes.txt",
+        "points/xyz/c.0/notes",
+        "state/notes.md",
+        "clouds/a.laz",
+    ]
     mine += ["a.partial", "spool/s0/a.laz", "commits/filter0/notes.txt"]
     for name in mine:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -169,7 +199,9 @@ def test_only_files_of_the_store_are_removed(filled: TileStore) -> None:
     assert not scratch.exists()
     left = remove_store(filled.url)
     assert left == ["a.partial", "clouds", "commits", "notes.txt", "points", "spool", "state"]
-    assert sorted(str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()) == sorted(mine)
+    assert sorted(str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()) == sorted(
+        mine
+    )
     assert (root / "points" / "link").is_symlink()
     with pytest.raises(ForeignStoreError, match="contains something other than a tile store"):
         create_store(filled.url, filled.meta)
@@ -184,7 +216,9 @@ def test_remains_of_a_store_are_replaced(store_url: str, meta: StoreMeta) -> Non
     assert store.committed("filter0") == {}
 
 
-def test_a_folder_with_a_name_of_the_layout_is_no_remains(store_url: str, meta: StoreMeta) -> None:
+def test_a_folder_with_a_name_of_the_layout_is_no_remains(
+    store_url: str, meta: StoreMeta
+) -> None:
     Storage(store_url).put("state/notes.md", b"mine")
     with pytest.raises(ForeignStoreError, match=r"something other than a tile store \(state\)"):
         create_store(store_url, meta)
@@ -194,7 +228,9 @@ def _no_points() -> PointBlock:
     return make_points(*np.empty((2, 0), np.int64))
 
 
-def test_a_store_that_is_begun_anew_keeps_foreign_files(store_url: str, meta: StoreMeta) -> None:
+def test_a_store_that_is_begun_anew_keeps_foreign_files(
+    store_url: str, meta: StoreMeta
+) -> None:
     create_store(store_url, meta, {"tile": "64"}).put_state("plan", 1)
     Storage(store_url).put("notes.txt", b"mine")
     store = create_store(store_url, FEET, {"tile": "32"}, anew=True)
@@ -209,7 +245,10 @@ def test_a_store_of_an_earlier_version_can_be_begun_anew(local_store: TileStore)
     chunk = Path(local_store.url, "points", "xyz", "c", "0", "0", "0")
     chunk.parent.mkdir(parents=True)
     chunk.write_bytes(b"of schema 3")
-    edit(Path(local_store.url, "zarr.json"), lambda d: d["attributes"]["tiler_store"].update(schema=3))
+    edit(
+        Path(local_store.url, "zarr.json"),
+        lambda d: d["attributes"]["tiler_store"].update(schema=3),
+    )
     with pytest.raises(
         ForeignStoreError, match="store of schema 3, this version reads 4; run again with --ov"
     ):
@@ -241,7 +280,9 @@ def _labels(store: TileStore) -> tuple[Cell, np.ndarray]:
 def test_a_store_that_is_a_link_works(tmp_path: Path, meta: StoreMeta) -> None:
     disk, link = tmp_path / "disk", tmp_path / "store.zarr"
     link.symlink_to(disk)
-    with pytest.raises(ForeignStoreError, match="is a link to a missing folder; make the folder"):
+    with pytest.raises(
+        ForeignStoreError, match="is a link to a missing folder; make the folder"
+    ):
         create_store(str(link), meta)
     disk.mkdir()
     create_store(str(link), meta).put_state("plan", 1)

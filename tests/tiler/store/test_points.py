@@ -20,18 +20,24 @@ from tiler.store.layout import ROW_POINTS
 FIELDS = tuple(f.name for f in fields(PointBlock) if f.name != "labels")
 
 coordinates = st.integers(-9_000, 9_000)
-# Coordinates near the lines between buckets (at multiples of 10000/3) are where a point could be lost.
-near_lines = st.builds(lambda i, d: -(-i * 10_000 // 3) + d, st.integers(-2, 2), st.integers(-1, 1))
+# Coordinates near the lines between buckets (at multiples of 10000/3) are where a point could
+# be lost.
+near_lines = st.builds(
+    lambda i, d: -(-i * 10_000 // 3) + d, st.integers(-2, 2), st.integers(-1, 1)
+)
 
 
 def same(a: PointBlock, b: PointBlock, names: tuple[str, ...] = FIELDS) -> bool:
     return all(
-        getattr(a, n).dtype == getattr(b, n).dtype and np.array_equal(getattr(a, n), getattr(b, n))
+        getattr(a, n).dtype == getattr(b, n).dtype
+        and np.array_equal(getattr(a, n), getattr(b, n))
         for n in names
     )
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     where=st.lists(st.tuples(coordinates | near_lines, coordinates | near_lines), max_size=60),
     corners=st.tuples(*[coordinates | near_lines] * 4),
@@ -57,7 +63,8 @@ def test_a_window_holds_the_points_inside_each_once(
         assert same(found.take(place), own.take(own.inside(bounds, meta.frame.origin)))
     assert sum(place.stop - place.start for place in places.values()) == len(found)
     expected = [
-        store.read_bucket(cell, FIELDS, candidates_only) for cell in sorted(infos, key=lambda c: (c.iy, c.ix))
+        store.read_bucket(cell, FIELDS, candidates_only)
+        for cell in sorted(infos, key=lambda c: (c.iy, c.ix))
     ]
     whole = PointBlock.concatenate([block.take(slice(0, 0)), *expected])
     assert same(found, whole.take(whole.inside(bounds, meta.frame.origin)))
@@ -74,7 +81,9 @@ def test_every_column_and_dtype_comes_back(store: TileStore) -> None:
     read = open_store(store.url)
     assert read.buckets() == {Cell(0, 0): BucketInfo(1000, 300)}
     assert same(read.read_bucket(Cell(0, 0), FIELDS), block)
-    assert same(read.read_bucket(Cell(0, 0), FIELDS, candidates_only=True), block.take(slice(0, 300)))
+    assert same(
+        read.read_bucket(Cell(0, 0), FIELDS, candidates_only=True), block.take(slice(0, 300))
+    )
 
 
 def test_only_the_requested_columns_are_read(filled: TileStore) -> None:
@@ -89,7 +98,9 @@ def test_a_bucket_of_several_rows_comes_back(local_store: TileStore) -> None:
     block = make_points(*rng.integers(0, 3333, (2, n)))
     local_store.allocate({Cell(0, 0): n, Cell(1, 0): 1})
     infos = {Cell(0, 0): local_store.write_bucket(Cell(0, 0), block, ROW_POINTS + 1)}
-    infos[Cell(1, 0)] = local_store.write_bucket(Cell(1, 0), make_points(np.array([3334]), np.array([0])), 0)
+    infos[Cell(1, 0)] = local_store.write_bucket(
+        Cell(1, 0), make_points(np.array([3334]), np.array([0])), 0
+    )
     local_store.publish_index(infos)
 
     assert same(local_store.read_bucket(Cell(0, 0), FIELDS), block)
@@ -116,7 +127,9 @@ def test_an_empty_bucket_and_an_empty_store(local_store: TileStore) -> None:
 
 
 def test_a_store_without_colours_has_none(tmp_path: str, meta: StoreMeta) -> None:
-    store = create_store(f"{tmp_path}/s", StoreMeta(meta.frame, meta.bucket, meta.fine, has_rgb=False))
+    store = create_store(
+        f"{tmp_path}/s", StoreMeta(meta.frame, meta.bucket, meta.fine, has_rgb=False)
+    )
     put_points(store, make_points(np.arange(9), np.arange(9), has_rgb=False))
     block = store.read_bucket(Cell(0, 0), FIELDS)
     assert block.rgb is None
@@ -149,7 +162,9 @@ def test_a_bucket_with_wrong_points_is_refused(
         local_store.write_bucket(Cell(0, 0), block, candidates)
 
 
-def test_a_bucket_that_was_not_allocated_or_published_is_refused(local_store: TileStore) -> None:
+def test_a_bucket_that_was_not_allocated_or_published_is_refused(
+    local_store: TileStore,
+) -> None:
     block = make_points(np.array([5]), np.array([5]))
     with pytest.raises(StoreError, match=r"bucket \+00\+00: not in .*; allocate first"):
         local_store.write_bucket(Cell(0, 0), block, 0)
@@ -172,7 +187,9 @@ def test_labels_come_along(filled: TileStore) -> None:
         found = filled.window(everywhere, ("origin",), candidates_only, labels="some")
         expected = [
             given[cell][: info.n_candidates if candidates_only else info.n]
-            for cell, info in sorted(filled.buckets().items(), key=lambda item: (item[0].iy, item[0].ix))
+            for cell, info in sorted(
+                filled.buckets().items(), key=lambda item: (item[0].iy, item[0].ix)
+            )
         ]
         assert found.labels is not None
         assert np.array_equal(found.labels, np.concatenate(expected))

@@ -42,7 +42,8 @@ def test_two_processes_write_different_buckets(local_store: TileStore) -> None:
     local_store.allocate({Cell(ix, 0): 10 + ix for ix in range(40)})
     workers = [
         subprocess.Popen(
-            [sys.executable, "-W", "error", "-c", WORKER, local_store.url, str(a), str(b)], cwd=REPOSITORY
+            [sys.executable, "-W", "error", "-c", WORKER, local_store.url, str(a), str(b)],
+            cwd=REPOSITORY,
         )
         for a, b in [(0, 20), (20, 40)]
     ]
@@ -50,7 +51,9 @@ def test_two_processes_write_different_buckets(local_store: TileStore) -> None:
 
     done = local_store.committed("assemble")
     assert len(done) == 40
-    local_store.publish_index({Cell(int(k), 0): BucketInfo(r["n"], 1) for k, (_, r) in done.items()})
+    local_store.publish_index(
+        {Cell(int(k), 0): BucketInfo(r["n"], 1) for k, (_, r) in done.items()}
+    )
     for ix in range(40):
         block = local_store.read_bucket(Cell(ix, 0), ("xyz", "classification", "rgb", "origin"))
         assert np.array_equal(block.xyz[2], np.arange(10 + ix))
@@ -72,7 +75,9 @@ for i, (cell, info) in enumerate(open_store(url).buckets().items()):
 
 def test_two_processes_start_the_same_labels(filled: TileStore) -> None:
     workers = [
-        subprocess.Popen([sys.executable, "-W", "error", "-c", LABELS, filled.url, str(i)], cwd=REPOSITORY)
+        subprocess.Popen(
+            [sys.executable, "-W", "error", "-c", LABELS, filled.url, str(i)], cwd=REPOSITORY
+        )
         for i in (0, 1)
     ]
     assert [w.wait(timeout=PATIENCE_SECONDS) for w in workers] == [0, 0]

@@ -24,17 +24,23 @@ def test_blocks_come_back_in_any_window(store: TileStore) -> None:
         assert np.array_equal(found, truth[b.row : b.row + b.height, b.col : b.col + b.width])
 
 
-def test_blocks_that_were_not_written_hold_the_fill_and_need_no_object(local_store: TileStore) -> None:
+def test_blocks_that_were_not_written_hold_the_fill_and_need_no_object(
+    local_store: TileStore,
+) -> None:
     local_store.create_raster("dtm", 600, 600)
     local_store.create_raster("count", 600, 600, fill=0.0)
     objects = local_store.usage().objects
-    local_store.write_block("dtm", Block(0, 512, 512, 88), np.full((512, 88), -9999.0, np.float32))
+    local_store.write_block(
+        "dtm", Block(0, 512, 512, 88), np.full((512, 88), -9999.0, np.float32)
+    )
     assert np.all(local_store.read_block("dtm", Block(0, 0, 600, 600)) == -9999.0)
     assert np.all(local_store.read_block("count", Block(0, 0, 600, 600)) == 0.0)
     assert local_store.usage().objects == objects
 
 
-def test_a_raster_made_again_with_the_same_shape_keeps_its_blocks(local_store: TileStore) -> None:
+def test_a_raster_made_again_with_the_same_shape_keeps_its_blocks(
+    local_store: TileStore,
+) -> None:
     block = Block(0, 0, 10, 10)
     local_store.create_raster("dtm", 10, 10)
     local_store.write_block("dtm", block, np.ones((10, 10), np.float32))
@@ -47,7 +53,13 @@ def test_a_raster_made_again_with_the_same_shape_keeps_its_blocks(local_store: T
 
 
 @pytest.mark.parametrize(
-    "block", [Block(0, 0, 512, 100), Block(1, 0, 512, 512), Block(512, 512, 89, 88), Block(0, 0, 600, 600)]
+    "block",
+    [
+        Block(0, 0, 512, 100),
+        Block(1, 0, 512, 512),
+        Block(512, 512, 89, 88),
+        Block(0, 0, 600, 600),
+    ],
 )
 def test_a_block_that_shares_a_chunk_is_refused(local_store: TileStore, block: Block) -> None:
     local_store.create_raster("dtm", 600, 600)

@@ -21,13 +21,22 @@ def test_any_range_comes_back(local_store: TileStore) -> None:
         keeper = local_store.keep_records(f"p{number}", "same", TYPE.itemsize)
         for at in range(start, start + length, SPOOL_CHUNK):
             keeper.add(records[at : min(at + SPOOL_CHUNK, start + length)])
-        assert local_store.records([KeptPiece(f"p{number}", 0, length, "same")], length, TYPE) is None
+        assert (
+            local_store.records([KeptPiece(f"p{number}", 0, length, "same")], length, TYPE)
+            is None
+        )
         keeper.close()
         pieces.append(KeptPiece(f"p{number}", start, length, "same"))
         start += length
     kept = local_store.records(pieces, total, TYPE)
     assert kept is not None
-    for first, count in [(0, total), (0, 1), (SPOOL_CHUNK - 1, 12), (SPOOL_CHUNK + 9, 7), (total - 1, 1)]:
+    for first, count in [
+        (0, total),
+        (0, 1),
+        (SPOOL_CHUNK - 1, 12),
+        (SPOOL_CHUNK + 9, 7),
+        (total - 1, 1),
+    ]:
         assert np.array_equal(kept.read(first, count), records[first : first + count])
 
 

@@ -19,10 +19,14 @@ class _Body:
         pass
 
 
-def test_reading_an_object_is_one_request_whether_it_exists_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_an_object_is_one_request_whether_it_exists_or_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     calls = []
 
-    async def answer(self: Any, method: str, *arguments: Any, **keywords: Any) -> dict[str, Any]:
+    async def answer(
+        self: Any, method: str, *arguments: Any, **keywords: Any
+    ) -> dict[str, Any]:
         calls.append((method, keywords["Key"]))
         if keywords["Key"].endswith("missing.json"):
             raise FileNotFoundError(keywords["Key"])

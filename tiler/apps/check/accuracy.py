@@ -1,8 +1,9 @@
 """Accuracy of a DTM at checkpoints.
 
-It follows the ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023, version 2 of 2024).
-Accuracy is the RMSE, without a factor for 95 % confidence, and includes the checkpoints' own error. A statement needs
-at least 30 checkpoints (more above 1000 km2, 120 at most). Vegetated accuracy (VVA) is reported and never judged.
+It follows the ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023,
+version 2 of 2024). Accuracy is the RMSE, without a factor for 95 % confidence, and includes the
+checkpoints' own error. A statement needs at least 30 checkpoints (more above 1000 km2, 120 at
+most). Vegetated accuracy (VVA) is reported and never judged.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ _ROUNDING = 1e-9
 Floats = npt.NDArray[np.float64]
 
 
-def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None = None) -> Accuracy:
+def check_dtm(
+    dtm: Path | str, points: Checkpoints, options: PointOptions | None = None
+) -> Accuracy:
     """Compare a DTM, interpolated bilinearly between pixel centres, with checkpoints.
 
     Raises
@@ -62,7 +65,9 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     difference = sampled - z
     own_error = options.rmse / float(metres)
     if not own_error:
-        notes.append("the checkpoints' own error is assumed to be 0; give it with --points-rmse")
+        notes.append(
+            "the checkpoints' own error is assumed to be 0; give it with --points-rmse"
+        )
     kinds, covers = np.array(points.kinds), np.array(points.covers)
     nva, vva = (_figures(difference[kinds == kind], own_error) for kind in (NVA, VVA))
     return {
@@ -78,7 +83,9 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
         "nva": nva,
         "vva": vva,
         "land_cover": {
-            n: _figures(difference[covers == n], own_error) for n in sorted(set(points.covers)) if n
+            n: _figures(difference[covers == n], own_error)
+            for n in sorted(set(points.covers))
+            if n
         },
         "asprs": _statement(nva, vva, area_km2, float(metres)),
         "differences": _checked_points(points, (x, y, z), sampled, difference),
@@ -96,7 +103,15 @@ def _checked_points(
     )  # fmt: skip
     return [
         CheckedPoint(
-            name=name, x=x, y=y, kind=kind, cover=cover, z=z, dtm=dtm, difference=d, outlier=is_outlier
+            name=name,
+            x=x,
+            y=y,
+            kind=kind,
+            cover=cover,
+            z=z,
+            dtm=dtm,
+            difference=d,
+            outlier=is_outlier,
         )
         for name, x, y, kind, cover, z, dtm, d, is_outlier in zip(*columns, strict=True)
     ]
@@ -131,7 +146,9 @@ def _in_crs_of(
         ) from error
     source, target = split(named)[0], split(raster_crs)[0]
     if source is None or target is None:
-        raise ConfigError(f"{text}: has no horizontal part; give the CRS of x and y with --points-crs")
+        raise ConfigError(
+            f"{text}: has no horizontal part; give the CRS of x and y with --points-crs"
+        )
     if same_horizontal(source, target):
         return x, y
     notes.append(
@@ -164,7 +181,9 @@ def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.
         Mask of the positions that lie beyond the raster's pixels.
     """
     columns, rows = pixel_places(raster.transform, x, y)
-    outside = ~((columns >= 0) & (columns <= raster.width) & (rows >= 0) & (rows <= raster.height))
+    outside = ~(
+        (columns >= 0) & (columns <= raster.width) & (rows >= 0) & (rows <= raster.height)
+    )
     heights = np.full(x.size, np.nan)
     for i in np.flatnonzero(~outside):
         heights[i] = _between_centres(raster, float(columns[i]) - 0.5, float(rows[i]) - 0.5)
@@ -179,7 +198,8 @@ def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     a, b, c, d, e, f = tuple(transform)[:6]
     determinant = a * e - b * d
     across, down = np.asarray(x) - c, np.asarray(y) - f
-    with np.errstate(invalid="ignore"):  # A failed transformation gives infinity, which is beyond all pixels.
+    # A failed transformation gives infinity, which is beyond all pixels.
+    with np.errstate(invalid="ignore"):
         return (e * across - b * down) / determinant, (a * down - d * across) / determinant
 
 
@@ -247,7 +267,9 @@ def _area_km2(raster: Any) -> float:
     return pixel * int(raster.width) * int(raster.height) / 1e6
 
 
-def _statement(nva: AccuracyFigures, vva: AccuracyFigures, area_km2: float, metres: float) -> Statement:
+def _statement(
+    nva: AccuracyFigures, vva: AccuracyFigures, area_km2: float, metres: float
+) -> Statement:
     """Return the accuracy statement of the standard from the figures of NVA and VVA checkpoints."""
     needed = min_points(area_km2)
     enough = nva["points"] >= needed
@@ -260,4 +282,9 @@ def _statement(nva: AccuracyFigures, vva: AccuracyFigures, area_km2: float, metr
         if vva["rmse_v"] is not None:
             text += f", the actual VVA accuracy RMSEV = {100 * metres * vva['rmse_v']:.1f} cm with {vva['points']}"
         text += "."
-    return {"standard": STANDARD, "least_points": needed, "enough_points": enough, "statement": text}
+    return {
+        "standard": STANDARD,
+        "least_points": needed,
+        "enough_points": enough,
+        "statement": text,
+    }

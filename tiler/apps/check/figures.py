@@ -1,7 +1,8 @@
 """Drawings of a check: a histogram of the differences and a map of the checkpoints.
 
-They are SVG, because the labels of axes need fonts, which every SVG viewer has. A plotting library would be a
-dependency for only two drawings. The map contains the hillshade of the report as a PNG.
+They are SVG, because the labels of axes need fonts, which every SVG viewer has. A plotting
+library would be a dependency for only two drawings. The map contains the hillshade of the
+report as a PNG.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ _NONE = "#777"
 FILES = ("histogram.svg", "map.svg")
 
 
-def validate_figure_files(folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]) -> None:
+def validate_figure_files(
+    folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]
+) -> None:
     """Raise ConfigError if `write_figures` would replace files that are not drawings of a check."""
     reads: list[str | Path] = list(files_of_raster(dtm))
     if points is not None:
@@ -97,7 +100,9 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Accuracy) -> li
         The files cannot be written.
     """
     folder = Path(folder)
-    drawings = dict(zip(FILES, (histogram(accuracy), point_map(as_path(dtm), accuracy)), strict=True))
+    drawings = dict(
+        zip(FILES, (histogram(accuracy), point_map(as_path(dtm), accuracy)), strict=True)
+    )
     with raster_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in drawings.items():
@@ -126,9 +131,13 @@ def histogram(accuracy: Accuracy) -> str:
     """Return a histogram of the differences as SVG."""
     unit = accuracy["unit"]
     title = f"DTM minus checkpoint, {unit}"
-    values = np.array([p["difference"] for p in accuracy["differences"] if p["difference"] is not None])
+    values = np.array(
+        [p["difference"] for p in accuracy["differences"] if p["difference"] is not None]
+    )
     if values.size == 0:
-        return _drawing(WIDTH, HEIGHT, title, [_text(WIDTH / 2, HEIGHT / 2, "no checkpoint has a height")])
+        return _drawing(
+            WIDTH, HEIGHT, title, [_text(WIDTH / 2, HEIGHT / 2, "no checkpoint has a height")]
+        )
     low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
     if low >= high:
         low, high = -0.5, 0.5
@@ -186,10 +195,15 @@ def point_map(dtm: Path, accuracy: Accuracy) -> str:
     width, height = picture.size
     parts = [f'<image width="{width}" height="{height}" href="{picture.uri}"/>']
     points = accuracy["differences"]
-    x, y = np.array([point["x"] for point in points]), np.array([point["y"] for point in points])
+    x, y = (
+        np.array([point["x"] for point in points]),
+        np.array([point["y"] for point in points]),
+    )
     columns, rows = pixel_places(transform, x, y)
     largest = accuracy["all"]["p95_abs"] or 1.0
-    for point, column, row in zip(points, columns * width / shape[1], rows * height / shape[0], strict=True):
+    for point, column, row in zip(
+        points, columns * width / shape[1], rows * height / shape[0], strict=True
+    ):
         difference = point["difference"]
         caption, outline = "no height", ' stroke="#fff"'
         if difference is not None:

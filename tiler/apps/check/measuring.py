@@ -51,7 +51,13 @@ def measure(
         validate_figure_files(figures, dtm, points, strips)
     read = [path for path in (dtm, points) if path is not None]
     accuracy, seams = call_isolated(
-        _accuracy_and_seams, dtm, points, options, tile_m, paths=read, memory_bytes=half_of_memory()
+        _accuracy_and_seams,
+        dtm,
+        points,
+        options,
+        tile_m,
+        paths=read,
+        memory_bytes=half_of_memory(),
     )
     measured: Measured = {"dtm": str(dtm)}
     if accuracy is not None:

@@ -121,7 +121,9 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     path = Path(path)
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give a CSV, GeoJSON or GeoPackage file of checkpoints")
+        raise InputError(
+            f"{path}: no such file; give a CSV, GeoJSON or GeoPackage file of checkpoints"
+        )
     if suffix in (".csv", ".txt"):
         rows, crs, notes = list(_csv_rows(path)), None, []
     else:
@@ -132,7 +134,9 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)
     if not any(row.kind for row in rows):
-        notes.append("no column contains NVA or VVA: all checkpoints are assumed to be non-vegetated (NVA)")
+        notes.append(
+            "no column contains NVA or VVA: all checkpoints are assumed to be non-vegetated (NVA)"
+        )
     return Checkpoints(
         np.array([[row.x for row in rows], [row.y for row in rows]], np.float64),
         np.array([row.z for row in rows], np.float64),
@@ -168,7 +172,9 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
         except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not math.isfinite(number):
-            raise InputError(f"{place}: {axis} {excerpt(text)} is not a number (1234.5, with a point)")
+            raise InputError(
+                f"{place}: {axis} {excerpt(text)} is not a number (1234.5, with a point)"
+            )
         if abs(number) >= FARTHEST:
             raise InputError(
                 f"{place}: {axis} {excerpt(text)} is beyond {FARTHEST:g}, the largest coordinate; check it"
@@ -200,13 +206,20 @@ def _csv_rows(path: Path) -> Iterator[Row]:
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); save it as UTF-8 text") from error
-    numbered = [(i, s) for i, s in enumerate(lines, start=1) if s.strip() and not s.lstrip().startswith("#")]
+    numbered = [
+        (i, s)
+        for i, s in enumerate(lines, start=1)
+        if s.strip() and not s.lstrip().startswith("#")
+    ]
     if not numbered:
         return
     first = numbered[0][1]
     delimiter = max(";\t,", key=first.count)
     # Lines are split one by one, so that an unclosed quote does not swallow the lines after it.
-    head = [cell.strip().lower() for cell in _cells(first, delimiter, f"{path}: line {numbered[0][0]}")]
+    head = [
+        cell.strip().lower()
+        for cell in _cells(first, delimiter, f"{path}: line {numbered[0][0]}")
+    ]
     names: Sequence[str] = head
     if _is_number(head[0]) or (len(head) > 1 and _is_number(head[1])):
         names = _ORDER
@@ -222,7 +235,9 @@ def _cells(line: str, delimiter: str, place: str) -> list[str]:
     try:
         return next(csv.reader([line], delimiter=delimiter, strict=True))
     except csv.Error as error:
-        raise InputError(f"{place}: is not a line of a table ({error}); check its quotes") from error
+        raise InputError(
+            f"{place}: is not a line of a table ({error}); check its quotes"
+        ) from error
 
 
 def _is_number(text: str) -> bool:

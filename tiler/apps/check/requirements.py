@@ -79,7 +79,9 @@ def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
     for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
         if not sign or name not in METRICS:
-            raise ConfigError(f"--require {text}; give NAME=VALUE with one of {', '.join(METRICS)}")
+            raise ConfigError(
+                f"--require {text}; give NAME=VALUE with one of {', '.join(METRICS)}"
+            )
         if METRICS[name].is_length:
             requirements.append(Requirement(name, parse_length(value)))
         elif value.isdecimal():
@@ -102,7 +104,9 @@ def judge(requirements: Sequence[Requirement], measured: Measured) -> list[Judge
         metric = METRICS[requirement.name]
         part: Any = measured.get(metric.part)
         if part is None:
-            option = {"accuracy": "--points", "seams": "--tile-size", "strips": "--strips"}[metric.part]
+            option = {"accuracy": "--points", "seams": "--tile-size", "strips": "--strips"}[
+                metric.part
+            ]
             raise ConfigError(f"--require {requirement.name}: is not measured without {option}")
         value = metric.value(part)
         if value is not None and metric.is_length:

@@ -88,9 +88,9 @@ class Steps(TypedDict):
 class Seams(TypedDict):
     """Steps within tiles (``interior``), across the edges of tiles and blocks, and on lines next to these edges.
 
-    The heights are in ``unit``, and the sides of tiles and buckets in units of the CRS. ``excess`` is the mean jump
-    across edges of tiles minus the mean jump next to them, or within tiles if the tiles are too small for lines next to
-    edges.
+    The heights are in ``unit``, and the sides of tiles and buckets in units of the CRS.
+    ``excess`` is the mean jump across edges of tiles minus the mean jump next to them, or
+    within tiles if the tiles are too small for lines next to edges.
     """
 
     unit: str

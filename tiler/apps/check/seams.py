@@ -1,11 +1,12 @@
 """Steps of a DTM across the edges of tiles, compared with steps within tiles.
 
-A *step* is the absolute difference of two neighbouring pixels. A *jump* is the part of a step that the slopes on both
-sides do not explain. For heights a, b, c, d in a row, the jump between b and c is |(c - b) - ((b - a) + (d - c)) / 2|.
-It is 0 on any plane and any parabola, so it shows a seam on steep ground as well.
+A *step* is the absolute difference of two neighbouring pixels. A *jump* is the part of a step
+that the slopes on both sides do not explain. For heights a, b, c, d in a row, the jump between
+b and c is |(c - b) - ((b - a) + (d - c)) / 2|. It is 0 on any plane and any parabola, so it
+shows a seam on steep ground as well.
 
-A few edges cross only a small part of the terrain, which may be rougher than the rest. So edges are compared with the
-lines of pixels next to them, which cross the same terrain.
+A few edges cross only a small part of the terrain, which may be rougher than the rest. So edges
+are compared with the lines of pixels next to them, which cross the same terrain.
 """
 
 from __future__ import annotations
@@ -22,7 +23,12 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from tiler.apps.check.results import Seams, Steps
-from tiler.apps.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
+from tiler.apps.evaluate.heights import (
+    blocks_with_files,
+    horizontal_unit,
+    read_heights,
+    vertical_unit,
+)
 from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import unit_label, unit_named
@@ -122,11 +128,14 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
             raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
         metres = vertical_unit(raster)
         tallies = {
-            name: (StepStatistics(), StepStatistics()) for name in ("interior", "tiles", "beside_tiles")
+            name: (StepStatistics(), StepStatistics())
+            for name in ("interior", "tiles", "beside_tiles")
         }
         for steps, jumps, marks in _pairs(raster, edges):
             for name, mark in marks.items():
-                of_steps, of_jumps = tallies.setdefault(name, (StepStatistics(), StepStatistics()))
+                of_steps, of_jumps = tallies.setdefault(
+                    name, (StepStatistics(), StepStatistics())
+                )
                 of_steps.add(steps[mark])
                 of_jumps.add(jumps[mark])
     found = {name: _steps(*tallies[name]) for name in KINDS if name in tallies}
@@ -191,7 +200,8 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> Seams | None:
 def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict[str, Bools]]]:
     """Yield steps and jumps of neighbouring pixels, and masks of their kinds.
 
-    Each block yields the neighbours along rows, then along columns. Values next to pixels without data are NaN.
+    Each block yields the neighbours along rows, then along columns. Values next to pixels
+    without data are NaN.
     """
     transform, (height, width) = raster.transform, raster.shape
     columns = _marks(transform.c, transform.a, width, edges)
@@ -203,7 +213,9 @@ def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict
         yield _differences(down, {k: m[row : row + high] for k, m in rows.items()})
 
 
-def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floats, dict[str, Bools]]:
+def _differences(
+    heights: Floats, marks: dict[str, Bools]
+) -> tuple[Floats, Floats, dict[str, Bools]]:
     """Return steps and jumps between columns i + 1 and i + 2 of ``heights``, and masks of their kinds.
 
     The results have three columns fewer than ``heights``.
@@ -211,7 +223,11 @@ def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floa
     a, b, c, d = heights[:, :-3], heights[:, 1:-2], heights[:, 2:-1], heights[:, 3:]
     steps = np.abs(c - b)
     jumps = np.abs((c - b) - ((b - a) + (d - c)) / 2)
-    return steps, jumps, {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()}
+    return (
+        steps,
+        jumps,
+        {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()},
+    )
 
 
 def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
@@ -219,7 +235,8 @@ def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str
     low, high = sorted((start, start + size * pixels))
     edge_mask = np.zeros(pixels + 1, np.bool_)
     for edge in edges.between(low, high):
-        # In the order of the file, this is the first pixel whose centre lies on or beyond the edge.
+        # In the order of the file, this is the first pixel whose centre lies on or beyond the
+        # edge.
         position = (edge - start) / size - 0.5
         edge_mask[min(math.ceil(position - 1e-9), pixels)] = True
     edge_mask[0] = False
@@ -228,7 +245,9 @@ def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str
         at = np.arange(pixels)
         marks["blocks"] = (at % BLOCK_PIXELS == 0) & (at > 0)
     close = np.any([_within(BESIDE[0] - 1, mark) for mark in marks.values()], axis=0)
-    beside = {f"beside_{name}": _within(BESIDE[1], mark) & ~close for name, mark in marks.items()}
+    beside = {
+        f"beside_{name}": _within(BESIDE[1], mark) & ~close for name, mark in marks.items()
+    }
     return {"interior": ~np.any(list(marks.values()), axis=0), **marks, **beside}
 
 
@@ -255,5 +274,15 @@ def edges_of_run(dtm: Path) -> TileEdges | None:
         if not (0 < bucket < math.inf and 0 < tile < math.inf):
             raise ValueError(f"tiles of {tile}, buckets of {bucket}")
         return TileEdges(tile, bucket, blocks=True)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, ConfigError) as error:
-        raise InputError(f"{path}: is not of a run of this version ({error!r}); give --tile-size") from error
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+        ConfigError,
+    ) as error:
+        raise InputError(
+            f"{path}: is not of a run of this version ({error!r}); give --tile-size"
+        ) from error

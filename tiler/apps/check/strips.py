@@ -40,7 +40,8 @@ Int64s = npt.NDArray[np.int64]
 def strip_differences(clouds: Sequence[str | Path]) -> Strips:
     """Compare the ground heights of strips in the cells of 2 m that they share.
 
-    The files are read piece by piece. Memory grows with the number of cells that contain ground.
+    The files are read piece by piece. Memory grows with the number of cells that contain
+    ground.
 
     Parameters
     ----------
@@ -98,8 +99,9 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
 def _compared(keys: Int64s, sums: Floats, max_rough: float) -> ComparedStrips:
     """Return the differences of all pairs of strips in the cells that they share.
 
-    The rows of ``keys`` are strip, column and row, sorted by row, column and strip. The rows of ``sums`` are the number
-    of points, the sum of their heights, and the sum of their squared heights.
+    The rows of ``keys`` are strip, column and row, sorted by row, column and strip. The rows of
+    ``sums`` are the number of points, the sum of their heights, and the sum of their squared
+    heights.
     """
     n, total, squares = sums
     mean = total / n
@@ -124,6 +126,16 @@ def _compared(keys: Int64s, sums: Floats, max_rough: float) -> ComparedStrips:
     for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True))):
         pair_differences = difference[(of_first == a) & (of_second == b)]
         pairs.append(
-            {"first": a, "second": b, "cells": int(pair_differences.size), **spread(pair_differences)}
+            {
+                "first": a,
+                "second": b,
+                "cells": int(pair_differences.size),
+                **spread(pair_differences),
+            }
         )
-    return {"cells": int(difference.size), "rough": rough, "all": spread(difference), "pairs": pairs}
+    return {
+        "cells": int(difference.size),
+        "rough": rough,
+        "all": spread(difference),
+        "pairs": pairs,
+    }

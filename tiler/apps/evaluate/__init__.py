@@ -6,9 +6,20 @@
 """
 
 from tiler.apps.evaluate.clouds import evaluate_files
-from tiler.apps.evaluate.heights import evaluate_dtm, files_of_raster, sigma_beside, validate_targets
+from tiler.apps.evaluate.heights import (
+    evaluate_dtm,
+    files_of_raster,
+    sigma_beside,
+    validate_targets,
+)
 from tiler.apps.evaluate.labels import IGNORED, confusion, evaluate_labels, scores
-from tiler.apps.evaluate.scenes import MapRequest, Scene, evaluate_scenes, filter_and_evaluate, find_scenes
+from tiler.apps.evaluate.scenes import (
+    MapRequest,
+    Scene,
+    evaluate_scenes,
+    filter_and_evaluate,
+    find_scenes,
+)
 
 __all__ = [
     "IGNORED",

@@ -68,7 +68,9 @@ class LabelComparison:
     def facts(self, ignore: Sequence[int]) -> LabelScores:
         """Return the scores, overall and by class, and the numbers of points left out."""
         per_class = self.table.sum(axis=1)
-        left_out: dict[str, int] = {str(code): int(per_class[code]) for code in ignore if per_class[code]}
+        left_out: dict[str, int] = {
+            str(code): int(per_class[code]) for code in ignore if per_class[code]
+        }
         return {
             **scores(counts_of(self.table, ignore)),
             "ignore": sorted(ignore),
@@ -78,12 +80,15 @@ class LabelComparison:
         }
 
 
-def evaluate_files(cloud: Path | str, reference: Path | str, ignore: Sequence[int] = IGNORED) -> CloudScores:
+def evaluate_files(
+    cloud: Path | str, reference: Path | str, ignore: Sequence[int] = IGNORED
+) -> CloudScores:
     """Score the classes of a cloud against those of a reference cloud.
 
-    Files with the same points in the same order are read side by side in bounded memory. Otherwise both are held in
-    memory, and points are paired by their coordinates, rounded to counts of `PER_UNIT`. Points at one position are
-    paired in the order of their files. Points that are withheld in the reference are not judged.
+    Files with the same points in the same order are read side by side in bounded memory.
+    Otherwise both are held in memory, and points are paired by their coordinates, rounded to
+    counts of `PER_UNIT`. Points at one position are paired in the order of their files. Points
+    that are withheld in the reference are not judged.
 
     Raises
     ------
@@ -110,7 +115,9 @@ def compare_files(
     cloud_points, true = _whole(cloud), _whole(reference)
     in_cloud, in_reference = _pairs(cloud_points.place, true.place)
     if len(in_cloud) == 0:
-        raise InputError(f"{reference}: none of its points is in {cloud}; give the reference of this cloud")
+        raise InputError(
+            f"{reference}: none of its points is in {cloud}; give the reference of this cloud"
+        )
     findings.add(cloud_points.classes[in_cloud], true.take(in_reference))
     return findings, {
         "matched_by": "coordinates",
@@ -155,16 +162,21 @@ def _whole(path: Path) -> ClassifiedPoints:
     )
 
 
-def _pairs(place: Int64s, true_place: Int64s) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _pairs(
+    place: Int64s, true_place: Int64s
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     both = np.concatenate((place, true_place), axis=1)
-    # The n-th point at a position is paired with the n-th point of the other file at that position.
+    # The n-th point at a position is paired with the n-th point of the other file at that
+    # position.
     order = np.lexsort((both[2], both[1], both[0]))
     ordered = both[:, order]
     new = np.r_[True, np.any(ordered[:, 1:] != ordered[:, :-1], axis=0)]
     group = np.empty(len(order), np.int64)
     group[order] = np.cumsum(new) - 1
     cloud_numbers, other = (_numbered(part) for part in np.split(group, [place.shape[1]]))
-    _, in_cloud, in_reference = np.intersect1d(cloud_numbers, other, assume_unique=True, return_indices=True)
+    _, in_cloud, in_reference = np.intersect1d(
+        cloud_numbers, other, assume_unique=True, return_indices=True
+    )
     return in_cloud, in_reference
 
 

@@ -79,7 +79,11 @@ def evaluate_dtm(
         pair = stack.enter_context(_opened(Path(dtm), Path(truth)))
         write = stack.enter_context(_difference_writer(difference, pair))
         unit = unit_label(vertical_unit(pair.truth))
-        judge = None if sigma is None else _Judge(stack.enter_context(_opened(Path(sigma), Path(truth))))
+        judge = (
+            None
+            if sigma is None
+            else _Judge(stack.enter_context(_opened(Path(sigma), Path(truth))))
+        )
         for row, col, dtm_heights, true in _blocks(pair):
             has_mine, has_true = np.isfinite(dtm_heights), np.isfinite(true)
             common = has_mine & has_true
@@ -198,7 +202,9 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
     ):
 
         def write(block: Float64s, row: int, col: int) -> None:
-            raster.write(np.where(np.isfinite(block), block, NODATA).astype(np.float32), row, col)
+            raster.write(
+                np.where(np.isfinite(block), block, NODATA).astype(np.float32), row, col
+            )
 
         yield write
 
@@ -210,7 +216,9 @@ def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
         _check_places(dtm, dtm_raster, truth, true)
         a, b = dtm_raster.transform, true.transform
         col, row = (a.c - b.c) / b.a, (a.f - b.f) / b.e
-        if not (np.allclose((a.a, a.e), (b.a, b.e)) and _whole_number(col) and _whole_number(row)):
+        if not (
+            np.allclose((a.a, a.e), (b.a, b.e)) and _whole_number(col) and _whole_number(row)
+        ):
             raise ConfigError(
                 f"{dtm} and {truth} do not lie on one pixel lattice (pixels of {a.a:g} and {b.a:g}, "
                 f"shifted by {col % 1:.3f} and {row % 1:.3f}); make the DTM with the truth's resolution"
@@ -250,8 +258,9 @@ def _blocks(pair: Pair) -> Iterator[tuple[int, int, Float64s, Float64s]]:
 def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int, int]]:
     """Yield row, column, height and width of the blocks of an open raster.
 
-    Blocks of a VRT are left out if they are not near a file of the VRT or of ``others``, rasters on the same lattice. A
-    VRT over the sheets of distant sites has millions of empty blocks.
+    Blocks of a VRT are left out if they are not near a file of the VRT or of ``others``,
+    rasters on the same lattice. A VRT over the sheets of distant sites has millions of empty
+    blocks.
     """
     height, width = raster.shape
     if raster.driver == "VRT" and not (raster.transform.b or raster.transform.d):
@@ -280,8 +289,12 @@ def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
     transform = vrt.transform
     left, right = sorted((x - transform.c) / transform.a for x in (x0, x1))
     top, bottom = sorted((y - transform.f) / transform.e for y in (y0, y1))
-    for row in range(max(int(top) - 1, 0) // BLOCK * BLOCK, min(int(bottom) + 2, vrt.height), BLOCK):
-        for col in range(max(int(left) - 1, 0) // BLOCK * BLOCK, min(int(right) + 2, vrt.width), BLOCK):
+    for row in range(
+        max(int(top) - 1, 0) // BLOCK * BLOCK, min(int(bottom) + 2, vrt.height), BLOCK
+    ):
+        for col in range(
+            max(int(left) - 1, 0) // BLOCK * BLOCK, min(int(right) + 2, vrt.width), BLOCK
+        ):
             yield row, col
 
 
@@ -303,7 +316,9 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
     bottom, right = min(row + height, raster.height), min(col + width, raster.width)
     if top < bottom and left < right:
         with raster_named(raster.name):
-            part = raster.read(1, window=((top, bottom), (left, right)), masked=True).astype(np.float64)
+            part = raster.read(1, window=((top, bottom), (left, right)), masked=True).astype(
+                np.float64
+            )
         heights[top - row : bottom - row, left - col : right - col] = part.filled(np.nan)
     return heights
 

@@ -19,7 +19,8 @@ from tiler.core.classes import GROUND
 from tiler.errors import InputError
 
 IGNORED = (7, 9, 17, 18, 26, 64, 65, 66, 67)
-"""Reference classes that are neither ground nor object: noise, water, bridges, virtual points, artefacts."""
+"""Reference classes that are neither ground nor object: noise, water, bridges, virtual points,
+artefacts."""
 
 ERRORS = ("type_1", "type_2", "total", "kappa", "f1")
 
@@ -41,7 +42,9 @@ def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
         For each reference class, the number of points not labelled ground, and the number labelled ground.
     """
     if labels.shape != reference.shape:
-        raise InputError(f"{labels.size} labels against {reference.size} true ones; compare the same points")
+        raise InputError(
+            f"{labels.size} labels against {reference.size} true ones; compare the same points"
+        )
     key = 2 * reference.astype(np.intp) + (labels == GROUND)
     return np.bincount(key, minlength=512).reshape(256, 2).astype(np.int64)
 
@@ -58,7 +61,9 @@ def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
     if not left_out[GROUND]:
         ground = table[GROUND]
         objects = objects - ground
-    return np.array([ground[1], ground[0], objects[1], objects[0], table[left_out].sum()], np.int64)
+    return np.array(
+        [ground[1], ground[0], objects[1], objects[0], table[left_out].sum()], np.int64
+    )
 
 
 def confusion(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> Int64s:
@@ -101,7 +106,9 @@ def ratio(part: float, whole: int) -> float | None:
     return part / whole
 
 
-def evaluate_labels(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> Scores:
+def evaluate_labels(
+    labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED
+) -> Scores:
     """Return the `scores` of labels and reference classes, with the arguments of `confusion`."""
     return scores(confusion(labels, reference, ignore))
 

@@ -99,7 +99,8 @@ class ErrorGrid:
         taken = (truth[seen] != GROUND) & (labels[seen] == GROUND)
         counts = np.stack((np.ones(lost.size, np.int64), lost, taken)).astype(np.int64)
         self.places, self.counts = summed(
-            np.concatenate((self.places, cells), axis=1), np.concatenate((self.counts, counts), axis=1)
+            np.concatenate((self.places, cells), axis=1),
+            np.concatenate((self.counts, counts), axis=1),
         )
 
     def coarser(self, factor: int) -> ErrorGrid:
@@ -199,13 +200,21 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
     west, north, width, height = grid.extent
     side = float(grid.cell)
     transform = (side, 0.0, float(west * grid.cell), 0.0, -side, float((north + 1) * grid.cell))
-    profile = {"count": len(BANDS), "dtype": "uint8", "nodata": NONE, "crs": crs, "compress": "deflate"}
+    profile = {
+        "count": len(BANDS),
+        "dtype": "uint8",
+        "nodata": NONE,
+        "crs": crs,
+        "compress": "deflate",
+    }
     with (
         any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
         raster_errors(path),
         atomic_path(path) as partial,
-        rasterio.open(partial, "w", **tiled_profile(height, width, transform), **profile) as raster,
+        rasterio.open(
+            partial, "w", **tiled_profile(height, width, transform), **profile
+        ) as raster,
     ):
         for row in range(0, height, BLOCK_PIXELS):
             rows = min(BLOCK_PIXELS, height - row)

@@ -33,7 +33,8 @@ def open_raster(path: Path | str, what: str = "cannot be read") -> Iterator[Any]
         The raster cannot be opened or read, or its texts or its CRS are invalid.
     """
     with raster_named(path, what), opened(path) as raster:
-        # Damaged text is reported here. Later, with two rasters open, the damaged one would be unknown.
+        # Damaged text is reported here. Later, with two rasters open, the damaged one would be
+        # unknown.
         _ = raster.units, raster.tags(), raster.tags(1), raster.crs
         yield raster
 

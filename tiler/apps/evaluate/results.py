@@ -11,8 +11,9 @@ from tiler.core.difference_statistics import Spread
 class Scores(TypedDict):
     """Numbers of points, errors and agreement of labels.
 
-    Fractions are None for a division by zero. ``object_taken`` is the number of points of objects that are labelled
-    ground. ``kappa`` is that of Cohen, ``f1`` that of ground. `tiler.apps.evaluate.labels` defines the errors.
+    Fractions are None for a division by zero. ``object_taken`` is the number of points of
+    objects that are labelled ground. ``kappa`` is that of Cohen, ``f1`` that of ground.
+    `tiler.apps.evaluate.labels` defines the errors.
     """
 
     points: int

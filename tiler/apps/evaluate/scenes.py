@@ -12,7 +12,13 @@ from tiler.apps.classify import classify_file
 from tiler.apps.evaluate.clouds import LabelComparison, compare_files
 from tiler.apps.evaluate.labels import IGNORED, mean_scores
 from tiler.apps.evaluate.maps import ErrorGrid, write_error_map
-from tiler.apps.evaluate.results import FilteredScene, FilterReport, Pairing, SceneReport, SceneScores
+from tiler.apps.evaluate.results import (
+    FilteredScene,
+    FilterReport,
+    Pairing,
+    SceneReport,
+    SceneScores,
+)
 from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
@@ -77,7 +83,10 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
     else:
         partners = [_partner(cloud_paths, path, relative_path) for path, relative_path in true]
     names = _names(true)
-    return [Scene(name, cloud, path) for name, cloud, (path, _) in zip(names, partners, true, strict=True)]
+    return [
+        Scene(name, cloud, path)
+        for name, cloud, (path, _) in zip(names, partners, true, strict=True)
+    ]
 
 
 def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) -> Path:
@@ -143,7 +152,12 @@ def evaluate_scenes(
     for scene in scenes:
         listener(Note(f"{scene.name}: {scene.cloud} against {scene.reference}"))
         findings, how, written = call_isolated(
-            _compare, scene, ignore, maps, paths=(scene.cloud, scene.reference), memory_bytes=half_of_memory()
+            _compare,
+            scene,
+            ignore,
+            maps,
+            paths=(scene.cloud, scene.reference),
+            memory_bytes=half_of_memory(),
         )
         total.table += findings.table
         total.withheld += findings.withheld
@@ -159,7 +173,9 @@ def evaluate_scenes(
         )
     return {
         **total.facts(ignore),
-        "unmatched_reference": sum(scene_scores["unmatched_reference"] for scene_scores in results),
+        "unmatched_reference": sum(
+            scene_scores["unmatched_reference"] for scene_scores in results
+        ),
         "unmatched_cloud": sum(scene_scores["unmatched_cloud"] for scene_scores in results),
         "mean": mean_scores(results),
         "scenes": results,
@@ -188,8 +204,9 @@ def filter_and_evaluate(
 ) -> FilterReport:
     """Filter clouds with reference classes, which the filter does not use, and score the result.
 
-    All points take part except withheld ones, which are not judged either. A run usually keeps some classes (noise,
-    water, bridges), which here would give a part of the reference to the filter.
+    All points take part except withheld ones, which are not judged either. A run usually keeps
+    some classes (noise, water, bridges), which here would give a part of the reference to the
+    filter.
 
     Parameters
     ----------

@@ -49,7 +49,9 @@ class SigmaTally:
         squared, size = difference**2, np.abs(difference)
         for k in (1, 2, 3):
             self._within[k - 1] += np.count_nonzero(size <= k * sigma)
-        classes = np.clip(np.searchsorted(SLOPES_DEG, slope, side="right") - 1, 0, len(SLOPES_DEG) - 2)
+        classes = np.clip(
+            np.searchsorted(SLOPES_DEG, slope, side="right") - 1, 0, len(SLOPES_DEG) - 2
+        )
         for column, values in enumerate((np.ones_like(sigma), squared, sigma**2)):
             self._by_slope[:, column] += np.bincount(classes, values, len(SLOPES_DEG) - 1)
         for table, values in ((self._by_sigma, sigma), (self._by_error, size)):
@@ -60,10 +62,14 @@ class SigmaTally:
     def summary(self) -> SigmaReport:
         """Return the statistics of all counted pixels."""
         n, squared, predicted = self._by_slope.sum(axis=0)
-        within_1, within_2, within_3 = (ratio(within, int(n)) for within in self._within.tolist())
+        within_1, within_2, within_3 = (
+            ratio(within, int(n)) for within in self._within.tolist()
+        )
         by_slope: list[SlopeFigures] = [
             {"from_deg": low, "to_deg": high, **_figures(*row)}
-            for low, high, row in zip(SLOPES_DEG, SLOPES_DEG[1:], self._by_slope.tolist(), strict=False)
+            for low, high, row in zip(
+                SLOPES_DEG, SLOPES_DEG[1:], self._by_slope.tolist(), strict=False
+            )
         ]
         curve, best = _curve(self._by_sigma), _curve(self._by_error)
         return {

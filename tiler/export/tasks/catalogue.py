@@ -1,7 +1,7 @@
 """Catalogues for other programs: ``classified.vpc`` (QGIS, pdal_wrench) and ``stac.json`` (STAC 1.1).
 
-They do not contain the time or the folder of the run, so that the same content gives the same bytes. All links are
-relative, so that OUT can be published without changes.
+They do not contain the time or the folder of the run, so that the same content gives the same
+bytes. All links are relative, so that OUT can be published without changes.
 """
 
 from __future__ import annotations
@@ -49,11 +49,15 @@ from tiler.version import __version__
 
 STAGE = "catalogue"
 _DIGITS = 9
-"""Number of decimals of coordinates. Further decimals are rounding errors of binary fractions."""
+"""Number of decimals of coordinates. Further decimals are rounding errors of binary
+fractions."""
 _SCHEMAS = "https://stac-extensions.github.io"
 _POINTCLOUD = f"{_SCHEMAS}/pointcloud/v1.0.0/schema.json"
 _OF_VIRTUAL = [_POINTCLOUD, f"{_SCHEMAS}/projection/v1.1.0/schema.json"]
-_OF_RASTERS = [f"{_SCHEMAS}/projection/v2.0.0/schema.json", f"{_SCHEMAS}/raster/v2.0.0/schema.json"]
+_OF_RASTERS = [
+    f"{_SCHEMAS}/projection/v2.0.0/schema.json",
+    f"{_SCHEMAS}/raster/v2.0.0/schema.json",
+]
 _COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 _GPKG = "application/geopackage+sqlite3"
 _VRT, _JSON, _GEOJSON = "application/xml", "application/json", "application/geo+json"
@@ -144,19 +148,28 @@ class _Catalogue:
         for source in sources:
             key = f"c{source.number:06d}"
             if key in written:
-                path = f"{CLASSIFIED}/{self._plan.inputs.cloud_names[source.info.path].as_posix()}"
+                path = (
+                    f"{CLASSIFIED}/{self._plan.inputs.cloud_names[source.info.path].as_posix()}"
+                )
                 self.clouds.append(Cloud(path, source, CloudRecord.of(written[key][1])))
 
     def documents(self) -> dict[str, dict[str, Any]]:
         """Return the content of each document by its path in OUT."""
         documents: dict[str, dict[str, Any]] = {}
         if self._plan.writes_clouds:
-            features = [self._virtual(cloud) for cloud in self.clouds if cloud.record.statistics["fields"]]
+            features = [
+                self._virtual(cloud)
+                for cloud in self.clouds
+                if cloud.record.statistics["fields"]
+            ]
             documents[VIRTUAL] = {"type": "FeatureCollection", "features": features}
         if self._plan.config.sheets is None:
             documents[STAC] = self._whole()
             return documents
-        items = {_item_path(self._gridding, sheet): self._sheet(sheet) for sheet in self._gridding.sheets}
+        items = {
+            _item_path(self._gridding, sheet): self._sheet(sheet)
+            for sheet in self._gridding.sheets
+        }
         return {**documents, STAC: self._collection(items), **items}
 
     def _virtual(self, cloud: Cloud) -> dict[str, Any]:
@@ -164,7 +177,10 @@ class _Catalogue:
         wkt, fields = self._plan.grid.meta.frame.crs_wkt, cloud.record.statistics["fields"]
         schema = stac.schema([self._format(cloud)])
         names = [entry["name"] for entry in schema]
-        low, high = ([round(fields[axis][end], _DIGITS) for axis in "XYZ"] for end in ("minimum", "maximum"))
+        low, high = (
+            [round(fields[axis][end], _DIGITS) for axis in "XYZ"]
+            for end in ("minimum", "maximum")
+        )
         box = (low[0], low[1], high[0], high[1])
         native = {"type": "Polygon", "coordinates": [stac.corners(box)]}
         west, south, east, north = self._globe.bbox(box) or box
@@ -185,7 +201,11 @@ class _Catalogue:
     def _format(self, cloud: Cloud) -> int:
         """Return the point format of a classified cloud."""
         point_format = cloud.source.info.point_format
-        return newer_format(point_format) if self._plan.config.classified == "copc" else point_format
+        return (
+            newer_format(point_format)
+            if self._plan.config.classified == "copc"
+            else point_format
+        )
 
     def _whole(self) -> dict[str, Any]:
         """Return the item of a run whose products are not divided into sheets."""
@@ -203,16 +223,22 @@ class _Catalogue:
 
     def _sheet(self, sheet: Sheet) -> dict[str, Any]:
         exported = self._plan.config.exported
-        rasters = {name: raster_file(name, name_of(self._gridding, name, sheet)) for name in exported}
+        rasters = {
+            name: raster_file(name, name_of(self._gridding, name, sheet)) for name in exported
+        }
         corner_name = "_".join(f"{edge:.10g}" for edge in sheet.corner)
         rels = ("root", "parent", "collection")
         links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
-        item = self._item(f"{self._id}_{corner_name}", sheet.spec, self._rasters(rasters, ".."), links)
+        item = self._item(
+            f"{self._id}_{corner_name}", sheet.spec, self._rasters(rasters, ".."), links
+        )
         return {**item, "collection": self._id}
 
     def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """Return the collection of the sheets."""
-        boxes = [item["bbox"] for item in items.values() if "bbox" in item] or [(-180, -90, 180, 90)]
+        boxes = [item["bbox"] for item in items.values() if "bbox" in item] or [
+            (-180, -90, 180, 90)
+        ]
         when = self._dates()
         interval = [when.get(f"{end}_datetime") or when["datetime"] for end in ("start", "end")]
         mosaics = {
@@ -232,7 +258,11 @@ class _Catalogue:
         }  # fmt: skip
 
     def _item(
-        self, name: str, spec: RasterSpec, assets: Mapping[str, Any], links: Sequence[Mapping[str, str]]
+        self,
+        name: str,
+        spec: RasterSpec,
+        assets: Mapping[str, Any],
+        links: Sequence[Mapping[str, str]],
     ) -> dict[str, Any]:
         """Return an item whose rasters have the pixels ``spec``."""
         box = _box(spec)
@@ -279,18 +309,30 @@ class _Catalogue:
 
     def _besides(self) -> dict[str, Any]:
         """Return the assets that are not rasters."""
-        drawn = [OUTLINE, WATER, BRIDGES, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
+        drawn = [
+            OUTLINE,
+            WATER,
+            BRIDGES,
+            SHEETS,
+            *(f"{name}.gpkg" for name in self._plan.config.drawn),
+        ]
         written = [name for name in drawn if name in self._written]
         assets = {name.removesuffix(".gpkg"): _asset(name, _GPKG) for name in written}
         if self.clouds:
-            assets[VIRTUAL] = _asset(VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one")
+            assets[VIRTUAL] = _asset(
+                VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one"
+            )
         for cloud in self.clouds:
-            # The schema of the extension is valid only for items, and with sheets this is a collection.
+            # The schema of the extension is valid only for items, and with sheets this is a
+            # collection.
             more: dict[str, Any] = (
                 {"pc:count": cloud.record.points} if self._plan.config.sheets is None else {}
             )
             asset = _asset(
-                quote(os.fsencode(cloud.path)), self._media, title="points with their classes", **more
+                quote(os.fsencode(cloud.path)),
+                self._media,
+                title="points with their classes",
+                **more,
             )
             assets[cloud.path.removesuffix(self._suffix)] = asset
         assets["report"] = _asset(REPORT, "text/html", "metadata")
@@ -305,7 +347,11 @@ class _Catalogue:
     def _id(self) -> str:
         """Identifier of the results, which depends only on the bytes of the rasters."""
         files = self._written.items()
-        rasters = [[key, FileRecord.of(stored).digest] for key, (_, stored) in files if key.endswith(".tif")]
+        rasters = [
+            [key, FileRecord.of(stored).digest]
+            for key, (_, stored) in files
+            if key.endswith(".tif")
+        ]
         return f"terrain-{digest_of(sorted(rasters))[:16]}"
 
     @property

@@ -45,7 +45,9 @@ def kept_text(kept: Counts, no_part: Counts) -> str:
     """Return the note about classes of the input that classified clouds keep, or an empty text if they keep none."""
     parts = []
     if kept:
-        parts.append(f"{_listed(kept)}, which are not ground (--reclass all gives them class 1)")
+        parts.append(
+            f"{_listed(kept)}, which are not ground (--reclass all gives them class 1)"
+        )
     if no_part:
         parts.append(f"{_listed(no_part)}, which take no part in the filter (--keep-classes)")
     return f"classes of the input are kept: {'; '.join(parts)}" if parts else ""
@@ -55,5 +57,8 @@ def _listed(counts: Counts) -> str:
     """Return a text such as ``12 points of class 3, 5 of class 6``."""
     first, *more = ((f"{n:,}", code) for code, n in counts.items())
     return ", ".join(
-        (f"{first[0]} points of class {first[1]}", *(f"{n} of class {code}" for n, code in more))
+        (
+            f"{first[0]} points of class {first[1]}",
+            *(f"{n} of class {code}" for n, code in more),
+        )
     )

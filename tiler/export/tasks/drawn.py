@@ -28,9 +28,11 @@ from tiler.schedule import Task, Work
 from tiler.version import __version__
 
 SMOOTH_PIXELS = 2
-"""Standard deviation in pixels of the Gaussian that smooths the heights, if the user gives none."""
+"""Standard deviation in pixels of the Gaussian that smooths the heights, if the user gives
+none."""
 SPOT_REACH_M, MAX_REACH = 50, 256
-"""Distance from a spot within which no pixel is higher (or lower), in metres, and its largest value in pixels."""
+"""Distance from a spot within which no pixel is higher (or lower), in metres, and its largest
+value in pixels."""
 
 
 def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Task]:
@@ -62,7 +64,9 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
             name=OUTLINE, out=out, terrain=terrain, spec=context.spec, survey="survey", coarse=context.coarse,
             blocks=tuple(sorted(context.made[terrain])), area=plan.inputs.area_key,
         )  # fmt: skip
-        digest = digest_of(__version__, outline, context.checksums("survey"), context.checksums(terrain))
+        digest = digest_of(
+            __version__, outline, context.checksums("survey"), context.checksums(terrain)
+        )
         yield Task("export", OUTLINE, digest, write_outline, outline)
     if context.corrections.decks:
         bridges = WriteBridges(name=BRIDGES, decks=context.corrections.decks, out=out)
@@ -73,4 +77,11 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
     for name in config.drawn:
         write, work = works[name]
         digest = digest_of(__version__, work, context.checksums(terrain))
-        yield Task("export", f"{name}.gpkg", digest, write, work, context.spec.height * context.spec.width)
+        yield Task(
+            "export",
+            f"{name}.gpkg",
+            digest,
+            write,
+            work,
+            context.spec.height * context.spec.width,
+        )

@@ -59,11 +59,13 @@ def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
     return inputs
 
 
-def cog_tasks(context: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
+def cog_tasks(
+    context: GridContext, inputs: Inputs, whole_inputs: str, out: str
+) -> Iterator[Task]:
     """Yield one task per raster file.
 
-    The tags of a sheet depend on the inputs that have points in the sheet, and the digest of its task also on its
-    blocks. So another input changes only the sheets where it has points.
+    The tags of a sheet depend on the inputs that have points in the sheet, and the digest of
+    its task also on its blocks. So another input changes only the sheets where it has points.
     """
     sheet_inputs = [(sheet, _digest(inputs, sheet.cells)) for sheet in context.sheets]
     rasters = raster_table(context.plan.config)
@@ -149,7 +151,9 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
             record = RasterFileRecord.of(written[f"{work.name}.tif"][1])
             path = raster_file(work.product, work.name)
             void = 100 * (1 - record.valid / record.pixels)
-            sheet_files.append(SheetFile(work.product, path, work.spec, void, record.min, record.max))
+            sheet_files.append(
+                SheetFile(work.product, path, work.spec, void, record.min, record.max)
+            )
     if sheet_files:
         index = WriteSheetIndex(name=SHEETS, sheets=tuple(sheet_files), out=out)
         yield Task("mosaic", SHEETS, digest_of(__version__, index), write_sheet_index, index)
@@ -217,13 +221,19 @@ def classified_tasks(
     """
     wet = _wet(plan, waters, labels)
     records, pieces, sources = by_source(spooled), kept_pieces(spooled), list(sources)
-    # Workers of a cluster have one core per task, so only local tasks compress with several threads.
-    threads = 1 if plan.config.scheduler else max(plan.resources.workers // max(len(sources), 1), 1)
+    # Workers of a cluster have one core per task, so only local tasks compress with several
+    # threads.
+    threads = (
+        1 if plan.config.scheduler else max(plan.resources.workers // max(len(sources), 1), 1)
+    )
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets}
-        cells = sorted(touched & labels.keys())  # A bucket is missing from `labels` if its assembly failed.
+        # A bucket is missing from `labels` if its assembly failed.
+        cells = sorted(touched & labels.keys())
         extent = header_bounds(source.info)
-        whole = plan.inputs.area is None or (extent is not None and plan.inputs.area.covers(extent))
+        whole = plan.inputs.area is None or (
+            extent is not None and plan.inputs.area.covers(extent)
+        )
         work = WriteClassified(
             path=location(source.info.path),
             source=source.number,
@@ -243,7 +253,9 @@ def classified_tasks(
             threads=threads,
             wkt=None if source.info.has_crs else plan.frame.crs_wkt,
         )
-        digest = digest_of(__version__, source.identity, work, [[labels[c], wet.get(c)] for c in cells])
+        digest = digest_of(
+            __version__, source.identity, work, [[labels[c], wet.get(c)] for c in cells]
+        )
         points = sum(count for _, count in work.ranges) or source.info.points
         yield Task("export", f"c{source.number:06d}", digest, write_classified, work, points)
 

@@ -1,8 +1,8 @@
 """Archiving of outdated and changed files of earlier runs in OUT/outdated, so that they do not look current.
 
-A run writes only the requested products. Other products of an earlier run stay valid as long as the points, the labels
-and the settings of the rasters are the same. Otherwise they are moved to ``OUT/outdated``, and so are classified files
-of inputs that the run does not have.
+A run writes only the requested products. Other products of an earlier run stay valid as long as
+the points, the labels and the settings of the rasters are the same. Otherwise they are moved to
+``OUT/outdated``, and so are classified files of inputs that the run does not have.
 
 In run.json, ``outputs`` lists the files that a run wrote, and ``made_of`` the basis of its products.
 ``earlier_outputs`` lists the files of earlier runs until the export has checked them. From then on it lists the files
@@ -55,18 +55,25 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
         A file cannot be moved.
     """
     wanted = set(written.values())
-    # After a repair of the store the export runs again, and ``outputs`` lists files that this run has checked already.
+    # After a repair of the store the export runs again, and ``outputs`` lists files that this
+    # run has checked already.
     earlier = {**job.results.earlier_outputs, **dict.fromkeys(job.results.outputs, basis)}
     if not job.plan.config.force:
         _validate_own_files(job, [path for path in wanted if path not in earlier])
     there = {p: of for p, of in earlier.items() if p not in wanted and _inside(job.products, p)}
     sizes = dict(zip(there, sizes_at([joined(job.products, p) for p in there]), strict=True))
-    stale = sorted(path for path, of in there.items() if of != basis and sizes[path] is not None)
-    kept = {path: size for path, size in sizes.items() if size is not None and path not in stale}
+    stale = sorted(
+        path for path, of in there.items() if of != basis and sizes[path] is not None
+    )
+    kept = {
+        path: size for path, size in sizes.items() if size is not None and path not in stale
+    }
     aside = archive(job.products, stale)
     for path in _damaged(job, kept) if job.plan.config.verify else ():
         del kept[path]
-        text = f"{path}: changed since a run wrote it; moved to {archive(job.products, [path])}/"
+        text = (
+            f"{path}: changed since a run wrote it; moved to {archive(job.products, [path])}/"
+        )
         job.note(f"{text}, and not made again, as --products does not list it")
     _archive_changed(job, written)
     job.results.outputs = kept
@@ -102,9 +109,16 @@ def _damaged(job: Job, paths: Collection[str]) -> list[str]:
     path_of = {joined(job.products, path): path for path in sorted(known)}
     states = zip(path_of, states_at(list(path_of)), strict=True)
     results = file_digests(
-        job, "verify", [(location, s, 0) for location, s in states if s is not None], in_out=True
+        job,
+        "verify",
+        [(location, s, 0) for location, s in states if s is not None],
+        in_out=True,
     )
-    return [path_of[location] for location, result in results if result.digest != known[path_of[location]]]
+    return [
+        path_of[location]
+        for location, result in results
+        if result.digest != known[path_of[location]]
+    ]
 
 
 def _validate_own_files(job: Job, wanted: list[str]) -> None:
@@ -170,7 +184,9 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     ProcessingError
         A changed file cannot be moved.
     """
-    commits = {key: commit for key, commit in job.store.committed(stage).items() if key in files}
+    commits = {
+        key: commit for key, commit in job.store.committed(stage).items() if key in files
+    }
     states = dict(zip(commits, states_at([files[key] for key in commits]), strict=True))
     gone = [key for key, state in states.items() if state is None]
     there = {key: state for key, state in states.items() if state is not None}

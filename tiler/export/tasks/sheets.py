@@ -58,7 +58,11 @@ def height_tasks(context: GridContext) -> Iterator[Task]:
     side, area = _pixels(context), context.plan.inputs.area_key
     keys: set[str] = set()
     for name in rasters:
-        keys.update(key for key, (_, stored) in context.made[name].items() if BlockRecord.of(stored).filled)
+        keys.update(
+            key
+            for key, (_, stored) in context.made[name].items()
+            if BlockRecord.of(stored).filled
+        )
     for key in sorted(keys):
         block = context.spec.block_named(key, BLOCK_PIXELS)
         work = FindSheets(rasters=rasters, spec=context.spec, block=block, side=side, area=area)
@@ -76,7 +80,9 @@ def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
             float(cell.ix * lattice.size / COUNTS_PER_UNIT),
             float(cell.iy * lattice.size / COUNTS_PER_UNIT),
         )
-        spec = RasterSpec(context.spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side)
+        spec = RasterSpec(
+            context.spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side
+        )
         sheets_of_cells.append(Sheet(corner, spec, buckets.get(cell, [])))
     return sheets_of_cells
 
@@ -101,7 +107,9 @@ def with_points(context: GridContext) -> dict[Cell, list[Cell]]:
     if area is None:
         return buckets
     return {
-        cell: cell_buckets for cell, cell_buckets in buckets.items() if area.touches(lattice.bounds(cell))
+        cell: cell_buckets
+        for cell, cell_buckets in buckets.items()
+        if area.touches(lattice.bounds(cell))
     }
 
 

@@ -37,7 +37,10 @@ class Labelled:
 
     @classmethod
     def of(
-        cls, config: RunConfig, digests: Mapping[Cell, str], statistics: Mapping[str, Mapping[str, Any]]
+        cls,
+        config: RunConfig,
+        digests: Mapping[Cell, str],
+        statistics: Mapping[str, Mapping[str, Any]],
     ) -> Labelled:
         """Make the result from the states of the passes. The noise set by the user overrides the measured noise."""
         survey = statistics.get(SurveyPass.name, {}).get("survey", {})

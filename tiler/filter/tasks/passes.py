@@ -1,7 +1,7 @@
 """Tasks of filter tiles, with the digest of everything on which their results depend.
 
-A task is up to date if the store has a commit with its digest. So a change of a parameter, an input file or a
-neighbouring bucket repeats only the tasks whose results it can change.
+A task is up to date if the store has a commit with its digest. So a change of a parameter, an
+input file or a neighbouring bucket repeats only the tasks whose results it can change.
 """
 
 from __future__ import annotations
@@ -76,10 +76,14 @@ class PassInputs:
             for tile in tile_records(done):
                 cells = (Cell(*cell) for cell in tile.cells)
                 counts |= dict(zip(cells, tile.elected_points or (), strict=True))
-            digests = _content_digests(assembled, ((tile, tile.elected) for tile in tile_records(done)))
+            digests = _content_digests(
+                assembled, ((tile, tile.elected) for tile in tile_records(done))
+            )
             if step.gives_labels:
                 labels = label_digests(assembled, done)
-                digests = {cell: digest_of(digest, labels[cell]) for cell, digest in digests.items()}
+                digests = {
+                    cell: digest_of(digest, labels[cell]) for cell, digest in digests.items()
+                }
             return replace(
                 self,
                 elected=elected_name(number),
@@ -88,10 +92,16 @@ class PassInputs:
                 n_elected=counts,
             )
         digests = label_digests(assembled, done)
-        if step.elected and not is_last:  # The pass has labelled elected points, not points of the cloud.
-            both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
+        # The pass has labelled elected points, not points of the cloud.
+        if step.elected and not is_last:
+            both = {
+                cell: digest_of(digest, self.elected_digests[cell])
+                for cell, digest in digests.items()
+            }
             return replace(self, elected_labels=labels_name(number), elected_digests=both)
-        return replace(self, labels=labels_name(number), candidates_only=candidates_only, digests=digests)
+        return replace(
+            self, labels=labels_name(number), candidates_only=candidates_only, digests=digests
+        )
 
 
 def labels_name(number: int) -> str:
@@ -117,7 +127,11 @@ def labels_scope(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[boo
 
 
 def filter_tasks(
-    plan: Plan, assembled: IngestResult, number: int, state: Mapping[str, Any], inputs: PassInputs
+    plan: Plan,
+    assembled: IngestResult,
+    number: int,
+    state: Mapping[str, Any],
+    inputs: PassInputs,
 ) -> Iterator[Task]:
     """Yield a task for each tile of the pass ``number``.
 
@@ -128,7 +142,9 @@ def filter_tasks(
     step = params.passes[number]
     is_last, candidates_only = labels_scope(plan, number, state)
     if step.elected and inputs.elected is None:
-        raise ValueError(f"pass {step.name} works on elected points, but no earlier pass elected any")
+        raise ValueError(
+            f"pass {step.name} works on elected points, but no earlier pass elected any"
+        )
     influence_margin = math.ceil(frame.counts(Fraction(influence_margin_m(step, params))))
     label_margin = math.ceil(frame.counts(Fraction(repr(float(step.label_margin_m)))))
     reads_labels = "labels" in step.columns
@@ -192,4 +208,6 @@ def _content_digests(
     by_bucket: dict[Cell, str | None] = dict.fromkeys(assembled.records, "none")
     for tile, digest in results:
         by_bucket |= {Cell(*cell): digest for cell in tile.cells}
-    return {cell: digest_of(digest, assembled.digests[cell]) for cell, digest in by_bucket.items()}
+    return {
+        cell: digest_of(digest, assembled.digests[cell]) for cell, digest in by_bucket.items()
+    }

@@ -2,13 +2,15 @@
 
 The survey is divided in one of two ways:
 
-- The tiles are the cells of a lattice, and cells that do not fit are quartered. All passes use these tiles if the user
-  chose a tile size. Otherwise only passes that read every point or elected points use them.
-- The survey is halved until each tile fits and each worker has a tile. Passes on candidates (one point per fine cell)
-  use these tiles. They are larger, because a halo of candidates costs little.
+- The tiles are the cells of a lattice, and cells that do not fit are quartered. All passes use
+  these tiles if the user chose a tile size. Otherwise only passes that read every point or
+  elected points use them.
+- The survey is halved until each tile fits and each worker has a tile. Passes on candidates
+  (one point per fine cell) use these tiles. They are larger, because a halo of candidates costs
+  little.
 
-The tiles depend on the numbers of points in the buckets. They also depend on the memory of the first run on the store,
-but not on the memory of later runs, so that the tiles stay the same.
+The tiles depend on the numbers of points in the buckets. They also depend on the memory of the
+first run on the store, but not on the memory of later runs, so that the tiles stay the same.
 """
 
 from __future__ import annotations
@@ -103,8 +105,8 @@ def _halved(
 ) -> Iterator[Tile]:
     """Yield the tiles of some buckets: one tile, or the tiles of both halves.
 
-    Buckets are halved if ``n_tiles`` is above 1, if the tile or its window is too wide, or if the window needs too much
-    memory.
+    Buckets are halved if ``n_tiles`` is above 1, if the tile or its window is too wide, or if
+    the window needs too much memory.
     """
     halo = _halo(plan, step)
     bounds = plan.buckets.hull(cells)
@@ -128,9 +130,10 @@ def _halved(
 def _halves(records: Records, cells: Sequence[Cell], tolerance: float) -> list[list[Cell]]:
     """Divide buckets by a line across the longer side.
 
-    A line is suitable if each side has half of the points, with a deviation of at most ``tolerance`` of all points. Of
-    the suitable lines, the line whose number is divisible by the highest power of two is chosen, so that a survey that
-    grows keeps most of its tiles. If no line is suitable, the line with the smallest deviation is chosen.
+    A line is suitable if each side has half of the points, with a deviation of at most
+    ``tolerance`` of all points. Of the suitable lines, the line whose number is divisible by
+    the highest power of two is chosen, so that a survey that grows keeps most of its tiles. If
+    no line is suitable, the line with the smallest deviation is chosen.
     """
     columns = [cell.ix for cell in cells]
     rows = [cell.iy for cell in cells]
@@ -175,7 +178,9 @@ def _fitting(
         root = name.split(".")[0]
         for quarter in sorted(quarters):
             quarter_name = f"{root}.{level + 1}{quarter.name}"
-            yield from _fitting(plan, records, step, quarters[quarter], quarter_name, size / 2, level + 1)
+            yield from _fitting(
+                plan, records, step, quarters[quarter], quarter_name, size / 2, level + 1
+            )
         return
     yield Tile(name, tuple(sorted(cells)), halo, _widest(plan, records, step, cells, halo))
 
@@ -189,12 +194,18 @@ def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
     return max(window.x1 - window.x0, window.y1 - window.y0) > MAX_WINDOW
 
 
-def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
+def _widest(
+    plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int
+) -> int:
     memory = plan.tile_memory_of(step)
-    return widest_halo(step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= memory)
+    return widest_halo(
+        step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= memory
+    )
 
 
-def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:
+def _by_centre(
+    lattice: Lattice, cells: Iterable[Cell], size: Fraction
+) -> dict[Cell, list[Cell]]:
     """Group buckets by cells with a side of ``size`` counts. A bucket belongs to the cell with its centre."""
     cells_by_centre: dict[Cell, list[Cell]] = defaultdict(list)
     half = Fraction(1, 2)
@@ -205,7 +216,9 @@ def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[
     return cells_by_centre
 
 
-def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
+def _bytes(
+    plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int
+) -> int:
     """Estimate the peak bytes of a worker for a tile with a halo, from the known points of the window."""
     lattice = plan.buckets
     window = lattice.hull(cells).pad(halo)
@@ -225,10 +238,13 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     cell_m = plan.method.candidate_cell_m
     if step.pass_.raster_cell_m:
         # A raster also has cells in buckets without points.
-        area_m2 = lattice.hull(near).intersection(window).area() * float(plan.frame.metres_xy) ** 2
+        area_m2 = (
+            lattice.hull(near).intersection(window).area() * float(plan.frame.metres_xy) ** 2
+        )
         cell_m = 0.0
     elif step.pass_.elected:
-        # Without a cell, `filter_bytes` uses the known number of points instead of the largest possible number.
+        # Without a cell, `filter_bytes` uses the known number of points instead of the largest
+        # possible number.
         cell_m = 0.0
     window_bytes = filter_bytes(points, area_m2, cell_m, step, plan.grid.fine_m)
     return int(BASE_BYTES + window_bytes + bucket_bytes(bucket_points) + kept_bytes)

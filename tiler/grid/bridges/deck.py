@@ -2,14 +2,16 @@
 
 Precision is more important than recall, so each of these conditions has to be true:
 
-- The deck is smooth, and its edges are sharp: next to them hardly any point lies between the deck and the ground below.
-  An embankment, or the bank of a ditch, has points on its slopes.
-- The ground is about equally low on both sides. At a retaining wall, a dam or a quay the sides differ.
-- The ground next to the deck rises at both ends, more steeply than a ramp, since the gap under the bridge ends there.
+- The deck is smooth, and its edges are sharp: next to them hardly any point lies between the
+  deck and the ground below. An embankment, or the bank of a ditch, has points on its slopes.
+- The ground is about equally low on both sides. At a retaining wall, a dam or a quay the sides
+  differ.
+- The ground next to the deck rises at both ends, more steeply than a ramp, since the gap under
+  the bridge ends there.
 - The road goes on at both ends: there are ground points as high as the deck.
 
-A deck is examined in slices, which are parts of equal length along the deck. The free part of a deck consists of the
-slices with lower ground on both sides.
+A deck is examined in slices, which are parts of equal length along the deck. The free part of a
+deck consists of the slices with lower ground on both sides.
 """
 
 from __future__ import annotations
@@ -20,14 +22,23 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.grid.bridges.deck_cells import DROP_M, MAX_WIDTH_M
-from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, DeckEdges, Floats, find_edges
+from tiler.grid.bridges.deck_sides import (
+    BESIDE_M,
+    TOLERANCE_M,
+    Bools,
+    DeckEdges,
+    Floats,
+    find_edges,
+)
 
 Ints = npt.NDArray[np.intp]
 Surface = tuple[float, float, float, float]
-"""Coefficients of height = a + b s + c s^2 + d t in metres, with s along a deck and t across it."""
+"""Coefficients of height = a + b s + c s^2 + d t in metres, with s along a deck and t across
+it."""
 
 END_M = 12.0
-"""The ground next to the deck has to rise within this distance beyond each end of the free part, in metres."""
+"""The ground next to the deck has to rise within this distance beyond each end of the free
+part, in metres."""
 MIN_LENGTH_M, MAX_LENGTH_M = 5.0, 300.0
 """The length of the free part is within these limits, in metres."""
 MIN_WIDTH_M = 2.0
@@ -46,7 +57,8 @@ MIN_SLICE_M = 1.5
 MAX_TURNS = 2
 """The direction of a deck is adjusted at most this many times."""
 STRAIGHT = 0.02
-"""The direction of a deck is not adjusted if the slope of its edges relative to the direction is below this."""
+"""The direction of a deck is not adjusted if the slope of its edges relative to the direction
+is below this."""
 ROAD_SLICES = 3
 """The road is searched in this many slices beyond each end of the free part."""
 MIN_ROAD_POINTS = 3
@@ -55,13 +67,15 @@ MIN_ROAD_POINTS = 3
 Only points between the edges of the deck count.
 """
 MIN_ROAD_SHARE = 0.5
-"""The road goes on only if also at least this share of those points is ground as high as the deck."""
+"""The road goes on only if also at least this share of those points is ground as high as the
+deck."""
 INNER_M = 0.7
 """A point beneath the deck is counted only if it is this far inside both edges, in metres."""
 WIDER_M = 0.3
 """The outline of a deck is this much wider on each side than its points, in metres."""
 ALIKE = 0.35
-"""The ground on the two sides may differ in height by this share of the clearance, or by `ALIKE_M` if that is more."""
+"""The ground on the two sides may differ in height by this share of the clearance, or by
+`ALIKE_M` if that is more."""
 ALIKE_M = 0.7
 """Height difference between the two sides that is always allowed, in metres."""
 
@@ -180,7 +194,9 @@ def find_deck(
     return Deck(ring, position, direction, view.surface, length, width, clearance, n_below), ""
 
 
-def _view(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
+def _view(
+    xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float
+) -> _View | None:
     """Return the points in the coordinates of a deck, or None if the seeds do not form a surface."""
     s, t = _rotated(xyz[:, :2] - centre, along)
     surface = _fitted(s, t, xyz[:, 2], seeds)
@@ -219,20 +235,26 @@ def _wrong_levels(levels: Floats) -> str:
     difference = float(abs(levels[0] - levels[1]))
     if clearance < CLEARANCE_M:
         return f"clearance {clearance:.1f} m"
-    return f"sides differ by {difference:.1f} m" if difference > max(ALIKE_M, ALIKE * clearance) else ""
+    return (
+        f"sides differ by {difference:.1f} m"
+        if difference > max(ALIKE_M, ALIKE * clearance)
+        else ""
+    )
 
 
-def _wrong_end(view: _View, ground: Bools, free_edges: Floats, end: int, step: int, clearance: float) -> str:
+def _wrong_end(
+    view: _View, ground: Bools, free_edges: Floats, end: int, step: int, clearance: float
+) -> str:
     """Check that the ground next to the deck rises beyond the slice ``end``, and that the road continues.
 
-    Slices beyond the end have higher numbers if ``step`` is 1, and lower numbers if it is -1. Return the reason why
-    this is not the end of a deck, or an empty text.
+    Slices beyond the end have higher numbers if ``step`` is 1, and lower numbers if it is -1.
+    Return the reason why this is not the end of a deck, or an empty text.
     """
     n_slices = int(np.ceil(END_M / view.slice_m))
     near = end + step * np.arange(1, n_slices + 1)
     near = near[(near >= 0) & (near < len(view.starts))]
-    # The ground has risen if it is less than half the clearance below the deck. It has also risen if points as high as
-    # the deck lie well beyond the edges of the free part.
+    # The ground has risen if it is less than half the clearance below the deck. It has also
+    # risen if points as high as the deck lie well beyond the edges of the free part.
     up = view.edges.level[near] > -0.5 * clearance
     up |= (view.edges.edge[near] - np.median(free_edges, axis=0)) * (-1, 1) > BESIDE_M / 2
     if not up.any(axis=0).all():
@@ -257,8 +279,8 @@ def _beneath(view: _View, free: Ints, free_edges: Floats) -> int:
 def _ring(view: _View, free: Ints) -> Floats:
     """Return the corners (s, t) of the outline of the free part, `WIDER_M` wider on each side than its points.
 
-    The outline has two corners (left and right) per slice: at its middle, or at its outer end for the first and last
-    slice.
+    The outline has two corners (left and right) per slice: at its middle, or at its outer end
+    for the first and last slice.
     """
     s = view.starts[free] + view.slice_m / 2
     s[0] = view.starts[free[0]]
@@ -290,7 +312,9 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
         terms = np.column_stack((np.ones(len(rows)), s[rows], s[rows] ** 2, t[rows]))
         solved = np.linalg.lstsq(terms, z[rows], rcond=None)[0]
         surface = (float(solved[0]), float(solved[1]), float(solved[2]), float(solved[3]))
-        rows = all_rows[np.abs(z[all_rows] - _height(surface, s[all_rows], t[all_rows])) < limit]
+        rows = all_rows[
+            np.abs(z[all_rows] - _height(surface, s[all_rows], t[all_rows])) < limit
+        ]
     return surface if len(rows) > 0.4 * seeds.sum() else None
 
 

@@ -18,25 +18,31 @@ Ints = npt.NDArray[np.int64]
 DIRECTIONS = 8
 """Number of directions that are tried as the direction across a deck.
 
-Direction 0 points east. The others follow counterclockwise at equal angles, up to but not including west.
+Direction 0 points east. The others follow counterclockwise at equal angles, up to but not
+including west.
 """
 DROP_M = 1.0
-"""A point counts as lower than a deck only if it is more than this far below the surface of the deck, in metres."""
+"""A point counts as lower than a deck only if it is more than this far below the surface of the
+deck, in metres."""
 MIN_CELL_DROP_M = 1.8
 """A cell is at the edge of a deck only if a cell next to it is at least this much lower, in metres.
 
 The points of a deck are tested more strictly later (`tiler.grid.bridges.deck.CLEARANCE_M`).
 """
 STEP_M = 0.5
-"""A deck or a road continues in the next cell if the heights of the cells differ by at most this, in metres."""
+"""A deck or a road continues in the next cell if the heights of the cells differ by at most
+this, in metres."""
 MAX_WIDTH_M = 40.0
 """Wider areas are not decks, in metres."""
 MAX_ROAD_DISTANCE_M = 60.0
-"""A cell is part of a deck only if a road begins within this distance in both directions along the deck, in metres."""
+"""A cell is part of a deck only if a road begins within this distance in both directions along
+the deck, in metres."""
 VOID_M = 40.0
-"""Ground next to a deck is searched up to this distance, as there may be water without points, in metres."""
+"""Ground next to a deck is searched up to this distance, as there may be water without points,
+in metres."""
 ROUNDING_M = 4.0
-"""Distances are counted in whole cells, each of which may round up by some of this, in metres."""
+"""Distances are counted in whole cells, each of which may round up by some of this, in
+metres."""
 REACH_M = MAX_WIDTH_M + MAX_ROAD_DISTANCE_M + VOID_M + ROUNDING_M
 """Cells farther away than this cannot change the result for a cell, in metres."""
 
@@ -97,7 +103,9 @@ def candidate_cells(cells: CoarseHeights) -> tuple[Ints, Ints, Ints]:
         for sign in (1, -1):
             has_roads &= _has_road(cells, marked, rows[middle], cols[middle], direction, sign)
         good = has_roads[span_of]
-        good_cells.append(np.stack((rows[good], cols[good], np.full(int(good.sum()), direction))))
+        good_cells.append(
+            np.stack((rows[good], cols[good], np.full(int(good.sum()), direction)))
+        )
     rows, cols, directions = np.concatenate(good_cells, axis=1)
     return rows, cols, directions
 
@@ -108,11 +116,14 @@ def _offset(direction: int, steps: int) -> tuple[int, int]:
     return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
 
 
-def _drops(cells: CoarseHeights, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
+def _drops(
+    cells: CoarseHeights, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int
+) -> Bools:
     """Return a mask of the cells with a drop next to them, in a direction or (``sign`` -1) against it.
 
-    There is a drop if the next cell with points lies at least `MIN_CELL_DROP_M` below ``height``. The second cell is
-    examined even if the first one has points. Cells without points, such as water, are skipped up to `VOID_M`.
+    There is a drop if the next cell with points lies at least `MIN_CELL_DROP_M` below
+    ``height``. The second cell is examined even if the first one has points. Cells without
+    points, such as water, are skipped up to `VOID_M`.
     """
     has_drop = np.zeros(len(rows), np.bool_)
     waiting = np.ones(len(rows), np.bool_)
@@ -120,7 +131,8 @@ def _drops(cells: CoarseHeights, rows: Ints, cols: Ints, height: Floats, directi
         down, right = _offset(direction, sign * step)
         low = cells.at(cells.low, rows + down, cols + right)
         has_drop |= waiting & (low <= height - MIN_CELL_DROP_M)
-        # The first cell may have points of the deck as well as of the ground, so the second cell is always examined.
+        # The first cell may have points of the deck as well as of the ground, so the second
+        # cell is always examined.
         waiting &= ~has_drop & (np.isnan(low) | (step == 1))
         if not waiting.any():
             break
@@ -130,9 +142,11 @@ def _drops(cells: CoarseHeights, rows: Ints, cols: Ints, height: Floats, directi
 def _spans(cells: CoarseHeights, direction: int) -> tuple[Ints, Ints, Ints]:
     """Return the cells of all spans in a direction: row, column and number of the span of each cell.
 
-    A span is a line of cells across a deck, from one drop to the other. The middle cell of a span comes first.
+    A span is a line of cells across a deck, from one drop to the other. The middle cell of a
+    span comes first.
     """
-    # A span starts at a cell with a drop in the direction. It goes on against the direction to the next drop.
+    # A span starts at a cell with a drop in the direction. It goes on against the direction to
+    # the next drop.
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
     rows, cols = rows[edge], cols[edge]
@@ -141,7 +155,11 @@ def _spans(cells: CoarseHeights, direction: int) -> tuple[Ints, Ints, Ints]:
     for step in range(cells.steps(MAX_WIDTH_M)):
         ended = _drops(cells, rows, cols, previous_top, direction, -1)
         if step:  # A span has at least two cells.
-            spans.append(np.stack((start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))))
+            spans.append(
+                np.stack(
+                    (start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))
+                )
+            )
         down, right = _offset(direction, -(step + 1))
         rows, cols = start_rows + down, start_cols + right
         here = cells.at(cells.top, rows, cols)
@@ -171,9 +189,10 @@ def _has_road(
 ) -> Bools:
     """Return a mask of the cells from which a straight path along the deck leads to a road.
 
-    A road is two successive cells of ground that are not ``marked`` as deck. Cells without points may lie between them.
-    The path has no steps above `STEP_M`, and at most two successive cells without points. ``direction`` points across
-    the deck. ``sign`` selects the end of the deck.
+    A road is two successive cells of ground that are not ``marked`` as deck. Cells without
+    points may lie between them. The path has no steps above `STEP_M`, and at most two
+    successive cells without points. ``direction`` points across the deck. ``sign`` selects the
+    end of the deck.
     """
     has_road = np.zeros(len(rows), np.bool_)
     paths = np.arange(len(rows))  # Indices of the cells whose paths still go on.

@@ -22,11 +22,13 @@ FARTHER_M = 40.0
 The distance is in metres. Water often returns no pulses.
 """
 MAX_ABOVE_M = 4.0
-"""In the search up to `FARTHER_M`, points higher than this above the deck do not count as ground, in metres."""
+"""In the search up to `FARTHER_M`, points higher than this above the deck do not count as
+ground, in metres."""
 EDGE_M = 0.2
 """Points nearer to an edge than this do not count as next to the edge, in metres."""
 LOW = 0.6
-"""A point next to an edge is low if its depth below the deck is more than this share of the depth of the ground."""
+"""A point next to an edge is low if its depth below the deck is more than this share of the
+depth of the ground."""
 BETWEEN = 0.34
 """An edge is free if at most this share of the points next to the edge is not low."""
 
@@ -96,7 +98,8 @@ def find_edges(
 def _group_around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
     """Return the first and last value of the group around 0 in sorted values, or None if there is no such group.
 
-    Gaps wider than ``gap`` separate groups. The group has to have two values, and to come within ``gap`` of 0.
+    Gaps wider than ``gap`` separate groups. The group has to have two values, and to come
+    within ``gap`` of 0.
     """
     if len(t) < 2:
         return None

@@ -31,14 +31,16 @@ EXAMINED_M = 45.0
 VOXEL_M = (0.25, 0.25, 0.1)
 """Sides of a voxel in metres.
 
-The centres of voxels replace the points, so that neither the density nor the order of the points matters.
+The centres of voxels replace the points, so that neither the density nor the order of the
+points matters.
 """
 LOWEST = -(1 << 31)
 """All points are at least this high, in counts. Their heights are below ``-LOWEST``."""
 MIN_POINTS = 12
 """A candidate needs at least this many points in its cells."""
 MAX_DIRECTIONS = 3
-"""At most this many directions are tried per candidate, starting with the one that most cells have."""
+"""At most this many directions are tried per candidate, starting with the one that most cells
+have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +98,9 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> DeckCellsRecord:
     top = np.where(ground, top, np.where(known, low, np.float32(np.nan)))
     low = np.where(known, low, np.float32(np.nan))
     rows, cols, directions = candidate_cells(CoarseHeights(top, low, ground, size_m))
-    in_block = (rows >= pad) & (rows < pad + block.height) & (cols >= pad) & (cols < pad + block.width)
+    in_block = (
+        (rows >= pad) & (rows < pad + block.height) & (cols >= pad) & (cols < pad + block.width)
+    )
     block_cells = np.stack(
         (rows[in_block] + window.row, cols[in_block] + window.col, directions[in_block]), axis=1
     )
@@ -130,7 +134,12 @@ def examine_decks(store_url: str, work: ExamineDecks) -> DecksRecord:
 
 
 def _examine(
-    spec: RasterSpec, cells: CandidateCells, window: Bounds, points: Counts, ground: Bools, metres: Any
+    spec: RasterSpec,
+    cells: CandidateCells,
+    window: Bounds,
+    points: Counts,
+    ground: Bools,
+    metres: Any,
 ) -> tuple[DeckRecord | None, str]:
     """Find a deck among the points of a window. Return its record, or None and the reason why there is none.
 
@@ -161,7 +170,9 @@ def _examine(
         if seeds.sum() < MIN_POINTS:
             continue
         angle = math.pi * direction / DIRECTIONS
-        deck, reason = find_deck(xyz, ground, seeds, (math.cos(angle), math.sin(angle)), spacing)
+        deck, reason = find_deck(
+            xyz, ground, seeds, (math.cos(angle), math.sin(angle)), spacing
+        )
         if deck is not None:
             return _record(deck, metres, corner), ""
     return None, reason
@@ -175,7 +186,9 @@ def examined_bounds(spec: RasterSpec, cells: CandidateCells, metres_per_count: f
     return spec.block_bounds(block).pad(math.ceil(EXAMINED_M / metres_per_count))
 
 
-def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
+def _voxels(
+    store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any
+) -> tuple[Counts, Bools]:
     """Return the centres of the voxels with points, (n, 3) in counts, and a mask of the voxels with ground points.
 
     Each voxel gets a number, so that the voxels of all buckets can be sorted.
@@ -220,7 +233,10 @@ def _cells(
     points: PointBlock, chosen: Bools, store: TileStore, spec: RasterSpec, window: Block
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return row and column of the cell of each chosen point, counted from the first row and column of a window."""
-    x, y = (points.xyz[axis][chosen].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
+    x, y = (
+        points.xyz[axis][chosen].astype(np.int64) + store.meta.frame.origin[axis]
+        for axis in (0, 1)
+    )
     rows = spec.north - 1 - spec.lattice.index(y) - window.row
     return rows, spec.lattice.index(x) - spec.west - window.col
 

@@ -22,7 +22,9 @@ CROWN_BLOCKS = 16
 """One task searches for crowns in this many blocks. A block takes at most half a second."""
 
 
-def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters: str | None) -> None:
+def advise(
+    job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters: str | None
+) -> None:
     """Warn about roofs in the terrain, and about crowns in the terrain of a photogrammetric cloud.
 
     ``waters`` is the key of the bodies of water in the store, if there are any.
@@ -34,14 +36,17 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
         return
     inputs = [building, checks_crowns, waters]
     advice_state = job.store.get_state("advice")
-    # The search is repeated if the terrain or the inputs changed, or if an earlier version stored no positions.
+    # The search is repeated if the terrain or the inputs changed, or if an earlier version
+    # stored no positions.
     if (
         job.record.stages["grid-dtm"].computed
         or not advice_state
         or advice_state.get("asked") != inputs
         or "at" not in advice_state
     ):
-        filled = tuple(key for key, (_, stored) in made.items() if BlockRecord.of(stored).filled)
+        filled = tuple(
+            key for key, (_, stored) in made.items() if BlockRecord.of(stored).filled
+        )
         found = [_roofs(job, spec, filled, waters) if building is not None else None]
         found.append(_crowns(job, spec, filled) if checks_crowns else None)
         advices = [advice for advice in found if advice is not None]
@@ -54,7 +59,9 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
         job.listener(Warned(line))
 
 
-def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | None) -> Advice | None:
+def _roofs(
+    job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | None
+) -> Advice | None:
     parameters = job.plan.method.parameters
     building_m, roof_m = parameters["max_building_size_m"], parameters.get("roof_size_m")
     work = FindRoofs(spec, filled, building_m, roof_m, waters)
@@ -65,9 +72,17 @@ def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | No
 
 
 def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
-    works = [FindCrowns(spec, filled[i : i + CROWN_BLOCKS]) for i in range(0, len(filled), CROWN_BLOCKS)]
-    tasks = [Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w) for i, w in enumerate(works)]
-    parts = [Crowns(record.n_tested, record.found) for record in _run_tasks(job, tasks, CrownsRecord)]
+    works = [
+        FindCrowns(spec, filled[i : i + CROWN_BLOCKS])
+        for i in range(0, len(filled), CROWN_BLOCKS)
+    ]
+    tasks = [
+        Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w)
+        for i, w in enumerate(works)
+    ]
+    parts = [
+        Crowns(record.n_tested, record.found) for record in _run_tasks(job, tasks, CrownsRecord)
+    ]
     return crown_advice(parts, spec)
 
 
@@ -80,9 +95,12 @@ def _run_tasks(job: Job, tasks: list[Task], kind: type[AnyRecord]) -> list[AnyRe
         if outcome.damaged:
             damaged_text = ", ".join(outcome.damaged)
             raise CorruptStoreError(
-                f"{job.store.url}: {damaged_text}: damaged or missing; run again", outcome.damaged
+                f"{job.store.url}: {damaged_text}: damaged or missing; run again",
+                outcome.damaged,
             )
         if outcome.record is None:
-            raise ProcessingError(f"the search for flaws in the terrain failed: {outcome.error}")
+            raise ProcessingError(
+                f"the search for flaws in the terrain failed: {outcome.error}"
+            )
         records[outcome.task.key] = kind.of(outcome.record)
     return [records[task.key] for task in tasks]

@@ -22,7 +22,13 @@ from tiler.core.records import records_of
 from tiler.core.terrain_results import BridgeResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
-from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined_bounds, find_deck_cells
+from tiler.grid import (
+    ExamineDecks,
+    FindDeckCells,
+    examine_decks,
+    examined_bounds,
+    find_deck_cells,
+)
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
 from tiler.grid.bridges.examine import CandidateCells
 from tiler.grid.pieces import components
@@ -38,14 +44,16 @@ from tiler.version import __version__
 REMOVE = "remove"
 """Value of ``--bridges`` that searches for bridges and removes them."""
 CELLS, DECKS = "deck-cells", "decks"
-"""Names of the stages: search for cells that may be part of a deck, and examination of candidates."""
+"""Names of the stages: search for cells that may be part of a deck, and examination of
+candidates."""
 MAX_EXTENT_M = 600.0
 """Candidates that extend farther than this are left out, in metres.
 
 They are not bridges, and have too many points for one task.
 """
 TOUCHING = 1.5
-"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch, too."""
+"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch,
+too."""
 MAX_REPORTED = 5
 """The log has the sizes and positions of at most this many bridges. The report has all."""
 MIN_CELLS = 4
@@ -95,7 +103,9 @@ def _note(decks: Sequence[DeckRecord], frame: CoordFrame) -> str:
 def _cell_tasks(context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells that has points."""
     spec, rule, lattice = context.coarse, context.rule, context.plan.buckets
-    margin = math.ceil((REACH_M + float(context.coarse_m)) / float(context.plan.frame.metres_xy))
+    margin = math.ceil(
+        (REACH_M + float(context.coarse_m)) / float(context.plan.frame.metres_xy)
+    )
     for block, buckets in spec.blocks_near(lattice, context.labels, BLOCK_PIXELS).items():
         work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
         near = lattice.among(spec.block_bounds(block).pad(margin), context.labels)
@@ -106,7 +116,8 @@ def _cell_tasks(context: GridContext) -> Iterator[Task]:
 def _deck_tasks(context: GridContext, deck_cells: Commits) -> Iterator[Task]:
     """Yield a task for each bucket with candidates.
 
-    A candidate belongs to the bucket at the south-west corner of the area that is examined for it.
+    A candidate belongs to the bucket at the south-west corner of the area that is examined for
+    it.
     """
     spec, rule, lattice = context.coarse, context.rule, context.plan.buckets
     metres = float(context.plan.frame.metres_xy)
@@ -168,4 +179,6 @@ def _outline(deck: DeckRecord) -> DrawnDeck:
 
 def _result(deck: DeckRecord) -> BridgeResult:
     ring = np.array([*deck.ring, deck.ring[0]]) / COUNTS_PER_UNIT
-    return BridgeResult(deck.length_m, deck.width_m, deck.clearance_m, deck.below, [ring.ravel().tolist()])
+    return BridgeResult(
+        deck.length_m, deck.width_m, deck.clearance_m, deck.below, [ring.ravel().tolist()]
+    )

@@ -29,7 +29,8 @@ from tiler.store import Commits
 MIN_WARNED_SHARE = 0.1
 """A canopy causes a warning if it covers at least this share of the area."""
 MAX_POSITIONS = 3
-"""The warning has the positions of at most this many blocks, which are the blocks with the most canopy."""
+"""The warning has the positions of at most this many blocks, which are the blocks with the most
+canopy."""
 HIDES = "a closed canopy (crowns, or tall rough roofs side by side) hides the ground"
 MIN_MAPPED_SHARE = 0.5
 """The map of the report shows blocks if canopy covers at least this share of the block."""
@@ -72,11 +73,15 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
     passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
     number = next(n for n, step in enumerate(passes) if step.name == CanopyPass.name)
     # The cells of the search were elected by the last electing pass before it.
-    electing = max(n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state))
+    electing = max(
+        n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state)
+    )
     made = job.store.committed(f"filter{number}")
     _report(job, share, made)
     side = job.plan.frame.counts(Fraction(repr(CELL_M)))
-    return CanopyCells(elected_name(electing), labels_name(number), side, label_digests(assembled, made))
+    return CanopyCells(
+        elected_name(electing), labels_name(number), side, label_digests(assembled, made)
+    )
 
 
 def _report(job: Job, share: float, made: Commits) -> None:
@@ -89,11 +94,15 @@ def _report(job: Job, share: float, made: Commits) -> None:
     fullest = sorted(blocks, key=lambda block: (-blocks[block], block))[:MAX_POSITIONS]
     centres = []
     for column, row in fullest:
-        centres.append([round((column + 0.5) * BLOCK_M / unit, 1), round((row + 0.5) * BLOCK_M / unit, 1)])
+        centres.append(
+            [round((column + 0.5) * BLOCK_M / unit, 1), round((row + 0.5) * BLOCK_M / unit, 1)]
+        )
     job.results.canopy = replace(job.results.canopy, places=centres, rings=_rings(blocks, unit))
     if share < MIN_WARNED_SHARE:
         return
-    job.results.canopy_doubts = [_doubt(block, blocks[block] / BLOCK_M**2, unit) for block in fullest]
+    job.results.canopy_doubts = [
+        _doubt(block, blocks[block] / BLOCK_M**2, unit) for block in fullest
+    ]
     around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in centres)
     effect = (
         "the terrain there is bridged from the ground around the canopy, up to --max-edge, and has the value 6 in the "
@@ -119,7 +128,9 @@ def _rings(blocks: Mapping[tuple[int, int], int], unit: float) -> list[list[floa
     If there are no such blocks, the rings surround the blocks with the most canopy.
     """
     min_m2 = min(MIN_MAPPED_SHARE * BLOCK_M**2, max(blocks.values()))
-    mapped = np.array([block for block, area_m2 in blocks.items() if area_m2 >= min_m2], np.float64)
+    mapped = np.array(
+        [block for block, area_m2 in blocks.items() if area_m2 >= min_m2], np.float64
+    )
     side = BLOCK_M / unit
     squares = shapely.box(*(mapped.T * side), *((mapped.T + 1) * side))
     return rings_of(shapely.get_parts(shapely.union_all(squares)), side / 4)

@@ -32,7 +32,9 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 
-def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labelled, Corrections]:
+def correct(
+    job: Job, assembled: IngestResult, labelled: Labelled
+) -> tuple[Labelled, Corrections]:
     """Find bridges, and put the edits and breaklines of the run into the store.
 
     Return the labels with digests that include the edits, and the `Corrections`.
@@ -52,7 +54,9 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
         job.results.breaklines = BreaklineCounts(
             len(plan.inputs.lines), len(lines.vertices), drawn(plan.inputs.lines)
         )
-        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.buckets))
+        corrections = replace(
+            corrections, lines=lines, line_digests=lines.digests(plan.buckets)
+        )
     return labelled, corrections
 
 
@@ -60,7 +64,9 @@ def _label_digests(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict
     """Return the digests of labels. If an edit intersects a bucket, its digest includes the edit."""
     digests = dict(labels)
     for cell, near in edits.by_cell(plan.buckets, labels).items():
-        digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.grid.resolution))
+        digests[cell] = digest_of(
+            digests[cell], [edit.digest for edit in near], str(plan.grid.resolution)
+        )
     return digests
 
 
@@ -69,8 +75,9 @@ def _user_edits(
 ) -> tuple[Edit, ...]:
     """Count the points inside the user's edits for run.json. Return the edits.
 
-    An edit with the action `ground` applies to points with a class of ground in the input. It applies to the lowest
-    points instead (`Edit.lowest`) if there are none, or if the terrain is made from the classes of the input anyway.
+    An edit with the action `ground` applies to points with a class of ground in the input. It
+    applies to the lowest points instead (`Edit.lowest`) if there are none, or if the terrain is
+    made from the classes of the input anyway.
     """
     if not job.plan.inputs.edits:
         return ()
@@ -79,7 +86,9 @@ def _user_edits(
     tasks = list(_count_tasks(job.plan, user_edits, assembled, labels))
     made = run_stage(job, "edits", tasks)
     if len(made) < len(tasks):
-        raise ProcessingError(f"--edits: could not be applied: {job.record.first_error('edits')}")
+        raise ProcessingError(
+            f"--edits: could not be applied: {job.record.first_error('edits')}"
+        )
     counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.inputs.edits}
     for record in records_of(EditCountsRecord, made):
         for number, *bucket_counts in record.edits:
@@ -106,7 +115,9 @@ def _count_tasks(
         edit_digests = [[edit.number, *edit.digest] for edit in near]
         digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], edit_digests)
         work = CountEditedPoints(rule, edits.key, cell)
-        yield Task("edits", cell.name, digest, count_edited_points, work, assembled.records[cell].n)
+        yield Task(
+            "edits", cell.name, digest, count_edited_points, work, assembled.records[cell].n
+        )
 
 
 def _result(edit: Edit, counts: Sequence[int]) -> EditResult:
@@ -136,7 +147,9 @@ def report_edited_pixels(job: Job, terrain: Commits) -> None:
             counts[number] = counts.get(number, 0) + pixels
     if not job.results.edits:
         return
-    job.results.edits = [_with_pixels(edit, counts.get(edit.number, 0)) for edit in job.results.edits]
+    job.results.edits = [
+        _with_pixels(edit, counts.get(edit.number, 0)) for edit in job.results.edits
+    ]
     unchanged = [edit for edit in job.results.edits if not edit.changed]
     if unchanged:
         names = [f"feature {edit.number} ({edit.action})" for edit in unchanged]

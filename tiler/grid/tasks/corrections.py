@@ -1,6 +1,7 @@
 """Edits and breaklines of a run, and what they add to the digests of tasks.
 
-A correction changes only the digests of the buckets and blocks that it can affect. No others are processed again.
+A correction changes only the digests of the buckets and blocks that it can affect. No others
+are processed again.
 """
 
 from __future__ import annotations

@@ -32,7 +32,8 @@ from tiler.version import __version__
 COARSE_CELL_M = 2
 """Side of a coarse cell in metres, unless ``--max-edge`` is small or pixels are large.
 
-Pixels up to `MAX_USUAL_PIXEL_M` do not change the side, so that the same water is found with all of them.
+Pixels up to `MAX_USUAL_PIXEL_M` do not change the side, so that the same water is found with
+all of them.
 """
 MAX_USUAL_PIXEL_M = 10
 """Pixels larger than this, in metres, are the coarse cells themselves.
@@ -40,9 +41,11 @@ MAX_USUAL_PIXEL_M = 10
 Clouds for which such pixels are chosen are too sparse to find water.
 """
 GAP_M = 20
-"""Gaps up to this width, in metres, count as surveyed: shadows of buildings, gaps between flight strips."""
+"""Gaps up to this width, in metres, count as surveyed: shadows of buildings, gaps between
+flight strips."""
 ERODE_RISE_M = 1
-"""Objects at least this much higher than a ground point near them exclude the point (``--erode``), in metres."""
+"""Objects at least this much higher than a ground point near them exclude the point
+(``--erode``), in metres."""
 Place = tuple[int, int]
 """First row and column of a block."""
 
@@ -50,8 +53,8 @@ Place = tuple[int, int]
 def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
     """Return the pixel grid around the stored points, or around their part in the area of the run.
 
-    The edges of pixels lie at multiples of the resolution. Points exactly on the outer edge of the grid do not add
-    pixels.
+    The edges of pixels lie at multiples of the resolution. Points exactly on the outer edge of
+    the grid do not add pixels.
     """
     extent = assembled.bounds
     if plan.inputs.area is not None:
@@ -221,7 +224,11 @@ class GridContext:
         return self.checksums(raster, [other.name for other in under])
 
     def block_task(
-        self, raster: RasterStep, work: BlockWork | FillBlock, *inputs: Any, points: int | None = None
+        self,
+        raster: RasterStep,
+        work: BlockWork | FillBlock,
+        *inputs: Any,
+        points: int | None = None,
     ) -> Task:
         """Return the task of one block of a raster.
 
@@ -256,7 +263,9 @@ class GridContext:
     @property
     def coarse(self) -> RasterSpec:
         """Raster of the coarse cells, in blocks whose positions do not depend on the run."""
-        return coarse_raster(Lattice(self.plan.frame.counts(self.coarse_m)), self.assembled.bounds)
+        return coarse_raster(
+            Lattice(self.plan.frame.counts(self.coarse_m)), self.assembled.bounds
+        )
 
     @property
     def coarse_m(self) -> Fraction:

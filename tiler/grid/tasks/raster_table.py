@@ -64,7 +64,13 @@ from tiler.grid.tasks.rasters import (
     surface_tasks,
     terrain_tasks,
 )
-from tiler.grid.tasks.survey import domain_gaps, fill_tasks, survey_gaps, survey_tasks, voids_tasks
+from tiler.grid.tasks.survey import (
+    domain_gaps,
+    fill_tasks,
+    survey_gaps,
+    survey_tasks,
+    voids_tasks,
+)
 from tiler.grid.tasks.water_search import (
     areas_tasks,
     cells_tasks,
@@ -90,8 +96,8 @@ def final_raster(product: str, config: RunConfig) -> str:
 def _outlined(config: RunConfig) -> tuple[str, ...]:
     """Return the models from which a raster ``<name>-outlined`` is made.
 
-    With ``--outline survey``, all models end at the outline of the survey. Otherwise only the terrain may need this
-    raster, for level water or for canopies without heights.
+    With ``--outline survey``, all models end at the outline of the survey. Otherwise only the
+    terrain may need this raster, for level water or for canopies without heights.
     """
     if config.outline == "survey":
         return MODELS
@@ -118,19 +124,34 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
             follows_lines=True,
         ),
         RasterStep("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _nodata("dsm")),
-        RasterStep("ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _nodata("ndsm")),
-        RasterStep("hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _nodata("hillshade")),
+        RasterStep(
+            "ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _nodata("ndsm")
+        ),
+        RasterStep(
+            "hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _nodata("hillshade")
+        ),
         RasterStep("slope", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _nodata("slope")),
         RasterStep("density", (), density_block, Grid.PIXELS, point_tasks, _nodata("density")),
-        RasterStep("distance", (), distance_block, Grid.PIXELS, distance_tasks, float(config.max_edge)),
+        RasterStep(
+            "distance", (), distance_block, Grid.PIXELS, distance_tasks, float(config.max_edge)
+        ),
         RasterStep("occupancy", (), occupancy_block, Grid.COARSE, point_tasks),
-        RasterStep("survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE),
+        RasterStep(
+            "survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE
+        ),
         RasterStep("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
         RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks),
         RasterStep(
-            "mask", ("dtm", dtm, "survey", CANOPY), mask_block, Grid.PIXELS, mask_tasks, _nodata("mask")
+            "mask",
+            ("dtm", dtm, "survey", CANOPY),
+            mask_block,
+            Grid.PIXELS,
+            mask_tasks,
+            _nodata("mask"),
         ),
-        RasterStep("sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _nodata("sigma")),
+        RasterStep(
+            "sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _nodata("sigma")
+        ),
     ]
     for model in MODELS if config.voids != "leave" else ():
         voids = f"{model}-voids"
@@ -150,7 +171,8 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
     if finds_water:
         rows += _water_rows()
     for model in _outlined(config):
-        # The records of the terrain also count the holes inside edits of points, not only of pixels.
+        # The records of the terrain also count the holes inside edits of points, not only of
+        # pixels.
         edits = ACTIONS if model == "dtm" else ()
         inputs = [filled_raster(model, config), "survey"]
         if model == "dtm" and finds_water:
@@ -176,7 +198,9 @@ def _water_rows() -> list[RasterStep]:
     cells = ("occupancy", "water-ground", "domain")
     areas, planes = ("water-areas", *cells), ("water-planes", *cells)
     return [
-        RasterStep("domain-open", ("occupancy",), close_block, Grid.COARSE, domain_gaps, NO_PIECE),
+        RasterStep(
+            "domain-open", ("occupancy",), close_block, Grid.COARSE, domain_gaps, NO_PIECE
+        ),
         RasterStep("domain", ("domain-open",), survey_block, Grid.COARSE, survey_tasks),
         RasterStep(
             "water-terrain",
@@ -202,7 +226,11 @@ def _water_rows() -> list[RasterStep]:
         RasterStep("water-planes", cells, find_planes, Grid.COARSE, areas_tasks),
         RasterStep("water-plane-rims", planes, count_plane_rims, Grid.COARSE, plane_rims_tasks),
         RasterStep(
-            "water-plane-sure", ("water-plane-rims", *planes), keep_planes, Grid.COARSE, plane_sure_tasks
+            "water-plane-sure",
+            ("water-plane-rims", *planes),
+            keep_planes,
+            Grid.COARSE,
+            plane_sure_tasks,
         ),
         RasterStep(
             "water-crowns",

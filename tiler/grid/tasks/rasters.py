@@ -41,7 +41,9 @@ def terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     plan, frame = context.plan, context.plan.frame
     widest = full_halo(frame.counts(plan.config.max_edge))
     share = plan.surface_cells
-    thinning_cells = None if share is None else Lattice(frame.counts(plan.grid.resolution / share))
+    thinning_cells = (
+        None if share is None else Lattice(frame.counts(plan.grid.resolution / share))
+    )
     make = _on_tin(
         GridBlock,
         context,
@@ -58,7 +60,9 @@ def terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 def coarse_terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield the tasks of the terrain in coarse cells, which the search for water needs if pixels are larger."""
     return (
-        terrain_tasks(raster, context) if context.water_is_sought and context.has_large_pixels else iter(())
+        terrain_tasks(raster, context)
+        if context.water_is_sought and context.has_large_pixels
+        else iter(())
     )
 
 
@@ -103,8 +107,8 @@ def _block_tasks(
 ) -> Iterator[Task]:
     """Yield a task for each block within ``margin`` counts of points.
 
-    A task reads the points near its block, and the same block of the input rasters. The function ``make`` returns the
-    arguments of a task for name, spec, block and rule.
+    A task reads the points near its block, and the same block of the input rasters. The
+    function ``make`` returns the arguments of a task for name, spec, block and rule.
     """
     spec, rule = context.spec_of(raster), context.rule
     for block, near in _near(context, spec, margin).items():
@@ -126,7 +130,9 @@ def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     if context.canopy is None:
         return
     canopy = context.canopy
-    for block, near in _near(context, context.spec, math.ceil(CANOPY_AROUND * canopy.side)).items():
+    for block, near in _near(
+        context, context.spec, math.ceil(CANOPY_AROUND * canopy.side)
+    ).items():
         work = CanopyBlock(
             name=raster.name,
             spec=context.spec,
@@ -138,7 +144,11 @@ def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
         )
         canopy_digests = [canopy.digests[cell] for cell in near]
         yield context.block_task(
-            raster, work, context.label_digests(near), canopy_digests, points=context.n_points(near)
+            raster,
+            work,
+            context.label_digests(near),
+            canopy_digests,
+            points=context.n_points(near),
         )
 
 
@@ -188,7 +198,10 @@ def mask_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
         for block in spec.blocks_within(hole, BLOCK_PIXELS):
             holes[block].append(hole)
     inside = surveyed_blocks(context, survey)
-    made = [spec.block_named(key, BLOCK_PIXELS) for key in (*context.made[dtm], *context.made[delivered])]
+    made = [
+        spec.block_named(key, BLOCK_PIXELS)
+        for key in (*context.made[dtm], *context.made[delivered])
+    ]
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
         work = MaskBlock(
             name=raster.name,
@@ -219,7 +232,9 @@ def derived_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     spec = context.spec
     keys = set.intersection(*(set(context.made[name]) for name in raster.inputs))
     for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
-        work = DeriveBlock(name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill)
+        work = DeriveBlock(
+            name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill
+        )
         inputs = [context.checksums(name, _around(block)) for name in raster.inputs]
         yield context.block_task(raster, work, inputs)
 
@@ -245,7 +260,11 @@ def sigma_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
         inputs = [context.checksums(terrain, _around(block)), context.checksums(mask, [key])]
         buckets = near.get(block, [])
         yield context.block_task(
-            raster, work, context.label_digests(buckets), inputs, points=context.n_points(buckets)
+            raster,
+            work,
+            context.label_digests(buckets),
+            inputs,
+            points=context.n_points(buckets),
         )
 
 

@@ -1,7 +1,8 @@
 """Grouping of blocks of the terrain into tasks that make one TIN for several blocks.
 
-A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points than many small TINs.
-Pixels and digests of a block do not depend on its group, so finished blocks remain valid.
+A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points
+than many small TINs. Pixels and digests of a block do not depend on its group, so finished
+blocks remain valid.
 """
 
 from __future__ import annotations
@@ -22,11 +23,14 @@ from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task
 
 MAX_PIXELS = 16 * BLOCK_PIXELS**2
-"""A task has at most this many pixels. They take 13 bytes each, little compared to the memory of a worker."""
+"""A task has at most this many pixels. They take 13 bytes each, little compared to the memory
+of a worker."""
 TASKS_PER_WORKER = 4
-"""Tasks are divided until there are this many per worker, if that makes all workers finish earlier."""
+"""Tasks are divided until there are this many per worker, if that makes all workers finish
+earlier."""
 WORTH_DIVIDING = 0.95
-"""A division into more groups is used only if it takes at most this share of the shortest time so far."""
+"""A division into more groups is used only if it takes at most this share of the shortest time
+so far."""
 
 Records = Mapping[Cell, BucketRecord]
 Ints = npt.NDArray[np.int64]
@@ -59,12 +63,14 @@ class _Group:
         return self.points + self.pixels // 4
 
 
-def join_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
+def join_blocks(
+    plan: Plan, records: Records, tasks: Sequence[Task], workers: int
+) -> list[Task]:
     """Join tasks of single blocks of the terrain into few tasks with one TIN each, the largest first.
 
-    There are only as many tasks as the memory of a worker and a balanced load of all workers require. Only blocks with
-    linear interpolation are joined. Natural neighbours at the hull depend on the window, and IDW takes much memory per
-    pixel.
+    There are only as many tasks as the memory of a worker and a balanced load of all workers
+    require. Only blocks with linear interpolation are joined. Natural neighbours at the hull
+    depend on the window, and IDW takes much memory per pixel.
 
     Parameters
     ----------
@@ -171,7 +177,9 @@ class _Layout:
             for line in np.unique(starts)[1:]:
                 sides = (group.blocks[starts < line], group.blocks[starts >= line])
                 pair = [self._group(side, group.buckets) for side in sides]
-                divisions.append((max(half.cost for half in pair), _total_cost(pair), len(divisions), pair))
+                divisions.append(
+                    (max(half.cost for half in pair), _total_cost(pair), len(divisions), pair)
+                )
         return min(divisions)[-1] if divisions else []
 
     def _group(self, blocks: Ints, buckets: Ints) -> _Group:

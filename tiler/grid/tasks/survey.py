@@ -10,7 +10,15 @@ from typing import Any, NamedTuple
 
 from tiler.core.digests import digest_of
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
-from tiler.grid import CloseBlock, FillBlock, FindVoids, SurveyBlock, Void, VoidRasters, blocks_of
+from tiler.grid import (
+    CloseBlock,
+    FillBlock,
+    FindVoids,
+    SurveyBlock,
+    Void,
+    VoidRasters,
+    blocks_of,
+)
 from tiler.grid.pieces import Piece, Side, components, touching
 from tiler.grid.records import BlockRecord, HolesRecord, OpenAreasRecord, SurveyRecord
 from tiler.grid.tasks.gridding import GAP_M, GridContext, Place, RasterStep
@@ -60,13 +68,19 @@ def _close_tasks(raster: RasterStep, context: GridContext, gap: float) -> Iterat
     (occupancy,) = raster.inputs
     max_gap = float(context.plan.config.max_edge / context.coarse_m)
     reach_blocks = math.ceil((max_gap + 2) / BLOCK_PIXELS)
-    occupied = [place for place, record in context.records(occupancy, BlockRecord).items() if record.filled]
+    occupied = [
+        place
+        for place, record in context.records(occupancy, BlockRecord).items()
+        if record.filled
+    ]
     for place in near_places(coarse, occupied, reach_blocks):
         work = CloseBlock(
             name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), occupancy=occupancy,
             gap=min(gap, max_gap), max_gap=max_gap,
         )  # fmt: skip
-        inputs = context.checksums(occupancy, block_names(near_places(coarse, [place], reach_blocks)))
+        inputs = context.checksums(
+            occupancy, block_names(near_places(coarse, [place], reach_blocks))
+        )
         yield context.block_task(raster, work, [inputs])
 
 
@@ -79,7 +93,9 @@ def near_places(coarse: RasterSpec, places: Iterable[Place], n_blocks: int = 1) 
     near: set[Place] = set()
     for row, col in places:
         near.update((row + down, col + right) for down, right in product(offsets, offsets))
-    return sorted((row, col) for row, col in near if 0 <= row < coarse.height and 0 <= col < coarse.width)
+    return sorted(
+        (row, col) for row, col in near if 0 <= row < coarse.height and 0 <= col < coarse.width
+    )
 
 
 def block_names(places: Iterable[Place]) -> list[str]:
@@ -143,7 +159,9 @@ def outside_of(
     enclosed: set[Place] = set()
     for gap in all_gaps:
         if gap not in beyond:
-            enclosed.update((gap.row, col) for col in range(gap.first, gap.last + 1, BLOCK_PIXELS))
+            enclosed.update(
+                (gap.row, col) for col in range(gap.first, gap.last + 1, BLOCK_PIXELS)
+            )
     return outside, enclosed
 
 
@@ -167,7 +185,10 @@ def _missing_run_at(gaps: Mapping[int, list[MissingRun]], row: int, col: int) ->
 
 
 def _facing(
-    gap: MissingRun, row: int, gaps: Mapping[int, list[MissingRun]], columns: Mapping[int, list[int]]
+    gap: MissingRun,
+    row: int,
+    gaps: Mapping[int, list[MissingRun]],
+    columns: Mapping[int, list[int]],
 ) -> list[MissingRun]:
     """Return the gaps of an adjacent row of blocks that touch a gap.
 
@@ -193,9 +214,13 @@ def voids_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             continue
         block = coarse.block_at(*place, BLOCK_PIXELS)
         work = FindVoids(name=raster.name, spec=coarse, block=block, rasters=rasters)
-        under = [other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)]
+        under = [
+            other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)
+        ]
         yield context.block_task(
-            raster, work, [context.checksums(model, under), context.checksums(survey, [block.name])]
+            raster,
+            work,
+            [context.checksums(model, under), context.checksums(survey, [block.name])],
         )
 
 
@@ -212,7 +237,9 @@ def fill_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             runs += records[piece.row, piece.col].blocks[piece.label - 1]
         model_blocks = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
         void_blocks = sorted(block_names({(piece.row, piece.col) for piece in pieces}))
-        void_digest = digest_of(context.checksums(model, model_blocks), context.checksums(voids, void_blocks))
+        void_digest = digest_of(
+            context.checksums(model, model_blocks), context.checksums(voids, void_blocks)
+        )
         for key in model_blocks:
             voids_of[key].append((Void(pieces), void_digest))
     for key in sorted(voids_of.keys() | context.made[model].keys()):

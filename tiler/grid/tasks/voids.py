@@ -23,7 +23,8 @@ from tiler.store import Commits
 MAX_LISTED = 1000
 """run.json lists at most this many voids, the largest ones."""
 TOUCHING = 1.5
-"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch, too."""
+"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch,
+too."""
 
 
 def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
@@ -34,7 +35,9 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
         for edit, n_pixels in record.edit_holes:
             hole_pixels[edit] += n_pixels
     if job.results.edits:
-        job.results.edits = [replace(edit, holes=hole_pixels[edit.number]) for edit in job.results.edits]
+        job.results.edits = [
+            replace(edit, holes=hole_pixels[edit.number]) for edit in job.results.edits
+        ]
     cells = chain.from_iterable(record.holes for record in records)
     pixel_m2 = float(job.plan.grid.resolution) ** 2
     voids = voids_of(cells, spec, pixel_m2)
@@ -53,7 +56,9 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
     if not len(table):
         return []
     n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:]
-    pairs = scipy.spatial.cKDTree(first_pixel // CELL_PIXELS).query_pairs(TOUCHING, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(first_pixel // CELL_PIXELS).query_pairs(
+        TOUCHING, output_type="ndarray"
+    )
     graph = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(table), len(table)))
     n_voids, void_of_cell = scipy.sparse.csgraph.connected_components(graph, directed=False)
     pixels = np.bincount(void_of_cell, n_holes, n_voids).astype(np.int64)
@@ -63,7 +68,8 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
     np.maximum.at(last, void_of_cell, last_pixel)
     order = np.lexsort((first[:, 1], first[:, 0], -pixels))
     return [
-        VoidResult(int(pixels[i]), _bounds(spec, first[i], last[i]), int(pixels[i]) * pixel_m2) for i in order
+        VoidResult(int(pixels[i]), _bounds(spec, first[i], last[i]), int(pixels[i]) * pixel_m2)
+        for i in order
     ]
 
 

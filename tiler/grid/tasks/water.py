@@ -39,7 +39,8 @@ SOURCES = ("occupancy", "water-ground", "domain")
 MAX_SLOPE = 1 / 30
 """A river falls at most this much per length. Steeper areas without returns are ravines."""
 SHORE_MARGIN = POCKET_PIXELS + 2
-"""The level of a body of water may depend on pixels up to this distance from the body, in pixels."""
+"""The level of a body of water may depend on pixels up to this distance from the body, in
+pixels."""
 
 
 def find_waters(job: Job, context: GridContext) -> Waters:
@@ -61,7 +62,9 @@ def find_waters(job: Job, context: GridContext) -> Waters:
     without_level = {b.number for b in bodies} - {b.number for b in levelled}
     if without_level and not auto:
         names = ", ".join(map(str, sorted(without_level)))
-        job.note(f"--water: no terrain along the shore of body {names}: it is left out; give it a `level`")
+        job.note(
+            f"--water: no terrain along the shore of body {names}: it is left out; give it a `level`"
+        )
     waters = Waters(tuple(b for b in levelled if not auto or _is_gentle(context, b)))
     if auto and waters.bodies:
         n_lakes = sum(b.kind == LAKE for b in waters.bodies)
@@ -107,7 +110,8 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
             continue
         pieces = joined.areas[name]
         places = sorted({(piece.row, piece.col) for piece in pieces})
-        # `finish_water` adds up the confidences of the cells in hundredths. Not all cells have a confidence.
+        # `finish_water` adds up the confidences of the cells in hundredths. Not all cells have
+        # a confidence.
         confidence = round(hundredths / 100 / max(n_known, 1), 2)
         work = DescribeBody(
             pieces, CELLS, CROWNS, Sources(*SOURCES), context.rule, coarse, confidence=confidence,
@@ -116,7 +120,9 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
         )  # fmt: skip
         near = block_names(near_places(coarse, places))
         rasters = [context.checksums(raster, near) for raster in (CELLS, CROWNS, *SOURCES)]
-        digest = digest_of(__version__, work, *rasters, context.label_digests(_buckets_near(context, places)))
+        digest = digest_of(
+            __version__, work, *rasters, context.label_digests(_buckets_near(context, places))
+        )
         key = f"{block_names(places)[0]}a{name.label}"
         yield Task(FINDING, key, digest, describe_body, work, n_cells)
 
@@ -151,16 +157,30 @@ def level_tasks(context: GridContext, bodies: tuple[Water, ...]) -> Iterator[Tas
         if body.levelled:
             continue
         near = body.area.bounds.pad(pad)
-        other_areas = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
+        other_areas = tuple(
+            bodies[i].area for i in index.overlapping(near) if bodies[i] is not body
+        )
         names = (*SOURCES[:2], CROWNS)
         cells = names if all(name in context.made for name in names) else None
-        work = LevelWater(body, other_areas, "dtm", spec, cells, context.coarse, joins_pockets=auto)
-        inputs = [context.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
+        work = LevelWater(
+            body, other_areas, "dtm", spec, cells, context.coarse, joins_pockets=auto
+        )
+        inputs = [
+            context.checksums(
+                "dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS))
+            )
+        ]
         if cells is not None:
             blocks = [block.name for block in context.coarse.blocks_within(near, BLOCK_PIXELS)]
             inputs += [context.checksums(name, blocks) for name in cells]
         digest = digest_of(
-            __version__, body.digest, body.number, auto, [other.key for other in other_areas], spec, inputs
+            __version__,
+            body.digest,
+            body.number,
+            auto,
+            [other.key for other in other_areas],
+            spec,
+            inputs,
         )
         yield Task(STAGE, _key(body), digest, level_water, work)
 

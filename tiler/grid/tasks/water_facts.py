@@ -21,7 +21,8 @@ from tiler.store import Commits
 MIN_CONFIDENCE = 0.8
 """A body of water with a confidence below this causes a warning."""
 MAX_FLOATING = 0.005
-"""A body of water causes a warning if more than this share of its shore lies below its level."""
+"""A body of water causes a warning if more than this share of its shore lies below its
+level."""
 
 
 def report_levels(job: Job, waters: Waters, records: Mapping[int, LevelRecord]) -> None:
@@ -126,6 +127,8 @@ def _stations(body: Water) -> list[StationResult]:
 
 
 def _station(station: Station, along: float) -> StationResult:
-    left, right = (None if z is None else z / COUNTS_PER_UNIT for z in (station.left, station.right))
+    left, right = (
+        None if z is None else z / COUNTS_PER_UNIT for z in (station.left, station.right)
+    )
     level = station.level / COUNTS_PER_UNIT
     return StationResult(along / COUNTS_PER_UNIT, station.seen, level, left, right)

@@ -1,8 +1,9 @@
 """Tasks that search for water block by block, and the decisions on whole areas between these tasks.
 
-A candidate is a connected area of cells that may be water (see `tiler.grid.water_search`). A plane is a level area that
-may be water (see `tiler.grid.water_planes`). Both are areas that can extend over several blocks. The name of an area is
-its first `Piece`. The rim of an area is the land around it.
+A candidate is a connected area of cells that may be water (see `tiler.grid.water_search`). A
+plane is a level area that may be water (see `tiler.grid.water_planes`). Both are areas that can
+extend over several blocks. The name of an area is its first `Piece`. The rim of an area is the
+land around it.
 """
 
 from __future__ import annotations
@@ -52,20 +53,30 @@ def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     for key, (_, stored) in context.made[terrain].items():
         if BlockRecord.of(stored).filled:
             bounds = spec.block_bounds(spec.block_named(key, BLOCK_PIXELS))
-            places.update((block.row, block.col) for block in coarse.blocks_within(bounds, BLOCK_PIXELS))
+            places.update(
+                (block.row, block.col) for block in coarse.blocks_within(bounds, BLOCK_PIXELS)
+            )
     for place in sorted(places):
         block = coarse.block_at(*place, BLOCK_PIXELS)
-        has_water_class = any(records[other].water for other in around(*place) if other in records)
+        has_water_class = any(
+            records[other].water for other in around(*place) if other in records
+        )
         work = GroundCells(
             name=raster.name, spec=coarse, block=block, heights=terrain, pixels=spec,
             occupancy=occupancy if has_water_class else None, rule=context.rule,
         )  # fmt: skip
-        blocks = [other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)]
+        blocks = [
+            other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)
+        ]
         inputs: list[Any] = [context.checksums(terrain, blocks)]
         if has_water_class:
             margin = int(NEAR_CELLS * coarse.lattice.size) + 1
-            near = context.plan.buckets.among(coarse.block_bounds(block).pad(margin), context.labels)
-            inputs.append(context.checksums(occupancy, block_names(near_places(coarse, [place]))))
+            near = context.plan.buckets.among(
+                coarse.block_bounds(block).pad(margin), context.labels
+            )
+            inputs.append(
+                context.checksums(occupancy, block_names(near_places(coarse, [place])))
+            )
             inputs.append(context.label_digests(near))
         yield context.block_task(raster, work, inputs)
 
@@ -73,8 +84,8 @@ def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 def areas_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the survey that may have water.
 
-    A block may have water if the usual number of returns per cell is known in the block and its neighbours, or if the
-    input has the class of water there.
+    A block may have water if the usual number of returns per cell is known in the block and its
+    neighbours, or if the input has the class of water there.
     """
     occupancy, ground, domain = raster.inputs
     records = context.records(occupancy, OccupancyRecord)
@@ -127,7 +138,9 @@ def plane_sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]
     names_by_place = _by_place(context.areas(inputs[0]), kept)
     for place in near_places(context.coarse, names_by_place):
         names = _names_near(names_by_place, place)
-        work = _on_areas(KeepPlanes, raster, context, place, kept=tuple((name, kept[name]) for name in names))
+        work = _on_areas(
+            KeepPlanes, raster, context, place, kept=tuple((name, kept[name]) for name in names)
+        )
         yield context.block_task(raster, work, _near_checksums(context, inputs, place))
 
 
@@ -137,7 +150,9 @@ def sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     areas = inputs[0]
     kept = _kept_areas(context, areas, rims)
     for place, names in _by_place(context.areas(areas), kept).items():
-        work = _on_areas(KeepAreas, raster, context, place, kept=tuple((name, kept[name]) for name in names))
+        work = _on_areas(
+            KeepAreas, raster, context, place, kept=tuple((name, kept[name]) for name in names)
+        )
         yield context.block_task(raster, work, [context.checksums(areas, block_names([place]))])
 
 
@@ -158,9 +173,13 @@ def crowns_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             rule=context.rule,
         )
         margin = int(context.coarse.lattice.size) + 1
-        near = context.plan.buckets.among(context.coarse.block_bounds(block).pad(margin), context.labels)
+        near = context.plan.buckets.among(
+            context.coarse.block_bounds(block).pad(margin), context.labels
+        )
         yield context.block_task(
-            raster, work, [*_near_checksums(context, raster.inputs, place), context.label_digests(near)]
+            raster,
+            work,
+            [*_near_checksums(context, raster.inputs, place), context.label_digests(near)],
         )
 
 
@@ -208,7 +227,11 @@ def _decks_near(context: GridContext, place: Place) -> tuple[tuple[int, ...], ..
 
 
 def _on_areas(
-    make: Callable[..., AnyWork], raster: RasterStep, context: GridContext, place: Place, **more: Any
+    make: Callable[..., AnyWork],
+    raster: RasterStep,
+    context: GridContext,
+    place: Place,
+    **more: Any,
 ) -> AnyWork:
     """Make the arguments of a task on candidates or planes."""
     areas, occupancy, ground, domain = raster.inputs[-4:]
@@ -233,7 +256,9 @@ def _near_checksums(context: GridContext, rasters: Sequence[str], place: Place) 
 
 def _near_labels(context: GridContext, areas: str) -> list[Place]:
     """Return the places of blocks with labels in a raster of areas, and of their neighbours."""
-    labelled = [place for place, record in context.records(areas, SizesRecord).items() if record.labels]
+    labelled = [
+        place for place, record in context.records(areas, SizesRecord).items() if record.labels
+    ]
     return near_places(context.coarse, labelled)
 
 
@@ -246,7 +271,9 @@ def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]
     return names_by_place
 
 
-def _names_near(names_by_place: Mapping[Place, Sequence[Piece]], place: Place) -> tuple[Piece, ...]:
+def _names_near(
+    names_by_place: Mapping[Place, Sequence[Piece]], place: Place
+) -> tuple[Piece, ...]:
     """Return the names of the areas that extend into a block or its neighbours."""
     names: set[Piece] = set()
     for other in around(*place):
@@ -259,7 +286,9 @@ def _sizes(context: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
     return area_sums(context.areas(areas), context.records(areas, SizesRecord))
 
 
-def area_sums(joined: Joined, records: Mapping[Place, SizesRecord]) -> dict[Piece, tuple[int, ...]]:
+def area_sums(
+    joined: Joined, records: Mapping[Place, SizesRecord]
+) -> dict[Piece, tuple[int, ...]]:
     """Return the sums of ``sizes`` of the records (see `SizesRecord`) over the pieces of each area, by its name."""
     sums = {}
     for name, pieces in joined.areas.items():
@@ -282,7 +311,8 @@ def _kept_areas(context: GridContext, areas: str, rims: str) -> dict[Piece, floa
 def _rims(context: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
     """Return the rim of each area, added up over blocks.
 
-    Evident planes have two rims. In the second one, with ``number`` 1, other planes do not count as land.
+    Evident planes have two rims. In the second one, with ``number`` 1, other planes do not
+    count as land.
     """
     rim_by_area: dict[Piece, Rim] = {}
     for record in context.records(rims, RimsRecord).values():
@@ -316,7 +346,9 @@ def _likely_planes(context: GridContext, planes: str) -> tuple[list[Piece], list
     return sorted(evident), sorted(others)
 
 
-def _box(pieces: Iterable[Piece], records: Mapping[Place, SizesRecord]) -> tuple[int, int, int, int]:
+def _box(
+    pieces: Iterable[Piece], records: Mapping[Place, SizesRecord]
+) -> tuple[int, int, int, int]:
     """Return the first row and column, and the last row and column plus 1, of an area."""
     boxes = [(records[p.row, p.col].boxes or [])[p.label - 1] for p in pieces]
     top, left, bottom, right = zip(*boxes, strict=True)
@@ -339,8 +371,8 @@ def _kept_planes(context: GridContext, planes: str, rims: str) -> dict[Piece, fl
             neighbours[Piece(*name)].add(Piece(*other))
     kept = {name: confidences[name] for name in evident if name in confidences}
     other_water = {name: confidences[name] for name in others if name in confidences}
-    # The planes above and below a dam may both be water. So planes of ``others`` that are water do not count as land in
-    # the rims of the evident planes next to them.
+    # The planes above and below a dam may both be water. So planes of ``others`` that are water
+    # do not count as land in the rims of the evident planes next to them.
     next_to_others: set[Piece] = set()
     for name in other_water:
         next_to_others |= neighbours[name]

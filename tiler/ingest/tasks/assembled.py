@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, reduce
 
-from tiler.core.classes import OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, UNSELECTED_FLAG, WITHHELD_FLAG
+from tiler.core.classes import (
+    OVERLAP_FLAG,
+    STRAY_FLAG,
+    SYNTHETIC_FLAG,
+    UNSELECTED_FLAG,
+    WITHHELD_FLAG,
+)
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.records import BucketRecord, buckets_in
 from tiler.plan import Plan
@@ -40,5 +46,7 @@ class IngestResult:
     @cached_property
     def bounds(self) -> Bounds:
         """Bounds of all stored points except strays, in absolute counts."""
-        known = (Bounds.from_json(record.bounds) for record in self.records.values() if record.bounds)
+        known = (
+            Bounds.from_json(record.bounds) for record in self.records.values() if record.bounds
+        )
         return reduce(Bounds.union, known)

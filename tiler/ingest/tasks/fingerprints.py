@@ -1,8 +1,9 @@
 """Registration of the inputs in the store: a number for each source, and the digest of its bytes.
 
-The workers read all bytes of a file once for its digest. They read them again only if its size, its time or the bytes
-before its points have changed, or with ``--verify``. So a file that was only touched, or replaced by a copy of itself,
-is recognized by its digest. The state, header and octree identify a COPC file at a URL of which only a part is read.
+The workers read all bytes of a file once for its digest. They read them again only if its size,
+its time or the bytes before its points have changed, or with ``--verify``. So a file that was
+only touched, or replaced by a copy of itself, is recognized by its digest. The state, header
+and octree identify a COPC file at a URL of which only a part is read.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ STAGE = "identify"
 GROUP_BYTES, GROUP_FILES = 32 << 20, 64
 """Bytes and number of small files that one task reads together."""
 SAVED_SECONDS = 10.0
-"""Interval in seconds at which the digests are saved in the store, so that a killed run does not lose them."""
+"""Interval in seconds at which the digests are saved in the store, so that a killed run does
+not lose them."""
 
 
 class FileContent(NamedTuple):
@@ -62,14 +64,18 @@ def register_sources(job: Job) -> list[Source]:
         A source cannot be read, and it is the only one or ``--on-error`` is ``stop``, or no source can be read.
     """
     known: dict[str, KnownFile] = job.store.get_state("sources") or {}
-    # Passwords and tokens are removed, because a link that is signed daily leads to the same file.
-    info_by_location = {without_secrets(location(info.path)): info for info in job.plan.inputs.sources}
+    # Passwords and tokens are removed, because a link that is signed daily leads to the same
+    # file.
+    info_by_location = {
+        without_secrets(location(info.path)): info for info in job.plan.inputs.sources
+    }
     todo = []
     for file_location, info in info_by_location.items():
         entry = known.setdefault(file_location, {"number": len(known)})
         if not job.plan.config.verify and entry.get("stamp") == info.stamp:
             continue
-        if is_url(info.path) and chunks_of(job.plan, info) is not None:  # Most of the file is not fetched.
+        # Most of the file is not fetched.
+        if is_url(info.path) and chunks_of(job.plan, info) is not None:
             content = digest_of("octree", info.state, info.digest, info.octree)
             entry["stamp"], entry["content"] = info.stamp, content
         else:
@@ -82,12 +88,15 @@ def register_sources(job: Job) -> list[Source]:
         for file_location, info in info_by_location.items()
         if info.points and file_location not in unreadable
     ]
-    if not sources:  # The plan has at least one source with points, so none of these could be read.
+    # The plan has at least one source with points, so none of these could be read.
+    if not sources:
         raise InputError(f"no input could be read; the first error: {min(unreadable.values())}")
     return sources
 
 
-def _identify(job: Job, known: dict[str, KnownFile], todo: list[tuple[str, SourceInfo]]) -> dict[str, str]:
+def _identify(
+    job: Job, known: dict[str, KnownFile], todo: list[tuple[str, SourceInfo]]
+) -> dict[str, str]:
     """Have the workers read files, and add their digests to ``known``. Return the errors by location."""
     stamps, unreadable, saved = (
         {file_location: info.stamp for file_location, info in todo},
@@ -127,13 +136,21 @@ def file_digests(
     if not tasks:
         return
     points, start = sum(task.points for task in tasks), time.monotonic()
-    job.listener(StageStarted(stage, job.plan.method.title_of(stage), tasks=len(tasks), points=points))
+    job.listener(
+        StageStarted(stage, job.plan.method.title_of(stage), tasks=len(tasks), points=points)
+    )
     for outcome in job.executors.choose(in_out).run(compute, job.store.url, tasks):
         if outcome.again:
             continue
         task = outcome.task
-        job.listener(TaskDone(stage, task.key, points=task.points, seconds=round(outcome.seconds, 3)))
-        record = DigestsRecord({}, {}) if outcome.record is None else DigestsRecord.of(outcome.record)
+        job.listener(
+            TaskDone(stage, task.key, points=task.points, seconds=round(outcome.seconds, 3))
+        )
+        record = (
+            DigestsRecord({}, {})
+            if outcome.record is None
+            else DigestsRecord.of(outcome.record)
+        )
         for file_location, _ in task.arguments.files:
             error = f"{file_location}: the process that reads it {outcome.error}; get the file again"
             digest = record.digests.get(file_location)
@@ -147,7 +164,9 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
         if job.plan.config.on_error == "stop" or len(job.plan.inputs.sources) == 1:
             raise InputError(reason)
         job.record.quarantined.append(LeftOut(file_location, reason))
-        job.listener(Warned(f"{file_location}: left out: {reason.removeprefix(f'{file_location}: ')}"))
+        job.listener(
+            Warned(f"{file_location}: left out: {reason.removeprefix(f'{file_location}: ')}")
+        )
 
 
 def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:

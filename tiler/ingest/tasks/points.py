@@ -77,7 +77,9 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
             yield Task("spool", key, digest_of(identity, buckets), spool_piece, work, count)
 
 
-def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tuple[int, int], ...]]]:
+def _pieces(
+    plan: Plan, info: SourceInfo
+) -> Iterator[tuple[int, int, tuple[tuple[int, int], ...]]]:
     """Yield first record, number of records and ranges of each piece.
 
     Pieces of files that are read completely have no ranges.
@@ -150,22 +152,28 @@ def assemble_tasks(
         sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
         rules = ((n, strays[n].rule(plan.buckets, cell)) for n in sorted(sources))
         return BucketParts(
-            cell, tuple(fragments[cell]), tuple((n, rule) for n, rule in rules if rule is not None)
+            cell,
+            tuple(fragments[cell]),
+            tuple((n, rule) for n, rule in rules if rule is not None),
         )
 
     groups: dict[Cell, list[Cell]] = defaultdict(list)
     for cell in fragments:
         groups[Cell(cell.ix // GROUP, cell.iy // GROUP)].append(cell)
     flags, keep = skip_flags(plan), plan.config.keep_classes
-    identities = {piece: SpoolRecord.of(stored).identity for piece, (_, stored) in spooled.items()}
+    identities = {
+        piece: SpoolRecord.of(stored).identity for piece, (_, stored) in spooled.items()
+    }
     for group in sorted(groups):
         buckets = tuple(bucket(c) for c in sorted(groups[group]))
         pieces_of_group = {piece for cell in groups[group] for piece, _, _ in fragments[cell]}
         parents = [identities[piece] for piece in sorted(pieces_of_group)]
         points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
-        # The digest has no rows, because a bucket's rows in a piece depend on the other buckets that are stored.
+        # The digest has no rows, because a bucket's rows in a piece depend on the other buckets
+        # that are stored.
         content = [
-            [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules] for b in buckets
+            [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules]
+            for b in buckets
         ]
         digest = digest_of(content, keep, flags, parents)
         work = AssembleBuckets(buckets, keep, flags)

@@ -1,6 +1,7 @@
 """Conversion of the fields of LAS records to columns of a `PointBlock`, which do not depend on the point format.
 
-In formats 0 to 5, class (5 bits) and flags are in one byte, in formats 6 to 10 in two (LAS 1.4 R15, tables 8 to 17).
+In formats 0 to 5, class (5 bits) and flags are in one byte, in formats 6 to 10 in two (LAS 1.4
+R15, tables 8 to 17).
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ def is_legacy(point_format: int) -> bool:
 
 def coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np.float64]:
     """Return coordinates along an axis (0 x, 1 y, 2 z) in units of the CRS, float64 of shape (n,)."""
-    coordinates: npt.NDArray[np.float64] = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
+    coordinates: npt.NDArray[np.float64] = (
+        records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
+    )
     return coordinates
 
 
@@ -43,7 +46,11 @@ def class_and_flags(
         raw = records["raw_classification"].astype(np.uint8)
         classification = raw & np.uint8(LEGACY_CLASS_MASK)
         # Bit 5 is synthetic, bit 6 is key point, and bit 7 is withheld.
-        flags = _bit(raw, 5, SYNTHETIC_FLAG) | _bit(raw, 6, KEY_POINT_FLAG) | _bit(raw, 7, WITHHELD_FLAG)
+        flags = (
+            _bit(raw, 5, SYNTHETIC_FLAG)
+            | _bit(raw, 6, KEY_POINT_FLAG)
+            | _bit(raw, 7, WITHHELD_FLAG)
+        )
         flags |= (classification == OVERLAP_CLASS).astype(np.uint8) * np.uint8(OVERLAP_FLAG)
         return classification, flags
     raw = records["classification_flags"].astype(np.uint8)
@@ -80,7 +87,9 @@ def evidence(records: Records, point_format: int) -> Evidence:
     angle = "scan_angle_rank" if is_legacy(point_format) else "scan_angle"
     rgb = colours(records, point_format)
     # Scan direction and edge of flight line are the two highest bits in every format.
-    flags = records["bit_fields" if is_legacy(point_format) else "classification_flags"] & np.uint8(0xC0)
+    flags = records[
+        "bit_fields" if is_legacy(point_format) else "classification_flags"
+    ] & np.uint8(0xC0)
     return Evidence.of(
         returns=returns(records, point_format).T,
         gps_time=records["gps_time"] if "gps_time" in names else None,
@@ -94,7 +103,10 @@ def evidence(records: Records, point_format: int) -> Evidence:
 
 
 def write_classes(
-    records: Records, point_format: int, classes: npt.NDArray[np.uint8], chosen: npt.NDArray[np.bool_]
+    records: Records,
+    point_format: int,
+    classes: npt.NDArray[np.uint8],
+    chosen: npt.NDArray[np.bool_],
 ) -> None:
     """Set the class of the chosen records in place. Flags do not change."""
     if is_legacy(point_format):

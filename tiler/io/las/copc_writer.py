@@ -14,7 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.octree_batches import CELLS_OF_NODE, DEPTH, Key, Levels, Places, curve, octree_batches, runs
+from tiler.io.las.octree_batches import (
+    CELLS_OF_NODE,
+    DEPTH,
+    Key,
+    Levels,
+    Places,
+    curve,
+    octree_batches,
+    runs,
+)
 from tiler.io.las.reader import Records, rows_at_once
 from tiler.io.las.records import COPC_USER, packed_record
 from tiler.io.las.writer import layout_of
@@ -56,7 +65,9 @@ class Cube:
     def places(self, records: Records) -> Places:
         """Return the positions of records in the cube."""
         positions = np.empty((3, len(records)), dtype=np.int32)
-        for axis, (name, low, side) in enumerate(zip(_AXES, self.corner, self.sides, strict=True)):
+        for axis, (name, low, side) in enumerate(
+            zip(_AXES, self.corner, self.sides, strict=True)
+        ):
             raised = (records[name].astype(np.int64) - low) * (2**DEPTH / side)
             positions[axis] = np.clip(raised, 0, 2**DEPTH - 1)
         return positions
@@ -140,13 +151,20 @@ class CopcWriter:
             entries += _ENTRY.pack(*key, offset, size, points)
             offset += size
         self._target.seek(0, 2)
-        record = packed_record(COPC_USER, _HIERARCHY_RECORD, "EPT hierarchy", entries, extended=True)
+        record = packed_record(
+            COPC_USER, _HIERARCHY_RECORD, "EPT hierarchy", entries, extended=True
+        )
         self.hierarchy_start = self._target.tell()
         page = self.hierarchy_start + len(record) - len(entries)
         self._target.write(record)
         times = self._times if self._times[0] <= self._times[1] else [0.0, 0.0]
         info = _INFO.pack(
-            *cube.centre, cube.half, 2 * cube.half / 2**CELLS_OF_NODE, page, len(entries), *times
+            *cube.centre,
+            cube.half,
+            2 * cube.half / 2**CELLS_OF_NODE,
+            page,
+            len(entries),
+            *times,
         )
         self._target.seek(HEADER_BYTES)
         self._target.write(packed_record(COPC_USER, _INFO_RECORD, "COPC info VLR", info))
@@ -159,7 +177,9 @@ class CopcWriter:
         if self._points:
             low, high = self._low, self._high
         side = max((b - a + 1) * scale for a, b, scale in zip(low, high, scales, strict=True))
-        corner = [a * scale + offset for a, scale, offset in zip(low, scales, offsets, strict=True)]
+        corner = [
+            a * scale + offset for a, scale, offset in zip(low, scales, offsets, strict=True)
+        ]
         return Cube(
             corner=tuple(low),
             sides=tuple(side / scale for scale in scales),
@@ -206,13 +226,19 @@ def _of_levels(
     for level in np.unique(level_of).tolist():
         rows = np.flatnonzero(level_of == level)
         corners = places[:, rows] >> DEPTH - level
-        number = (corners[0].astype(np.int64) << 42) | (corners[1].astype(np.int64) << 21) | corners[2]
+        number = (
+            (corners[0].astype(np.int64) << 42)
+            | (corners[1].astype(np.int64) << 21)
+            | corners[2]
+        )
         order = np.argsort(number, kind="stable")
         starts = runs(number[order])[0]
         keys = corners[:, order[starts]].T.tolist()
         parts = np.split(rows[order], starts[1:])
         nodes += [((level, *key), part) for key, part in zip(keys, parts, strict=True)]
-    corners = np.array([[v << DEPTH - key[0] for v in key[1:]] for key, _ in nodes], dtype=np.int32).T
+    corners = np.array(
+        [[v << DEPTH - key[0] for v in key[1:]] for key, _ in nodes], dtype=np.int32
+    ).T
     along = curve(corners, brick[0])
     levels = np.array([key[0] for key, _ in nodes])
     return [nodes[i] for i in np.lexsort((levels, along)).tolist()]

@@ -79,7 +79,8 @@ def cut_windows(
 ) -> list[int]:
     """Write the points of each window to a separate file.
 
-    The files are like the source, but not compressed and without EVLRs. A window without points gets no file.
+    The files are like the source, but not compressed and without EVLRs. A window without points
+    gets no file.
 
     Parameters
     ----------
@@ -132,7 +133,9 @@ def _write(header: LasHeader, records: Records, target: Path) -> None:
         values = coordinate(records, header, axis)
         bounds += [float(values.max()), float(values.min())]
     struct.pack_into("<B", front, 104, header.point_format)
-    struct.pack_into("<I5I", front, 107, 0 if header.version[1] >= 4 else records.size, *[0] * 5)
+    struct.pack_into(
+        "<I5I", front, 107, 0 if header.version[1] >= 4 else records.size, *[0] * 5
+    )
     struct.pack_into("<6d", front, 179, *bounds)
     if header.version[1] >= 3:
         struct.pack_into("<Q", front, 227, 0)

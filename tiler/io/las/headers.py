@@ -1,7 +1,7 @@
 """LAS headers, with all fields checked against the file.
 
-The layout is that of the LAS specification 1.5 R00, tables of the header, of VLRs and of EVLRs. The headers of LAS 1.0
-to 1.4 are prefixes of it.
+The layout is that of the LAS specification 1.5 R00, tables of the header, of VLRs and of EVLRs.
+The headers of LAS 1.0 to 1.4 are prefixes of it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from tiler.io.las.records import Vlr, walk_records
 from tiler.io.locations import FileState, is_url, state_of
 
 _BLOCK_BYTES = 1 << 14
-"""Bytes per request to a URL. The bytes before the points, the chunk table or a record are seldom more."""
+"""Bytes per request to a URL. The bytes before the points, the chunk table or a record are
+seldom more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
 _LAS15 = struct.Struct("<ddH")
@@ -44,12 +45,15 @@ _UNKNOWN = 1 << 40
 _MANY = 10_000_000
 """Number of points above which a file is checked for being a decompression bomb."""
 _DENSEST = 1000
-"""Number of points per compressed byte above which a file is refused as a bomb. Real clouds have less than one."""
+"""Number of points per compressed byte above which a file is refused as a bomb. Real clouds
+have less than one."""
 
 FINEST_SCALE = 1e-9
-"""Smallest scale factor, in units of the CRS. With a smaller one all points would lie within four units."""
+"""Smallest scale factor, in units of the CRS. With a smaller one all points would lie within
+four units."""
 COARSEST_SCALE = 1e3
-"""Largest scale factor, in units of the CRS. With a larger one the points would not be on earth."""
+"""Largest scale factor, in units of the CRS. With a larger one the points would not be on
+earth."""
 
 AGAIN = "get the file again"
 SALVAGE = "get the file again, or read its intact part with --salvage"
@@ -187,7 +191,11 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
                 refuse(path, f"{header.notes[-1]}; not one point can be salvaged")
             return replace(_extended(header, stream, salvage), digest=_digest(header, stream))
     except OSError as error:
-        refuse(path, f"cannot be read ({error.strerror or error})", "give a readable LAS or LAZ file")
+        refuse(
+            path,
+            f"cannot be read ({error.strerror or error})",
+            "give a readable LAS or LAZ file",
+        )
 
 
 def read_payload(path: Path, record: Vlr, limit: int = 1 << 24) -> bytes:
@@ -205,7 +213,9 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
         refuse(path, "is empty")
     if raw[:4] != b"LASF":
         refuse(
-            path, f"begins with {raw[:4]!r}, not with LASF: not a LAS or LAZ file", "give LAS or LAZ files"
+            path,
+            f"begins with {raw[:4]!r}, not with LASF: not a LAS or LAZ file",
+            "give LAS or LAZ files",
         )
     if len(raw) < _BLOCK.size:
         refuse(path, f"has {size} bytes, its header alone needs {_BLOCK.size}")
@@ -213,13 +223,19 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
     encoding, major, minor = fields[2], fields[4], fields[5]
     header_size, points_offset, _, form, length, legacy_count = fields[10:16]
     if major != 1 or minor not in HEADER_SIZES:
-        refuse(path, f"is LAS {major}.{minor}, LAS 1.0 to 1.5 can be read", "convert it to LAS 1.4")
+        refuse(
+            path, f"is LAS {major}.{minor}, LAS 1.0 to 1.5 can be read", "convert it to LAS 1.4"
+        )
     least = HEADER_SIZES[minor]
     if size < least:
         refuse(path, f"has {size} bytes, its header alone needs {least}")
     unfinished = header_size == 0 and points_offset == 0
     if unfinished and not salvage:
-        refuse(path, "its header was never finished (header size 0): its writer was stopped", SALVAGE)
+        refuse(
+            path,
+            "its header was never finished (header size 0): its writer was stopped",
+            SALVAGE,
+        )
     if unfinished:
         header_size = least
     elif not least <= header_size <= points_offset <= size:
@@ -229,7 +245,9 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
     if form & 0x40 or plain >= len(_RECORD_SIZES):
         refuse(path, f"point format {form} is not known, 0 to 10 are", "convert it to LAS 1.4")
     if length < _RECORD_SIZES[plain]:
-        refuse(path, f"says records of {length} bytes, format {plain} needs {_RECORD_SIZES[plain]}")
+        refuse(
+            path, f"says records of {length} bytes, format {plain} needs {_RECORD_SIZES[plain]}"
+        )
     bounds = fields[27:33]
     waveform = evlrs = 0
     count = legacy_count
@@ -265,7 +283,9 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
     if minor >= 5:
         header = _with_times(header, raw)
     if count and legacy_count not in (0, count):
-        problem = f"says {count} points, and {legacy_count} in the field of LAS 1.3; {count} counts"
+        problem = (
+            f"says {count} points, and {legacy_count} in the field of LAS 1.3; {count} counts"
+        )
         header = header.noted(problem)
     return header
 
@@ -274,10 +294,16 @@ def _with_times(header: LasHeader, raw: bytes) -> LasHeader:
     """Return the header with the fields that LAS 1.5 added."""
     last, first, offset = _LAS15.unpack_from(raw, HEADER_SIZES[4])
     if header.point_format < _OLDEST_FORMAT_15:
-        header = header.noted(f"has points of format {header.point_format}; LAS 1.5 has formats 6 to 10")
+        header = header.noted(
+            f"has points of format {header.point_format}; LAS 1.5 has formats 6 to 10"
+        )
     # GPS week times have no offset.
     standard = header.global_encoding & _STANDARD_TIME_BIT
-    if standard and header.global_encoding & _TIME_OFFSET_BIT and header.point_format not in _WITHOUT_TIME:
+    if (
+        standard
+        and header.global_encoding & _TIME_OFFSET_BIT
+        and header.point_format not in _WITHOUT_TIME
+    ):
         header = replace(header, time_offset=offset)
     if first == last == 0:
         return header
@@ -296,14 +322,22 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     vlrs, whole = walk_records(stream, header.header_size, count, end, extended=False)
     if not whole:
         # Only a wrong count is harmless. If the points do not fit either, the file is damaged.
-        fits = compressed or header.points_offset + header.point_count * header.record_length <= header.size
+        fits = (
+            compressed
+            or header.points_offset + header.point_count * header.record_length <= header.size
+        )
         if not fits or unfinished:
-            refuse(header.path, f"says {count} variable length records, there is room for {len(vlrs)}")
+            refuse(
+                header.path,
+                f"says {count} variable length records, there is room for {len(vlrs)}",
+            )
         header = header.noted(f"says {count} variable length records, {len(vlrs)} are there")
     if unfinished:
         start = vlrs[-1].end if vlrs else header.header_size
         room = _UNKNOWN if compressed else (header.size - start) // header.record_length
-        header = replace(header, points_offset=start, point_count=room).noted("header unfinished: rebuilt")
+        header = replace(header, points_offset=start, point_count=room).noted(
+            "header unfinished: rebuilt"
+        )
     header = replace(header, vlrs=vlrs)
     if not compressed:
         return header
@@ -328,7 +362,9 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
         problem = f"says 0 points, has room for {room}: it was never finished"
         return replace(_salvaged(header, problem, salvage), point_count=room)
     if header.point_count < room:
-        return header.noted(f"says {header.point_count} points, has room for {room}: the rest is not read")
+        return header.noted(
+            f"says {header.point_count} points, has room for {room}: the rest is not read"
+        )
     room = max(header.size - header.points_offset, 0) // header.record_length
     if header.point_count <= room:
         return header
@@ -336,18 +372,27 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
     return replace(_salvaged(header, problem, salvage), point_count=room)
 
 
-def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool) -> LasHeader:
+def _compressed_points(
+    header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool
+) -> LasHeader:
     """Read the chunk table of a LAZ file, and check it against the number of points."""
     behind = bytes_of_points(stream, header.points_offset, header.points_end, header.size)
     if header.point_count == 0 and behind < layout.min_chunk:
         return header
-    if header.point_count > max(_MANY, _DENSEST * header.size) and header.point_count != _UNKNOWN:
+    if (
+        header.point_count > max(_MANY, _DENSEST * header.size)
+        and header.point_count != _UNKNOWN
+    ):
         refuse(header.path, f"says {header.point_count} points in {header.size} bytes")
     try:
         if header.point_count == 0:
             header = replace(header, point_count=_UNKNOWN)
-            raise CorruptLazError(f"says 0 points, has {behind} bytes of them: it was never finished")
-        counts, sizes = read_table(stream, layout, header.points_offset, header.size, header.point_count)
+            raise CorruptLazError(
+                f"says 0 points, has {behind} bytes of them: it was never finished"
+            )
+        counts, sizes = read_table(
+            stream, layout, header.points_offset, header.size, header.point_count
+        )
         return replace(header, laz=replace(layout, counts=counts, sizes=sizes))
     except CorruptLazError as damage:
         header = _salvaged(header, str(damage), salvage)

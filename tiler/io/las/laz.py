@@ -23,7 +23,8 @@ _BYTE14 = 14
 _ITEM_VERSION = 3
 
 MAX_CHUNKS = 1 << 21
-"""Maximum number of chunks of a file. With 50,000 points each, no file has more. A longer table would fill memory."""
+"""Maximum number of chunks of a file. With 50,000 points each, no file has more. A longer table
+would fill memory."""
 
 
 class CorruptLazError(Exception):
@@ -77,23 +78,35 @@ class LazLayout:
 def parse_laszip(record_data: bytes) -> LazLayout:
     """Return the layout in a laszip record, without the chunk table. Raise CorruptLazError if the record is wrong."""
     if len(record_data) < _LASZIP.size:
-        raise CorruptLazError(f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed")
+        raise CorruptLazError(
+            f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed"
+        )
     compressor, _, _, _, _, _, chunk_size, _, _, n_items = _LASZIP.unpack_from(record_data)
     if compressor not in (_POINTWISE_CHUNKED, _LAYERED):
-        raise CorruptLazError(f"compressor {compressor} of its laszip record is not known (2 and 3 are)")
+        raise CorruptLazError(
+            f"compressor {compressor} of its laszip record is not known (2 and 3 are)"
+        )
     if len(record_data) < _LASZIP.size + n_items * _ITEM.size or n_items == 0:
-        raise CorruptLazError(f"its laszip record says {n_items} items and has {len(record_data)} bytes")
+        raise CorruptLazError(
+            f"its laszip record says {n_items} items and has {len(record_data)} bytes"
+        )
     if chunk_size == 0:
         raise CorruptLazError("its laszip record says chunks of 0 points")
-    items = [_ITEM.unpack_from(record_data, _LASZIP.size + i * _ITEM.size) for i in range(n_items)]
-    newer = [version for kind, _, version in items if kind in _LAYERS and version > _ITEM_VERSION]
+    items = [
+        _ITEM.unpack_from(record_data, _LASZIP.size + i * _ITEM.size) for i in range(n_items)
+    ]
+    newer = [
+        version for kind, _, version in items if kind in _LAYERS and version > _ITEM_VERSION
+    ]
     if newer:
         raise CorruptLazError(
             f"its points are compressed by items of version {newer[0]}, {_ITEM_VERSION} can be read"
         )
     layers = 0
     if compressor == _LAYERED:
-        layers = sum(size if kind == _BYTE14 else _LAYERS.get(kind, 0) for kind, size, _ in items)
+        layers = sum(
+            size if kind == _BYTE14 else _LAYERS.get(kind, 0) for kind, size, _ in items
+        )
     return LazLayout(
         record_data=record_data,
         chunk_size=None if chunk_size == _VARIABLE else chunk_size,
@@ -128,7 +141,9 @@ def read_table(
         raise CorruptLazError(f"its chunk table says {chunks} chunks, {MAX_CHUNKS} can be read")
     stream.seek(points_offset)
     try:
-        entries = np.asarray(lazrs.read_chunk_table(stream, lazrs.LazVlr(layout.record_data)), dtype=np.int64)
+        entries = np.asarray(
+            lazrs.read_chunk_table(stream, lazrs.LazVlr(layout.record_data)), dtype=np.int64
+        )
     except (lazrs.LazrsError, ValueError, OverflowError) as error:
         raise CorruptLazError(f"its chunk table cannot be read ({error})") from error
     except BaseException as error:
@@ -146,7 +161,10 @@ def read_table(
 
 
 def _true_counts(
-    layout: LazLayout, counts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64], point_count: int
+    layout: LazLayout,
+    counts: npt.NDArray[np.int64],
+    sizes: npt.NDArray[np.int64],
+    point_count: int,
 ) -> npt.NDArray[np.int64]:
     """Return the number of points in each chunk. The last chunk may not be full.
 
@@ -161,7 +179,9 @@ def _true_counts(
     needed = -(-point_count // layout.chunk_size)
     behind = int(sizes[needed]) if counts.size == needed + 1 else 0
     if not needed <= counts.size <= needed + 1 or behind >= layout.min_chunk:
-        raise CorruptLazError(f"its chunk table has {counts.size} chunks, {point_count} points need {needed}")
+        raise CorruptLazError(
+            f"its chunk table has {counts.size} chunks, {point_count} points need {needed}"
+        )
     full = np.full(needed, layout.chunk_size, dtype=np.int64)
     if needed:
         full[-1] = point_count - (needed - 1) * layout.chunk_size
@@ -197,8 +217,8 @@ def _int64(stream: BinaryIO) -> int:
 def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int, int] | None:
     """Return the number of points and bytes that the layered chunk at byte ``start`` states.
 
-    The result is None at the end of the file. A chunk contains its first record uncompressed, its number of points, the
-    sizes of the layers, and the layers.
+    The result is None at the end of the file. A chunk contains its first record uncompressed,
+    its number of points, the sizes of the layers, and the layers.
     """
     stream.seek(start + layout.item_size)
     head = stream.read(4 + 4 * layout.layers)
@@ -208,7 +228,9 @@ def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int,
     return points, layout.item_size + len(head) + sum(sizes)
 
 
-def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first: int, stop: int) -> None:
+def check_layers(
+    stream: BinaryIO, layout: LazLayout, points_offset: int, first: int, stop: int
+) -> None:
     """Compare the layers of chunks ``first`` to ``stop - 1`` with the table. Raise CorruptLazError if they differ.
 
     Without this check, lazrs would allocate the size that a damaged layer states, up to 4 GiB.
@@ -219,10 +241,14 @@ def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first:
         if layout.counts[chunk]:
             claim = layered_chunk(stream, layout, start)
             if claim is None:
-                raise CorruptLazError(f"chunk {chunk} says more bytes than the chunk table ({size}): damaged")
+                raise CorruptLazError(
+                    f"chunk {chunk} says more bytes than the chunk table ({size}): damaged"
+                )
             points, claimed = claim
             if claimed > size:
-                raise CorruptLazError(f"chunk {chunk} says {claimed} bytes, the chunk table {size}: damaged")
+                raise CorruptLazError(
+                    f"chunk {chunk} says {claimed} bytes, the chunk table {size}: damaged"
+                )
             if points != layout.counts[chunk]:
                 raise CorruptLazError(
                     f"chunk {chunk} has {points} points, by the header {layout.counts[chunk]}"

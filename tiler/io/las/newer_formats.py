@@ -17,12 +17,14 @@ _WITHOUT_TIME = (0, 2)
 _WITH_WAVEFORMS = (4, 5, 9, 10)
 
 STANDARD_OFFSET = 1000
-"""Offset in millions of seconds that "adjusted standard GPS time" of LAS 1.1 to 1.4 subtracts."""
+"""Offset in millions of seconds that "adjusted standard GPS time" of LAS 1.1 to 1.4
+subtracts."""
 
 # The next two constants are bits of the global encoding.
 _WKT_BIT = 0x10
 _KEPT_BITS = 0x09
-"""Bits for the kind of GPS time and for synthetic return numbers. The other bits are about CRS and waveforms."""
+"""Bits for the kind of GPS time and for synthetic return numbers. The other bits are about CRS
+and waveforms."""
 
 
 def newer_format(point_format: int) -> int:
@@ -53,8 +55,8 @@ def _bare_bytes(point_format: int) -> int:
 def upgrade_records(records: Records, point_format: int) -> Records:
     """Convert records to format 6, 7 or 8. Records that have this format already are returned unchanged.
 
-    Class 12 (overlap) of formats 0 to 5 is kept and sets the overlap flag as well. Angles are rounded to steps of
-    0.006 degrees, which does not lose whole degrees.
+    Class 12 (overlap) of formats 0 to 5 is kept and sets the overlap flag as well. Angles are
+    rounded to steps of 0.006 degrees, which does not lose whole degrees.
     """
     form = _NEWER[point_format]
     if form == point_format:
@@ -73,7 +75,8 @@ def upgrade_records(records: Records, point_format: int) -> Records:
     upgraded["classification"] = classification
     raw = records["raw_classification"]
     overlap = (flags & OVERLAP_FLAG != 0).astype(np.uint8)
-    # Bits 0 to 2 are synthetic, key point and withheld, 3 overlap, 6 scan direction, 7 edge of the flight line.
+    # Bits 0 to 2 are synthetic, key point and withheld, 3 overlap, 6 scan direction, 7 edge of
+    # the flight line.
     upgraded["classification_flags"] = (raw >> 5) | (overlap << 3) | (bits & 0xC0)
     upgraded["scan_angle"] = np.rint(records["scan_angle_rank"] / SCAN_STEP_DEGREES)
     return upgraded

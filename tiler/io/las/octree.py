@@ -21,7 +21,8 @@ _DEEPEST = 30
 _INFO = 1
 """Record ID of the record with the cube of the root."""
 _BLOCK_BYTES = 1 << 14
-"""Bytes per request to a URL until the hierarchy is found. Each page is then read with one request."""
+"""Bytes per request to a URL until the hierarchy is found. Each page is then read with one
+request."""
 
 
 Box = tuple[float, float, float, float]
@@ -55,7 +56,9 @@ class Octree:
     def root(self, header: LasHeader, most: int) -> tuple[int, int]:
         """Return the range (first record, number) of the uppermost node with points, at most ``most`` records."""
         counts = _points_of_chunks(header)
-        _, chunk = min((key[0], number) for number, key in enumerate(self.keys) if counts[number])
+        _, chunk = min(
+            (key[0], number) for number, key in enumerate(self.keys) if counts[number]
+        )
         return sum(counts[:chunk]), min(counts[chunk], most)
 
     def near(self, header: LasHeader, boxes: Sequence[Box]) -> list[tuple[int, int]]:
@@ -77,7 +80,8 @@ class Octree:
     ) -> dict[tuple[int, int, int], float]:
         """Return the squares of a level that contain points, with an estimate of the number of points in each.
 
-        The points of a node above that level are divided among its squares in proportion to the sample.
+        The points of a node above that level are divided among its squares in proportion to the
+        sample.
 
         Parameters
         ----------
@@ -89,7 +93,9 @@ class Octree:
             Level of the squares.
         """
         x0, y0, x1, y1 = self.box((0, 0, 0))
-        seen = np.histogram2d(sample[0], sample[1], bins=1 << level, range=((x0, x1), (y0, y1)))[0]
+        seen = np.histogram2d(
+            sample[0], sample[1], bins=1 << level, range=((x0, x1), (y0, y1))
+        )[0]
         held = np.zeros_like(seen)
         for (deep, column, row), count in zip(self.keys, counts, strict=True):
             above = max(level - deep, 0)
@@ -99,7 +105,8 @@ class Octree:
             window = np.s_[column : column + (1 << above), row : row + (1 << above)]
             if seen[window].any():
                 held[window] += count * seen[window] / seen[window].sum()
-            else:  # There is no sample point that shows the position of these few points in the node.
+            # There is no sample point that shows the position of these few points in the node.
+            else:
                 held[column + (1 << above) // 2, row + (1 << above) // 2] += count
         return {(level, int(c), int(r)): float(held[c, r]) for c, r in np.argwhere(held)}
 
@@ -122,7 +129,11 @@ def read_octree(header: LasHeader) -> Octree:
         stream.seek(info_record.payload)
         info = CopcInfoVlr()
         info.parse_record_data(stream.read(_INFO_BYTES))
-        if not (np.isfinite(info.center).all() and math.isfinite(info.halfsize) and info.halfsize > 0):
+        if not (
+            np.isfinite(info.center).all()
+            and math.isfinite(info.halfsize)
+            and info.halfsize > 0
+        ):
             raise CorruptLazError(
                 f"its octree has its centre at {info.center.tolist()} and half a side of {info.halfsize}"
             )
@@ -143,7 +154,9 @@ def read_octree(header: LasHeader) -> Octree:
             )
         entry_by_chunk[chunk] = entry
     if len(entry_by_chunk) != len(chunk_at):
-        raise CorruptLazError(f"its octree names {len(entry_by_chunk)} of {len(chunk_at)} chunks")
+        raise CorruptLazError(
+            f"its octree names {len(entry_by_chunk)} of {len(chunk_at)} chunks"
+        )
     # Chunks without points are in no node and keep this key.
     keys = [(0, 0, 0)] * layout.counts.size
     for chunk, entry in entry_by_chunk.items():
@@ -162,8 +175,16 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
     while pages:
         offset, length = pages.pop()
         left -= length
-        if length <= 0 or length % _ENTRY_BYTES or offset + length > size or offset in seen or left < 0:
-            raise CorruptLazError(f"its octree has a page of {length} bytes at byte {offset} of {size}")
+        if (
+            length <= 0
+            or length % _ENTRY_BYTES
+            or offset + length > size
+            or offset in seen
+            or left < 0
+        ):
+            raise CorruptLazError(
+                f"its octree has a page of {length} bytes at byte {offset} of {size}"
+            )
         seen.add(offset)
         with open_location(path, _BLOCK_BYTES, [(offset, offset + length)]) as stream:
             stream.seek(offset)
@@ -173,7 +194,9 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
         for entry in HierarchyPage.from_bytes(raw).entries.values():
             key = entry.key
             if not _can_be(key):
-                raise CorruptLazError(f"its octree has a node {key.level}-{key.x}-{key.y}-{key.z}")
+                raise CorruptLazError(
+                    f"its octree has a node {key.level}-{key.x}-{key.y}-{key.z}"
+                )
             if entry.point_count == -1:
                 pages.append((entry.offset, entry.byte_size))
             elif entry.point_count > 0:

@@ -100,10 +100,14 @@ def octree_batches(
                     2 * y + (number >> 1 & 1),
                     2 * z + (number & 1),
                 )
-                yield from octree_batches(_read(spool, child_parts, dtype), held, most, places, folder, below)
+                yield from octree_batches(
+                    _read(spool, child_parts, dtype), held, most, places, folder, below
+                )
 
 
-def _read(spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.void]) -> Iterator[Records]:
+def _read(
+    spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.void]
+) -> Iterator[Records]:
     for at, count in parts:
         spool.seek(at)
         raw = spool.read(count * dtype.itemsize)

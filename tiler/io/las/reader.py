@@ -27,16 +27,20 @@ NEEDED = (
     | lazrs.SELECTIVE_DECOMPRESS_FLAGS
     | lazrs.SELECTIVE_DECOMPRESS_RGB
 )
-"""Layers of point formats 6 to 10 that a store keeps. Other fields of the decoded records are undefined."""
+"""Layers of point formats 6 to 10 that a store keeps. Other fields of the decoded records are
+undefined."""
 
-TO_SELECT = NEEDED | lazrs.SELECTIVE_DECOMPRESS_SCAN_ANGLE | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
+TO_SELECT = (
+    NEEDED | lazrs.SELECTIVE_DECOMPRESS_SCAN_ANGLE | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
+)
 """Layers that a store keeps, and layers by which `tiler.core.selection` selects points."""
 
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 
 BYTES_PER_BATCH = 1 << 27
-"""Maximum size of the decoded records that are read at a time. A single record may have 64 KiB."""
+"""Maximum size of the decoded records that are read at a time. A single record may have 64
+KiB."""
 
 _STEP = 1 << 16
 
@@ -63,7 +67,14 @@ def decoding(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (CorruptLazError, lazrs.LazrsError, OSError, ValueError, RuntimeError, OverflowError) as error:
+    except (
+        CorruptLazError,
+        lazrs.LazrsError,
+        OSError,
+        ValueError,
+        RuntimeError,
+        OverflowError,
+    ) as error:
         refuse(path, f"its points cannot be decoded ({_line(error)})", AGAIN)
     except BaseException as error:
         if not is_panic(error):
@@ -103,8 +114,11 @@ class PointReader:
         self.dtype = record_dtype(header.point_format, header.record_length)
         self._selection = selection
         with decoding(header.path):
-            self._file: BinaryIO = open_location(header.path, block_bytes, _parts(header, ranges or ()))
-            # The decoder needs the position of its file, so checks of the next chunks use a separate file.
+            self._file: BinaryIO = open_location(
+                header.path, block_bytes, _parts(header, ranges or ())
+            )
+            # The decoder needs the position of its file, so checks of the next chunks use a
+            # separate file.
             self._probe: BinaryIO = reopen(self._file, header.path)
         self._decoder: Any = None
         self._next = 0
@@ -155,7 +169,9 @@ class PointReader:
         first = stop = 0
         ends = np.cumsum(layout.counts)
         if layout.sizes.size:
-            first, last = np.searchsorted(ends, (start, start + count - 1), side="right").tolist()
+            first, last = np.searchsorted(
+                ends, (start, start + count - 1), side="right"
+            ).tolist()
             stop = last + 1
             if layout.layers:
                 check_layers(self._probe, layout, self.header.points_offset, first, stop)
@@ -171,12 +187,15 @@ class PointReader:
         self._next = start + count
         return raw
 
-    def _open_decoder(self, layout: LazLayout, start: int, chunk: int, stop: int | None) -> tuple[Any, int]:
+    def _open_decoder(
+        self, layout: LazLayout, start: int, chunk: int, stop: int | None
+    ) -> tuple[Any, int]:
         """Return a decoder and the record that it decodes next: ``start`` or an earlier one of the same chunk.
 
-        lazrs seeks to the right point only if there is a table and all chunks have the same size. With chunks of
-        different sizes it would silently decode other points. In the other cases it gets a view of the file that begins
-        with ``chunk`` and ends before chunk ``stop``.
+        lazrs seeks to the right point only if there is a table and all chunks have the same
+        size. With chunks of different sizes it would silently decode other points. In the other
+        cases it gets a view of the file that begins with ``chunk`` and ends before chunk
+        ``stop``.
         """
         selection = lazrs.DecompressionSelection(self._selection)
         if layout.chunk_size is not None and not layout.rebuilt:
@@ -194,7 +213,9 @@ class PointReader:
         else:
             chunks = [(layout.chunk_size or 1, self.header.size - data)]
         view = _ChunkView(self._file, data + skipped, chunks, layout.record_data)
-        return lazrs.LasZipDecompressor(io.BufferedReader(view), layout.record_data, selection), first_record
+        return lazrs.LasZipDecompressor(
+            io.BufferedReader(view), layout.record_data, selection
+        ), first_record
 
     def _skip(self, count: int) -> None:
         most = rows_at_once(self.header.record_length, _STEP)
@@ -223,10 +244,13 @@ def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[i
 class _ChunkView(io.RawIOBase):
     """Stream of some chunks of a LAZ file as if they were the whole file: position of the table, chunks, table.
 
-    The chunks begin at byte ``start``, and ``chunks`` contains the number of points and bytes of each.
+    The chunks begin at byte ``start``, and ``chunks`` contains the number of points and bytes
+    of each.
     """
 
-    def __init__(self, file: BinaryIO, start: int, chunks: list[tuple[int, int]], record_data: bytes) -> None:
+    def __init__(
+        self, file: BinaryIO, start: int, chunks: list[tuple[int, int]], record_data: bytes
+    ) -> None:
         self._file = file
         self._start = start - 8
         table = io.BytesIO()
@@ -244,7 +268,9 @@ class _ChunkView(io.RawIOBase):
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         end = self._table_at + len(self._table)
-        self._position = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: end}[whence]
+        self._position = (
+            offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: end}[whence]
+        )
         return self._position
 
     def readinto(self, target: Any) -> int:

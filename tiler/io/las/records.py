@@ -15,7 +15,8 @@ LASZIP_RECORD = 22204
 COPC_USER = "copc"
 
 MAX_RECORDS = 10_000
-"""Maximum number of records that are read: a large file could have more empty records than fit into memory."""
+"""Maximum number of records that are read: a large file could have more empty records than fit
+into memory."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,9 @@ def packed_record(
 ) -> bytes:
     """Return a complete VLR or EVLR as bytes."""
     form = _EVLR if extended else _VLR
-    return form.pack(0, user_id.encode(), record_id, len(payload), description.encode()) + payload
+    return (
+        form.pack(0, user_id.encode(), record_id, len(payload), description.encode()) + payload
+    )
 
 
 def walk_records(

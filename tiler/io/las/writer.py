@@ -22,7 +22,9 @@ def laszip_vlr(header: LasHeader, own_sizes: bool = False) -> bytes:
 def layout_of(header: LasHeader, own_sizes: bool = False) -> Any:
     """Return lazrs' settings for points like those of ``header``, in chunks of equal or different sizes."""
     bare = lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size()
-    return lazrs.LazVlr.new_for_compression(header.point_format, header.record_length - bare, own_sizes)
+    return lazrs.LazVlr.new_for_compression(
+        header.point_format, header.record_length - bare, own_sizes
+    )
 
 
 class PointWriter:

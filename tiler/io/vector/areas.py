@@ -27,14 +27,19 @@ def read_area(path: Path, wkt: str | None) -> tuple[Area, list[str]]:
 def area_in_counts(place: str, features: Sequence[Feature]) -> Area:
     """Return the polygons of features in absolute counts.
 
-    Raise InputError, which names the file ``place``, if they have no area or a coordinate is too large.
+    Raise InputError, which names the file ``place``, if they have no area or a coordinate is
+    too large.
     """
     geometries = [feature.geometry for feature in features]
     if np.abs(shapely.bounds(geometries)).max() >= FARTHEST:
-        raise InputError(f"{place}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS")
+        raise InputError(
+            f"{place}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS"
+        )
     polygons = []
     for polygon in shapely.get_parts(geometries):
-        polygons.append(tuple(_in_counts(ring) for ring in (polygon.exterior, *polygon.interiors)))
+        polygons.append(
+            tuple(_in_counts(ring) for ring in (polygon.exterior, *polygon.interiors))
+        )
     area = Area(tuple(polygons))
     if area.bounds.empty:
         raise InputError(f"{place}: its polygons have no area; draw them wider")

@@ -23,14 +23,16 @@ SIGNATURES = {
     ".shp": b"\0\0\x27\x0a",
     ".fgb": b"fgb\x03fgb",
 }
-"""Suffixes of the formats that are read, and the first bytes of their files. GeoJSON is checked as a whole."""
+"""Suffixes of the formats that are read, and the first bytes of their files. GeoJSON is checked
+as a whole."""
 
 
 def check_file(path: Path, wanted: str) -> list[bool] | None:
     """Raise InputError for a file that GDAL must not open.
 
-    GDAL recognises a format by the content and not by the name: it would follow the links to other files or hosts in a
-    VRT or WFS with the name ``area.gpkg``. Therefore the first bytes of a file must match its suffix.
+    GDAL recognises a format by the content and not by the name: it would follow the links to
+    other files or hosts in a VRT or WFS with the name ``area.gpkg``. Therefore the first bytes
+    of a file must match its suffix.
 
     Returns
     -------
@@ -45,14 +47,20 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
             f"convert it, for example with `ogr2ogr {wanted}.gpkg FILE`"
         )
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give a GeoPackage, GeoJSON or Shapefile with {wanted}")
+        raise InputError(
+            f"{path}: no such file; give a GeoPackage, GeoJSON or Shapefile with {wanted}"
+        )
     if "!" in str(path.resolve()) or str(path.resolve()).startswith("/vsi"):
-        raise InputError(f"{path}: GDAL would read it as an archive because of its name; rename it")
+        raise InputError(
+            f"{path}: GDAL would read it as an archive because of its name; rename it"
+        )
     try:
         with path.open("rb") as stream:
             start = stream.read(len(signature))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file") from error
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); give a readable file"
+        ) from error
     if start != signature:
         raise InputError(
             f"{path}: does not begin as a {path.suffix.lower()} file does; get the file again, "
@@ -97,9 +105,12 @@ def reading(path: Path) -> Iterator[list[str]]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield reported
-    # pyogrio raises RuntimeErrors. Names and texts that are not UTF-8 raise UnicodeDecodeErrors.
+    # pyogrio raises RuntimeErrors. Names and texts that are not UTF-8 raise
+    # UnicodeDecodeErrors.
     except (RuntimeError, ValueError, OverflowError, ShapelyError) as error:
-        raise InputError(f"{path}: cannot be read ({_short(error)}); get the file again") from error
+        raise InputError(
+            f"{path}: cannot be read ({_short(error)}); get the file again"
+        ) from error
     reported += sorted({_short(warning.message) for warning in caught})
 
 

@@ -1,6 +1,7 @@
 """Features of vector files: geometry and attributes, in the CRS of the file or of the run.
 
-Callers use `tiler.schedule.call_isolated`, which reads files in a child process, since files may be malicious.
+Callers use `tiler.schedule.call_isolated`, which reads files in a child process, since files
+may be malicious.
 """
 
 from __future__ import annotations
@@ -21,10 +22,12 @@ from tiler.io.vector.reprojection import in_crs
 from tiler.redaction import printable
 
 HEIGHT_COLUMNS = ("z", "h", "height", "elevation", "elev", "ele", "altitude")
-"""Names of attributes with the height of a feature that is drawn in two dimensions, in lower case."""
+"""Names of attributes with the height of a feature that is drawn in two dimensions, in lower
+case."""
 SIMPLIFY = "simplify it (`ogr2ogr -simplify`, Simplify in QGIS), or divide it"
 MAX_PASSED = 1e9
-"""Limit of the number of edge pairs to test in a polygon: its vertices times the ratio of outline to width."""
+"""Limit of the number of edge pairs to test in a polygon: its vertices times the ratio of
+outline to width."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,9 @@ def _layers(path: Path, kind: Kind, every: bool) -> list[str]:
 
 def _plain_type(shape: str) -> str:
     """Return a geometry type without dimensions: ``Point`` for ``2.5D Point``, ``Measured 3D Point``, ``Point Z``."""
-    return next((word for word in shape.split() if word not in ("2.5D", "3D", "Measured")), shape)
+    return next(
+        (word for word in shape.split() if word not in ("2.5D", "3D", "Measured")), shape
+    )
 
 
 def _features(
@@ -205,11 +210,14 @@ def _features(
         if shape is None:
             continue
         try:
-            with np.errstate(invalid="ignore"):  # Coordinates that are not finite are refused below.
+            # Coordinates that are not finite are refused below.
+            with np.errstate(invalid="ignore"):
                 geometry = shapely.from_wkb(shape, on_invalid="fix")  # This closes open rings.
         except shapely.errors.GEOSException as error:
             said = " ".join(str(error).split())[:100]
-            raise InputError(f"{where}: its geometry is damaged ({said}); draw it again") from error
+            raise InputError(
+                f"{where}: its geometry is damaged ({said}); draw it again"
+            ) from error
         if geometry is None:
             raise InputError(f"{where}: its geometry is damaged; draw it again")
         if geometry.is_empty:
@@ -222,7 +230,9 @@ def _features(
         if not np.isfinite(coordinates).all():
             raise InputError(f"{where}: has a coordinate that is not a number; draw it again")
         if np.abs(coordinates).max() >= FARTHEST:
-            raise InputError(f"{where}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS")
+            raise InputError(
+                f"{where}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS"
+            )
         yield Feature(where, geometry, {k: _plain(v) for k, v in attributes.items()})
 
 
@@ -284,20 +294,28 @@ def _validate_no_spikes(features: list[Feature]) -> None:
 def _with_heights(feature: Feature) -> Feature:
     """Return the feature with a height at every vertex. Raise InputError if it has no height."""
     geometry = feature.geometry
-    if geometry.has_z and np.isfinite(shapely.get_coordinates(geometry, include_z=True)[:, 2]).all():
+    if (
+        geometry.has_z
+        and np.isfinite(shapely.get_coordinates(geometry, include_z=True)[:, 2]).all()
+    ):
         return feature
     height = feature.height()
     if height is None:
-        raise InputError(f"{feature.place}: has no heights; draw it in 3D, or give it a column `z`")
+        raise InputError(
+            f"{feature.place}: has no heights; draw it in 3D, or give it a column `z`"
+        )
     return replace(feature, geometry=shapely.force_3d(shapely.force_2d(geometry), height))
 
 
 def _repaired(path: Path, features: list[Feature], notes: list[str]) -> list[Feature]:
     """Return the features with valid polygons.
 
-    A position is inside a repaired polygon if a ray from it crosses the outline an odd number of times.
+    A position is inside a repaired polygon if a ray from it crosses the outline an odd number
+    of times.
     """
-    polygons = [i for i, feature in enumerate(features) if feature.geometry.geom_type in POLYGONS.types]
+    polygons = [
+        i for i, feature in enumerate(features) if feature.geometry.geom_type in POLYGONS.types
+    ]
     _validate_no_spikes([features[i] for i in polygons])
     broken = [i for i in polygons if not shapely.is_valid(features[i].geometry)]
     repaired = list(features)
@@ -321,7 +339,9 @@ def _repaired(path: Path, features: list[Feature], notes: list[str]) -> list[Fea
     return repaired
 
 
-def warn_outside(path: Path, features: Features, extent: tuple[float, float, float, float]) -> list[str]:
+def warn_outside(
+    path: Path, features: Features, extent: tuple[float, float, float, float]
+) -> list[str]:
     """Return a warning if features lie completely outside the survey, else an empty list.
 
     Parameters

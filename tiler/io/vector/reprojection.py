@@ -24,7 +24,8 @@ MAX_HALVINGS = 12
 BEND = 0.005
 """Largest distance between a straight edge and the curve, in units of the CRS."""
 
-# A position is outside the area of use of a CRS if the inverse transformation misses it by more than this tolerance.
+# A position is outside the area of use of a CRS if the inverse transformation misses it by more
+# than this tolerance.
 RETURN = 1e-2
 """Tolerance of the inverse transformation in units of the CRS."""
 RETURN_DEG = 1e-6
@@ -34,7 +35,11 @@ Places = npt.NDArray[np.float64]
 
 
 def in_crs(
-    path: Path, geometries: Sequence[BaseGeometry], text: str | None, wkt: str | None, notes: list[str]
+    path: Path,
+    geometries: Sequence[BaseGeometry],
+    text: str | None,
+    wkt: str | None,
+    notes: list[str],
 ) -> list[BaseGeometry]:
     """Transform geometries to the horizontal CRS of a run. Heights do not change.
 
@@ -60,7 +65,9 @@ def in_crs(
         notes.append(f"{path}: has no CRS: the CRS of the clouds is assumed")
         return list(geometries)
     if text is None:
-        raise InputError(f"{path}: has no CRS; write it with one, `ogr2ogr -a_srs EPSG:... new.gpkg {path}`")
+        raise InputError(
+            f"{path}: has no CRS; write it with one, `ogr2ogr -a_srs EPSG:... new.gpkg {path}`"
+        )
     try:
         named = split(CRS.from_user_input(text))[0]
     except (ProjError, UnicodeError, RecursionError) as error:
@@ -68,7 +75,9 @@ def in_crs(
             f"{path}: its CRS {excerpt(text)} is not known; write it with another CRS"
         ) from error
     if named is None:
-        raise InputError(f"{path}: its CRS {excerpt(text)} has no horizontal part; write it with another CRS")
+        raise InputError(
+            f"{path}: its CRS {excerpt(text)} has no horizontal part; write it with another CRS"
+        )
     run_crs = None if wkt is None else split(CRS.from_wkt(wkt))[0]
     if run_crs is None:
         raise InputError(
@@ -99,7 +108,9 @@ class _Beyond(Exception):
 def _rebuilt(geometry: BaseGeometry, moved: Any) -> BaseGeometry:
     """Return a geometry with all its lines, rings or points transformed by ``moved``."""
     if geometry.geom_type == "Polygon":
-        rings = [moved(_places(ring), True) for ring in (geometry.exterior, *geometry.interiors)]
+        rings = [
+            moved(_places(ring), True) for ring in (geometry.exterior, *geometry.interiors)
+        ]
         return shapely.Polygon(rings[0], rings[1:])
     if geometry.geom_type == "LineString":
         return shapely.LineString(moved(_places(geometry), False))
@@ -117,20 +128,28 @@ def _places(geometry: BaseGeometry) -> Places:
 def _moved(transformer: Transformer, near: float, places: Places, closed: bool) -> Places:
     """Transform a line or ring, with more vertices on the edges that become curved.
 
-    The division of an edge does not depend on its direction, so neighbours keep a common border.
+    The division of an edge does not depend on its direction, so neighbours keep a common
+    border.
     """
     start = places[:-1] if closed else places
     there = _transformed(transformer, start)
     for _ in range(MAX_HALVINGS):
-        x, y = transformer.transform(there[:, 0], there[:, 1], direction=TransformDirection.INVERSE)
+        x, y = transformer.transform(
+            there[:, 0], there[:, 1], direction=TransformDirection.INVERSE
+        )
         back = np.stack([x, y], axis=1)
-        if not (np.isfinite(there[:, :2]).all() and np.allclose(back, start[:, :2], rtol=0, atol=near)):
+        if not (
+            np.isfinite(there[:, :2]).all()
+            and np.allclose(back, start[:, :2], rtol=0, atol=near)
+        ):
             raise _Beyond
         ahead, ahead_there = np.roll(start, -1, axis=0), np.roll(there, -1, axis=0)
         middle = (start + ahead) / 2
         moved = _transformed(transformer, middle)
         leaves = np.hypot(*(moved - (there + ahead_there) / 2)[:, :2].T) > BEND
-        bent = np.flatnonzero(leaves if closed else leaves & (np.arange(len(leaves)) < len(leaves) - 1))
+        bent = np.flatnonzero(
+            leaves if closed else leaves & (np.arange(len(leaves)) < len(leaves) - 1)
+        )
         if not bent.size:
             break
         start = np.insert(start, bent + 1, middle[bent], axis=0)

@@ -21,7 +21,8 @@ WHEN = "2000-01-01T00:00:00.000Z"
 """Fixed time in place of the time of writing, which would change the bytes of each layer."""
 
 VERSION = "1.2"
-"""Version of GeoPackage. GDAL before 3.7, as in QGIS 3.22, warns about newer versions whenever it opens a file."""
+"""Version of GeoPackage. GDAL before 3.7, as in QGIS 3.22, warns about newer versions whenever
+it opens a file."""
 
 
 class GeoPackage:
@@ -33,7 +34,11 @@ class GeoPackage:
         self._layers: set[str] = set()
 
     def add(
-        self, layer: str, kind: str, geometries: Sequence[Any], columns: Mapping[str, npt.NDArray[Any]]
+        self,
+        layer: str,
+        kind: str,
+        geometries: Sequence[Any],
+        columns: Mapping[str, npt.NDArray[Any]],
     ) -> None:
         """Write features. A layer may be written in several calls with the same columns.
 
@@ -52,9 +57,13 @@ class GeoPackage:
 
         dimensions = 3 if kind.endswith(" Z") else 2
         shapes = np.empty(len(geometries), object)
-        shapes[:] = [shapely.to_wkb(g, output_dimension=dimensions, flavor="extended") for g in geometries]
+        shapes[:] = [
+            shapely.to_wkb(g, output_dimension=dimensions, flavor="extended")
+            for g in geometries
+        ]
         with warnings.catch_warnings():
-            # GDAL warns about the temporary name, which has another suffix, and about a missing CRS.
+            # GDAL warns about the temporary name, which has another suffix, and about a missing
+            # CRS.
             warnings.simplefilter("ignore", RuntimeWarning)
             warnings.simplefilter("ignore", UserWarning)
             raw.write(
@@ -94,7 +103,8 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WHEN})
     try:
         with atomic_path(path) as partial:
-            partial.unlink(missing_ok=True)  # GDAL would add layers to the file of a killed run.
+            # GDAL would add layers to the file of a killed run.
+            partial.unlink(missing_ok=True)
             try:
                 yield GeoPackage(partial, _horizontal(crs))
             except (DataLayerError, DataSourceError, FeatureError) as error:

@@ -12,7 +12,12 @@ from ptd.frame import Window
 from ptd.ground import blocks
 from ptd.ground.labelling import GROUND
 from ptd.ground.noise_sums import Roughness
-from ptd.methods.auto.label_thresholds import ReturnStatistics, decided, label_bands, label_thresholds
+from ptd.methods.auto.label_thresholds import (
+    ReturnStatistics,
+    decided,
+    label_bands,
+    label_thresholds,
+)
 from ptd.methods.auto.method import OBJECT, ROOF, Auto
 from ptd.methods.auto.params import Reaches
 from ptd.passes import Points
@@ -32,7 +37,9 @@ class Near(Auto):
     reaches = Reaches(slope_m=2.0, around_m=4.0, object_trend_m=5.0, bump_trend_m=5.0)
 
 
-SMALL = Near(max_building_size_m=10.0, object_size_m=6.0, low_radius_m=2.0, rounds=2, roof_size_m=20.0)
+SMALL = Near(
+    max_building_size_m=10.0, object_size_m=6.0, low_radius_m=2.0, rounds=2, roof_size_m=20.0
+)
 
 
 def scene(n: int = 30_000) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +76,9 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
 @pytest.mark.parametrize(
     ("code", "rise_m", "back"), [(OBJECT, 0.5, True), (OBJECT, 1.0, False), (ROOF, 0.5, False)]
 )
-def test_the_last_tin_takes_back_edges_that_fit_and_no_roofs(code: int, rise_m: float, back: bool) -> None:
+def test_the_last_tin_takes_back_edges_that_fit_and_no_roofs(
+    code: int, rise_m: float, back: bool
+) -> None:
     """A bank 6 m wide in level ground, half as high and as steep as ground may grow, or higher, or a roof."""
     x, y = (c.reshape(-1) for c in np.meshgrid(np.arange(40) + 0.5, np.arange(40) + 0.5))
     bank = abs(x - 20) < 3
@@ -116,7 +125,9 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
         (1000, 0, "100 % of the points are one of several returns"),
         (0, 2, "pulses passed through plants in 0.4 % of the area"),
     ):
-        survey, notes = decided(Auto(), found, ReturnStatistics(1000, several, 500, through), HELD, run)
+        survey, notes = decided(
+            Auto(), found, ReturnStatistics(1000, several, 500, through), HELD, run
+        )
         assert survey["kind"] == "lidar"
         assert notes[0].startswith("decided: laser scanning (")
         assert f"% sure: {why})" in notes[0]
@@ -128,16 +139,23 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
         ),  # nearly 5 % of wide cells: walls and chance
         (3.9, ReturnStatistics(0, 0, 5000, 19, 2000, 100, 100), "lidar"),
         (3.9, ReturnStatistics(0, 0, 5000, 20, 2000, 0, 100), "lidar"),
-        (3.9, ReturnStatistics(0, 0, 5000, 0, 2000, 0, 99), "lidar"),  # next to nothing stands there
+        # next to nothing stands there
+        (3.9, ReturnStatistics(0, 0, 5000, 0, 2000, 0, 99), "lidar"),
         (0.9, ReturnStatistics(0, 0, 5000, 0, 2000, 0, 100), "lidar"),
-        (4.0, ReturnStatistics(0, 0, 5000, 0, 2000, 110, 0), "dim"),  # dense: wide cells have no say
+        # dense: wide cells have no say
+        (4.0, ReturnStatistics(0, 0, 5000, 0, 2000, 110, 0), "dim"),
     ):
         for rgb in (False, True):  # colours have no part in it
-            found, _ = decided(Auto(), Roughness(density, 0.066, 50, 0.07), seen, HELD, run | {"rgb": rgb})
+            found, _ = decided(
+                Auto(), Roughness(density, 0.066, 50, 0.07), seen, HELD, run | {"rgb": rgb}
+            )
             assert found["kind"] == kind
-    for density, noise in ((2.9, 0.066), (3.0, 0.1)):  # below, few quarters of patches have enough points
+    # below, few quarters of patches have enough points
+    for density, noise in ((2.9, 0.066), (3.0, 0.1)):
         found = Roughness(density, 0.066, 50, 0.1)
-        survey, _ = decided(Auto(), found, ReturnStatistics(0, 0, 0, 0), HELD, run | {"kind": "dim"})
+        survey, _ = decided(
+            Auto(), found, ReturnStatistics(0, 0, 0, 0), HELD, run | {"kind": "dim"}
+        )
         assert survey["cell_sigma_m"] == noise
 
 
@@ -214,7 +232,14 @@ def test_the_decision_reaches_the_result() -> None:
     statistics = result.decisions["statistics"]
     assert (statistics["survey"]["kind"], statistics["survey"]["cell_sigma_m"]) == ("dim", 0.2)
     assert len(statistics["notes"]) == 2
-    assert list(result.stats) == ["survey", "cells", "objects", "inner-objects", "canopy", "surface"]
+    assert list(result.stats) == [
+        "survey",
+        "cells",
+        "objects",
+        "inner-objects",
+        "canopy",
+        "surface",
+    ]
 
 
 def test_reaches_are_those_of_the_rules() -> None:
@@ -256,7 +281,9 @@ def test_tiles_agree_with_the_whole_and_marks_fall_with_the_halo(name: str) -> N
 
 @pytest.mark.parametrize("tile_m", [33.0, 50.0])
 @pytest.mark.parametrize("thin_cell_m", [0.7, 2.0])
-def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell_m: float) -> None:
+def test_a_fixed_reach_leaves_no_mark_and_no_difference(
+    tile_m: float, thin_cell_m: float
+) -> None:
     """Each raster pass on tiles: cells that nest neither in tiles nor in one another."""
     cloud = SCENES["hills_with_houses"](np.random.default_rng(5))
     params = replace(SMALL, thin_cell_m=thin_cell_m)

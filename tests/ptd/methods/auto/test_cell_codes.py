@@ -24,15 +24,23 @@ def test_points_take_the_code_of_their_cell(far: int) -> None:
     x, y = np.array([300, 1300, far], np.int32), np.array([550, 550, 1550], np.int32)
     is_uncertified = np.array([False, True, False])
     window = Window(300, 550, 2_000_000_500, 2_550)
-    model = CellCodes(x, y, np.array([3, 4, 7], np.uint8), CELLS, window, {"seeds": 2}, is_uncertified)
+    model = CellCodes(
+        x, y, np.array([3, 4, 7], np.uint8), CELLS, window, {"seeds": 2}, is_uncertified
+    )
     given = points(
-        (1299, 1549, 5), (300, 550, -5), (1300, 600, 0), (far + 9, 1600, 0), (299, 550, 0), (700, 1550, 0)
+        (1299, 1549, 5),
+        (300, 550, -5),
+        (1300, 600, 0),
+        (far + 9, 1600, 0),
+        (299, 550, 0),
+        (700, 1550, 0),
     )
     codes, marks = model.label(given)
     assert codes.tolist() == [3, 3, 4, 7, 1, 1]
     assert marks.tolist() == [False, False, True, False, True, False]
     assert model.stats == {"cells": 3, "seeds": 2}
-    codes, marks = model.label(Points(np.stack([x, y, x])))  # of the cells' own points no cell is looked up
+    # of the cells' own points no cell is looked up
+    codes, marks = model.label(Points(np.stack([x, y, x])))
     assert (codes.tolist(), marks.tolist()) == ([3, 4, 7], [False, True, False])
 
 

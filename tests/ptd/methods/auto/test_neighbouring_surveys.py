@@ -67,5 +67,7 @@ def test_a_survey_far_away_changes_nothing(kind: str) -> None:
     near, _ = survey(5, 5.0, 0.05, 150.0)
     far, _ = survey(6, 1.0, 0.2, 600.0)
     alone = ptd.classify(near, kind=kind).classification
-    both = ptd.classify(np.concatenate([near, far + (7600.0, 0.0, 9.0)]), kind=kind).classification
+    both = ptd.classify(
+        np.concatenate([near, far + (7600.0, 0.0, 9.0)]), kind=kind
+    ).classification
     assert np.array_equal(both[: len(near)], alone)

@@ -11,7 +11,9 @@ from ptd.methods.auto.objects import Drop, Lowest, Residuals, Shape
 SCALE, CELLS = Scale(), CellLattice.of(1.0, Scale())
 SEEDS = Drop(0.1, 0.06, 0.2)
 SHAPE = Shape(radius=9, slope=3)
-RESIDUALS = Residuals(Drop(0.3, 0.1, 0.2), trend=8, radius=4, slope=3, around=5, lack=2.0, enough=0.2)
+RESIDUALS = Residuals(
+    Drop(0.3, 0.1, 0.2), trend=8, radius=4, slope=3, around=5, lack=2.0, enough=0.2
+)
 ROWS, COLUMNS = np.mgrid[0:60, 0:70]
 
 
@@ -27,7 +29,9 @@ def steep(heights: np.ndarray, drop: Drop = SEEDS) -> np.ndarray:
     return lowest(heights).steep_objects(every, drop, SHAPE).reshape(heights.shape)
 
 
-def residual(heights: np.ndarray, ground: np.ndarray, rule: Residuals = RESIDUALS) -> np.ndarray:
+def residual(
+    heights: np.ndarray, ground: np.ndarray, rule: Residuals = RESIDUALS
+) -> np.ndarray:
     every = np.ones(heights.size, bool)
     return lowest(heights).residual_objects(ground.ravel(), every, rule).reshape(heights.shape)
 
@@ -87,7 +91,9 @@ def test_a_low_wall_on_a_slope_is_seen_without_the_trend() -> None:
 def test_without_objects_around_a_bump_is_terrain() -> None:
     bump = box(slice(28, 30), slice(25, 45), 0.9) + 0.8 * ROWS
     assert not residual(bump, np.ones(bump.shape, bool)).any()
-    assert residual(box(slice(28, 30), slice(25, 45), 5.0), np.ones(bump.shape, bool))[28:30, 27:43].all()
+    assert residual(box(slice(28, 30), slice(25, 45), 5.0), np.ones(bump.shape, bool))[
+        28:30, 27:43
+    ].all()
 
 
 def test_the_lack_of_objects_by_hand() -> None:
@@ -118,7 +124,9 @@ def rough(seed: int, side: int) -> tuple[np.ndarray, np.ndarray]:
 def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
     """The reach is that of slopes of openings; and that of residuals' openings, whose cells have their trend."""
     shape = Shape(radius=4, slope=2)
-    rule = Residuals(Drop(0.3, 0.1, 0.2), trend=5, radius=3, slope=2, around=4, lack=0.3, enough=0.5)
+    rule = Residuals(
+        Drop(0.3, 0.1, 0.2), trend=5, radius=3, slope=2, around=4, lack=0.3, enough=0.5
+    )
     assert (shape.reach, rule.reach) == (12, 11)
     heights, ground = rough(seed, 60)
     low = lowest(heights)

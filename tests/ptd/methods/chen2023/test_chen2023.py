@@ -24,7 +24,11 @@ def town() -> tuple[np.ndarray, np.ndarray]:
     z = 0.15 * x + RNG.normal(0, 0.03, x.size)
     z += 2.0 * np.clip((y - 90) / 3, 0, 1)  # a bank of 2 m in 3 m
     objects = np.zeros(x.size, bool)
-    for west, south, wide, high, up in ((20, 20, 10, 14, 6.0), (60, 15, 12, 9, 6.0), (70, 50, 25, 25, 9.0)):
+    for west, south, wide, high, up in (
+        (20, 20, 10, 14, 6.0),
+        (60, 15, 12, 9, 6.0),
+        (70, 50, 25, 25, 9.0),
+    ):
         roof = (x > west) & (x < west + wide) & (y > south) & (y < south + high)
         z[roof], objects[roof] = 0.15 * west + up, True
     return np.column_stack([x, y, z]), ~objects
@@ -48,8 +52,11 @@ def test_tails_and_isolated_points_and_low_groups_are_not_ground() -> None:
     xyz, _ = town()
     tails = [[30.0, 70.0, -400.0], [31.0, 70.0, -401.0], [130.0, 130.0, 900.0]]
     isolated = [[50.2, 80.0, 40.0], [100.0, 100.0, -2.0], [110.0, 20.0, 2.0]]  # above and below
-    group = np.array([[15.5 + i, 60.5 + j, -8.0 + 0.1 * i] for i in (0, 1) for j in (0, 1)])  # a cell each
-    result = ptd.classify(np.concatenate([xyz, tails, isolated, group]), "chen2023", kind="lidar")
+    # a cell each
+    group = np.array([[15.5 + i, 60.5 + j, -8.0 + 0.1 * i] for i in (0, 1) for j in (0, 1)])
+    result = ptd.classify(
+        np.concatenate([xyz, tails, isolated, group]), "chen2023", kind="lidar"
+    )
     classes = result.classification[len(xyz) :]
     assert classes.tolist() == [7, 7, 1, 1, 7, 7, 7, 7, 7, 7]
     notes = result.decisions["statistics"]["notes"]
@@ -86,7 +93,11 @@ def test_a_cloud_of_outliers_alone_has_no_ground() -> None:
     cloud = np.array([[k, 0.5 * k, 10.0 * k] for k in range(5)])
     assert ptd.classify(cloud, "chen2023").classification.tolist() == [1] * 5
     window, nothing = Window(0, 0, 9, 9), Points(np.zeros((3, 0), np.int32))
-    model = Chen2023(robust_cells=False).passes[1].fit(nothing, window, window, Scale(), {"tails": None})
+    model = (
+        Chen2023(robust_cells=False)
+        .passes[1]
+        .fit(nothing, window, window, Scale(), {"tails": None})
+    )
     assert model.label(Points(np.zeros((3, 1), np.int32)))[1].tolist() == [True]
 
 
@@ -106,7 +117,9 @@ def test_exponential_windows_need_an_initial_window_of_2() -> None:
 
 def test_cells_larger_than_the_largest_building_are_refused() -> None:
     """Otherwise an opening would reach beyond the cells to which a window is widened."""
-    with pytest.raises(ValueError, match=r"thin_cell_m 4: .* use at most max_building_size_m, 3 m"):
+    with pytest.raises(
+        ValueError, match=r"thin_cell_m 4: .* use at most max_building_size_m, 3 m"
+    ):
         Chen2023(thin_cell_m=4.0, max_building_size_m=3.0)
 
 

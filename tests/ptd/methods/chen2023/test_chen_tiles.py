@@ -22,7 +22,9 @@ STATE = {"tails": [-30, 60]}
 
 def run(params: Chen2023, cloud: Cloud, window: Window) -> tuple[np.ndarray, np.ndarray]:
     """Labels and marks of the second pass."""
-    return params.passes[1].fit(Points(cloud), window, window, SCALE, STATE).label(Points(cloud))
+    return (
+        params.passes[1].fit(Points(cloud), window, window, SCALE, STATE).label(Points(cloud))
+    )
 
 
 def random_case(seed: int) -> tuple[Chen2023, Cloud, Window]:
@@ -31,7 +33,11 @@ def random_case(seed: int) -> tuple[Chen2023, Cloud, Window]:
     n, step = int(rng.integers(1500, 6000)), int(rng.choice([1, 1, 100, 250]))
     cloud = (rng.integers(0, SIDE, (3, n)) // step * step).astype(np.int32)
     x, y = cloud[:2] / CM
-    z = rng.choice([0, 8]) * (x // 17 % 2) + 3 * np.sin(x / 9) + rng.choice([0.3, 1.5, 4.0]) * rng.random(n)
+    z = (
+        rng.choice([0, 8]) * (x // 17 % 2)
+        + 3 * np.sin(x / 9)
+        + rng.choice([0.3, 1.5, 4.0]) * rng.random(n)
+    )
     z[rng.random(n) < 0.05] += rng.uniform(-9, 9)
     cloud[2] = np.rint(z * CM)
     centre, radius = rng.integers(0, SIDE, (2, 1)), rng.choice([0, 0.2, 0.4]) * SIDE
@@ -56,8 +62,15 @@ def random_case(seed: int) -> tuple[Chen2023, Cloud, Window]:
         rounds=int(rng.choice([0, 1, 1, 2])),
         label_pass=bool(rng.random() < 0.7),
     )
-    (west, south), (wide, high) = rng.integers(0, SIDE, 2), rng.integers(SIDE // 4, SIDE // 2, 2)
-    return params, cloud, Window(int(west - wide), int(south - high), int(west + wide), int(south + high))
+    (west, south), (wide, high) = (
+        rng.integers(0, SIDE, 2),
+        rng.integers(SIDE // 4, SIDE // 2, 2),
+    )
+    return (
+        params,
+        cloud,
+        Window(int(west - wide), int(south - high), int(west + wide), int(south + high)),
+    )
 
 
 def share_marked(seed: int) -> float:

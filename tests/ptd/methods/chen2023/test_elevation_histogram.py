@@ -82,7 +82,9 @@ def test_heights_outside_the_range() -> None:
 
 def test_the_pass_counts_the_lowest_point_of_each_cell_of_the_core_once() -> None:
     """The core starts at x = 1000. The lower points of its two cells of 1 m count, at 5 and 7 m."""
-    cloud = np.array([[500, 1100, 1200, 2500], [0, 0, 0, 0], [3000, 5000, 6000, 7000]], np.int32)
+    cloud = np.array(
+        [[500, 1100, 1200, 2500], [0, 0, 0, 0], [3000, 5000, 6000, 7000]], np.int32
+    )
     step = ElevationsPass(1.0, 20.0, 0.001)
     core = Window(1000, 0, 9000, 9000)
     model = step.fit(Points(cloud), Window.everything(), core, Scale(), {})
@@ -90,7 +92,9 @@ def test_the_pass_counts_the_lowest_point_of_each_cell_of_the_core_once() -> Non
 
 
 def test_the_state_and_its_notes() -> None:
-    parts = [{"elevations": [[k, 300]]} for k in range(100, 130)] + [{"elevations": [[40, 2], [900, 1]]}]
+    parts = [{"elevations": [[k, 300]]} for k in range(100, 130)] + [
+        {"elevations": [[40, 2], [900, 1]]}
+    ]
     state = {"notes": ["before"], "run": {}}
     found = ElevationsPass(1.0, 20.0, 0.001).reduce(parts, state)
     assert found["tails"] == [100, 129]

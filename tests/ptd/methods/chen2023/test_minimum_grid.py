@@ -34,8 +34,8 @@ def test_growing_outward_a_layer_uses_what_the_layers_before_filled() -> None:
     filled, layers = fill_empty(grid([0, 90, E, E, E]), 3, 3)
     assert filled.tolist() == [[0, 90, 90, 90, 90]]
     assert layers.tolist() == [[0, 0, 1, 2, 3]]
-    # The cell of layer two touches two cells of layer one, 10 and (10 + 40) / 2 = 25; that of layer three only the
-    # second.
+    # The cell of layer two touches two cells of layer one, 10 and (10 + 40) / 2 = 25; that of
+    # layer three only the second.
     filled, _ = fill_empty(grid([10, E, E, E], [40, E, E, E]), 3, 3)
     assert filled[:, 1].tolist() == [25, 25]
     filled, _ = fill_empty(grid([10, E, E], [E, E, E], [E, E, E], [70, E, E]), 3, 3)
@@ -75,7 +75,9 @@ def test_nothing_to_fill_and_nothing_to_fill_from() -> None:
 @given(seed=st.integers(0, 10**6), last=st.integers(1, 6))
 def test_nearest_by_the_larger_difference_of_row_and_column(seed: int, last: int) -> None:
     rng = np.random.default_rng(seed)
-    heights = np.where(rng.random((9, 11)) < 0.06, rng.integers(-5, 5, (9, 11)), E).astype(np.int32)
+    heights = np.where(rng.random((9, 11)) < 0.06, rng.integers(-5, 5, (9, 11)), E).astype(
+        np.int32
+    )
     rows, columns = np.nonzero(heights != E)
     want, layers = np.full(heights.shape, E), np.full(heights.shape, -1)
     for r, c in np.ndindex(heights.shape):

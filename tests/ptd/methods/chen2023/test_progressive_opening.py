@@ -37,7 +37,9 @@ EVERYTHING = Window.everything()
         (1, False, Fraction(1, 2), [3]),  # at least one window
     ],
 )
-def test_the_series_of_windows(initial: int, exponential: bool, building: int, widths: list[int]) -> None:
+def test_the_series_of_windows(
+    initial: int, exponential: bool, building: int, widths: list[int]
+) -> None:
     assert window_widths(initial, exponential, Fraction(building)) == widths
 
 
@@ -50,7 +52,9 @@ def test_thresholds_of_exponential_windows_up_to_the_largest() -> None:
     """Differences of W 5, 9, 17, 33 (1 at first) are 4, 4, 8, 16: 1.5, 1.5, 2.7, 5.1, at most 2.5."""
     found = height_thresholds([5, 9, 17, 33], 0.3, 1.0, 0.3, 2.5)
     assert found == pytest.approx([1.5, 1.5, 2.5, 2.5])
-    assert height_thresholds([5, 9, 17, 33], 0.3, 1.0, 0.3, 9.0) == pytest.approx([1.5, 1.5, 2.7, 5.1])
+    assert height_thresholds([5, 9, 17, 33], 0.3, 1.0, 0.3, 9.0) == pytest.approx(
+        [1.5, 1.5, 2.7, 5.1]
+    )
 
 
 def test_the_initial_threshold_is_not_above_the_largest_either() -> None:
@@ -72,17 +76,23 @@ def test_openings_are_those_of_another_library_chained_or_not(widths: list[int])
         assert np.array_equal(got, once[inner])
         chained = ndimage.grey_opening(chained, size=(width, width))
         deep = np.s_[2 * rim : 70 - 2 * rim, 2 * rim : 70 - 2 * rim]
-        assert np.array_equal(got[rim : rim + 70 - 4 * rim, rim : rim + 70 - 4 * rim], chained[deep])
+        assert np.array_equal(
+            got[rim : rim + 70 - 4 * rim, rim : rim + 70 - 4 * rim], chained[deep]
+        )
 
 
-def field(heights: np.ndarray, keep: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def field(
+    heights: np.ndarray, keep: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A point in the middle of each cell of a metre, in millimetres; heights in metres."""
     rows, columns = np.nonzero(np.ones(heights.shape, bool) if keep is None else keep)
     found = 1000 * columns + 500, 1000 * rows + 500, 1000 * heights[rows, columns]
     return tuple(np.rint(v).astype(np.int32) for v in found)  # type: ignore[return-value]
 
 
-def seeds_of(heights: np.ndarray, opening: Opening, keep: np.ndarray | None = None) -> np.ndarray:
+def seeds_of(
+    heights: np.ndarray, opening: Opening, keep: np.ndarray | None = None
+) -> np.ndarray:
     """A map of the potential seeds."""
     x, y, z = field(heights, keep)
     args = CellLattice.of(1.0, Scale()), opening, EVERYTHING
@@ -141,7 +151,10 @@ def test_blocks_change_nothing(seed: int, block: int) -> None:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 600))
     cells = rng.choice(90 * 70, n, replace=False)
-    x, y = (1000 * (cells % 90) + 100).astype(np.int32), (1000 * (cells // 90) + 100).astype(np.int32)
+    x, y = (
+        (1000 * (cells % 90) + 100).astype(np.int32),
+        (1000 * (cells // 90) + 100).astype(np.int32),
+    )
     z = rng.integers(0, 2000, n).astype(np.int32)
     eligible = rng.random(n) < 0.95
     opening = Opening([3, 5], [300.0, 500.0], int(rng.integers(0, 4)))
@@ -165,7 +178,8 @@ def test_certain_cells_lie_a_window_and_its_fill_inside() -> None:
     _, uncertified = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
     middle = abs(y - 20_000) < 12_000
     assert np.array_equal(uncertified[middle], x[middle] < 14_000)
-    hole = (x // 1000 < 15) & (abs(y // 1000 - 20) < 3)  # 5 cells deep, and filled from unknown cells
+    # 5 cells deep, and filled from unknown cells
+    hole = (x // 1000 < 15) & (abs(y // 1000 - 20) < 3)
     x, y, z = x[~hole], y[~hole], z[~hole]
     _, uncertified = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
     beside = (y // 1000 == 20) & (x // 1000 == 15)

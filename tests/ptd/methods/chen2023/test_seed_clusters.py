@@ -19,7 +19,9 @@ Position = tuple[int, int]
 
 
 def noise_of(
-    points: list[tuple[int, int, int]], limits: ClusterLimits, virtual: set[Position] | None = None
+    points: list[tuple[int, int, int]],
+    limits: ClusterLimits,
+    virtual: set[Position] | None = None,
 ) -> set[Position]:
     """Positions of the noise."""
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
@@ -45,7 +47,9 @@ def test_heights_count_in_horizontal_units() -> None:
 
 
 def test_the_smallest_position_of_equally_high_corners_counts() -> None:
-    assert noise_of([(0, 0, 7), (0, 90, 7), (50, 0, 7)], OFF._replace(long_side=60.0)) == {(0, 0)}
+    assert noise_of([(0, 0, 7), (0, 90, 7), (50, 0, 7)], OFF._replace(long_side=60.0)) == {
+        (0, 0)
+    }
 
 
 def test_each_long_facet_is_judged_in_the_same_tin() -> None:
@@ -85,7 +89,9 @@ def test_facets_that_are_not_narrow_join() -> None:
     """Facets up to 2.5 m have angles of 21 and 31 degrees; those of the field have 45."""
     points = block(2500)
     assert noise_of(points, CLUSTERS) == set()
-    assert noise_of(points, CLUSTERS._replace(narrow_cos=math.cos(math.radians(35)))) >= up(points)
+    assert noise_of(points, CLUSTERS._replace(narrow_cos=math.cos(math.radians(35)))) >= up(
+        points
+    )
 
 
 def test_a_cluster_of_more_seeds_stays() -> None:
@@ -121,7 +127,11 @@ def test_fewer_than_three_seeds_have_no_facets() -> None:
 def test_sides_are_sorted_and_do_not_depend_on_the_order_of_corners() -> None:
     vertices = np.array([[0, 0, 0, 0], [3, 0, 4, 0], [0, 12, 0, 0]], np.int32)
     for corners in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
-        assert _sides(vertices, np.array(corners, np.int32), 1.0) == (25.0, 144.0, 9.0 + 144.0 + 16.0)
+        assert _sides(vertices, np.array(corners, np.int32), 1.0) == (
+            25.0,
+            144.0,
+            9.0 + 144.0 + 16.0,
+        )
 
 
 def test_joined_vertices_have_one_number() -> None:
@@ -138,7 +148,9 @@ def test_uncertified_seeds_cover_all_effects_of_uncertified_facets(seed: int) ->
     n = 250
     xy = rng.choice(60 * 60, n, replace=False)
     x, y = (100 * (xy % 60)).astype(np.int32), (100 * (xy // 60)).astype(np.int32)
-    z = np.where(rng.random(n) < 0.2, rng.integers(0, 3000, n), rng.integers(0, 100, n)).astype(np.int32)
+    z = np.where(rng.random(n) < 0.2, rng.integers(0, 3000, n), rng.integers(0, 100, n)).astype(
+        np.int32
+    )
     limits = ClusterLimits(1500.0, math.cos(math.radians(25)), 6, 150.0, 1.0)
     whole = Tin.build(x, y, z)
     near = x < 4500
@@ -148,11 +160,14 @@ def test_uncertified_seeds_cover_all_effects_of_uncertified_facets(seed: int) ->
     for t in range(window.n_triangles):
         corners = list(corners_of(window, t))
         uncertified[t] = (
-            -1 in corners or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
+            -1 in corners
+            or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
         )
     real = np.ones(window.n_vertices, bool)
     noise, uncertified_seeds = noisy_seeds(window, real, limits, uncertified)
-    truth, _ = noisy_seeds(whole, np.ones(n, bool), limits, np.zeros(whole.n_triangles, np.uint8))
+    truth, _ = noisy_seeds(
+        whole, np.ones(n, bool), limits, np.zeros(whole.n_triangles, np.uint8)
+    )
     true_noise = set(map(tuple, whole.vertices[truth, :2].tolist()))
     for (a, b, _z), found, is_uncertified in zip(
         window.vertices.tolist(), noise, uncertified_seeds, strict=True

@@ -8,8 +8,9 @@ import pytest
 from ptd.methods.dong2017.distance_threshold import second_difference_jump
 
 JUMPS = [
-    # Accumulated 100 180 220 230 239 248 257; its first difference is the histogram, its second -20 -40 -30 -1 0 0:
-    # the jump is -40, and -1 is the first after it above a twentieth of that: four bins are ground.
+    # Accumulated 100 180 220 230 239 248 257; its first difference is the histogram, its second
+    # -20 -40 -30 -1 0 0: the jump is -40, and -1 is the first after it above a twentieth of
+    # that: four bins are ground.
     ([100, 80, 40, 10, 9, 9, 9], 4),
     # The counts may rise first: 50 100 30 5 5: 50 -70 -25 0.
     ([50, 100, 30, 5, 5], 4),

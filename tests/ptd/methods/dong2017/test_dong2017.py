@@ -50,11 +50,14 @@ def test_ground_is_kept_and_objects_are_removed(scene: Town, whole: Run) -> None
     labels, marks, _ = whole
     assert not marks.any()
     assert set(labels.tolist()) == {1, 2}
-    ground = {what: (labels[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)}
+    ground = {
+        what: (labels[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)
+    }
     assert ground[2] > 0.985
     assert ground[3] == ground[TREE] == 0.0  # green points are not ground, as in the paper
     assert ground[CAR] < 0.05
-    assert ground[HOUSE] < 0.04  # the feet of facades lie within the first threshold of the ground
+    # the feet of facades lie within the first threshold of the ground
+    assert ground[HOUSE] < 0.04
 
 
 def test_on_cells_green_ground_is_kept_and_cars_are_removed(scene: Town) -> None:
@@ -62,19 +65,26 @@ def test_on_cells_green_ground_is_kept_and_cars_are_removed(scene: Town) -> None
     xyz, rgb = xyz_rgb(scene)
     result = classify(xyz, "dong2017", rgb=rgb)
     labels = result.classification
-    kept = {what: (labels[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)}
+    kept = {
+        what: (labels[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)
+    }
     assert min(kept[2], kept[3]) > 0.985
     assert kept[CAR] < 0.05
     assert kept[TREE] == 0.0
     assert kept[HOUSE] < 0.04
-    assert any("green points may be ground" in note for note in result.decisions["statistics"]["notes"])
+    assert any(
+        "green points may be ground" in note for note in result.decisions["statistics"]["notes"]
+    )
 
 
 def test_tiles_do_not_show_on_cells(small: Town, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of tiles that see only a part of the town have the labels and seeds of the whole."""
     monkeypatch.setattr(facets, "MAX_CIRCUMRADIUS_M", 6.0)
     shorter = facets.reach_m() + surface.noise_reach_cells(1.0) + 3.0
-    passes = (*Dong2017(tins=1).passes[:-1], replace(NearGroundPass(), influence_radius_m=shorter))
+    passes = (
+        *Dong2017(tins=1).passes[:-1],
+        replace(NearGroundPass(), influence_radius_m=shorter),
+    )
     monkeypatch.setattr(Dong2017, "passes", passes)
     whole, _, state = classify_tiled(small.points, SCALE, Dong2017(), None)
     assert 0.4 < (whole == 2).mean() < 0.9
@@ -242,7 +252,10 @@ def test_the_papers_comparison_between_facades() -> None:
     )
     lost = classify(scene.xyz, "classic", papers).classification != 2
     assert scene.rgb is not None
-    grey = gli_bins(np.ascontiguousarray(scene.rgb.T)) < result.decisions["statistics"]["green_from"]
+    grey = (
+        gli_bins(np.ascontiguousarray(scene.rgb.T))
+        < result.decisions["statistics"]["green_from"]
+    )
     counts = np.rint((scene.xyz - scene.xyz.min(axis=0)) * 1000).astype(np.int32).T
     points = Points(np.ascontiguousarray(counts), rgb=np.ascontiguousarray(scene.rgb.T))
     seeds = scene.xyz[after_two_passes(points, Scale(), None) == 2]

@@ -54,7 +54,9 @@ def wall(column: int, rows: int, top: float, n: int = 60) -> np.ndarray:
 
 def cloud(*parts: np.ndarray) -> np.ndarray:
     joined = np.concatenate(parts, axis=1)
-    return np.ascontiguousarray(joined[:, np.random.default_rng(0).permutation(joined.shape[1])])
+    return np.ascontiguousarray(
+        joined[:, np.random.default_rng(0).permutation(joined.shape[1])]
+    )
 
 
 def house() -> np.ndarray:

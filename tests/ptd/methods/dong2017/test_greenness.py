@@ -30,7 +30,9 @@ GLI = [
 
 @pytest.mark.parametrize(("colour", "index"), GLI)
 @pytest.mark.parametrize("times", [1, 256, 257])
-def test_gli_of_a_colour_in_8_and_16_bits(colour: tuple[int, int, int], index: float, times: int) -> None:
+def test_gli_of_a_colour_in_8_and_16_bits(
+    colour: tuple[int, int, int], index: float, times: int
+) -> None:
     """GLI = (2G - R - B) / (2G + R + B) in any range."""
     found = gli_bins(np.array(colour, np.uint16)[:, None] * np.uint16(times))
     assert found.tolist() == [min(int((index + 1) / 2 * BINS + 1e-9), BINS - 1)]
@@ -55,10 +57,12 @@ def test_smoothing_keeps_a_symmetric_peak_and_the_sum() -> None:
 OTSU = [
     # Any split between two separate modes is equally good, so the lowest is taken.
     ([4, 4, 0, 0, 4, 4], 2),
-    # By hand for 5, 3, 0, 2: n 10, moments 0, 3, 0, 6, mean 0.9. Split after 0: 5 and 5 points, means 0 and 1.8,
-    # variance 0.5 0.5 1.8^2 = 0.81; after 1 or 2: 8 and 2, means 3/8 and 3, variance 0.8 0.2 2.625^2 = 1.1025.
+    # By hand for 5, 3, 0, 2: n 10, moments 0, 3, 0, 6, mean 0.9. Split after 0: 5 and 5 points,
+    # means 0 and 1.8, variance 0.5 0.5 1.8^2 = 0.81; after 1 or 2: 8 and 2, means 3/8 and 3,
+    # variance 0.8 0.2 2.625^2 = 1.1025.
     ([5, 3, 0, 2], 2),
-    # 6, 1, 1: after 0: 6/8, 2/8, means 0, 1.5: 0.421875; after 1: 7/8, 1/8, means 1/7, 2: 0.377.
+    # 6, 1, 1: after 0: 6/8, 2/8, means 0, 1.5: 0.421875; after 1: 7/8, 1/8, means 1/7, 2:
+    # 0.377.
     ([6, 1, 1], 1),
 ]
 
@@ -105,7 +109,9 @@ def test_two_modes_that_are_not_green_are_not_split() -> None:
 
 
 def test_red_grey_and_green_are_split_at_green() -> None:
-    counts = (bell(GREY - 20, 3, 9000) + bell(GREY - 1, 2, 9000) + bell(GREY + 20, 3, 3000)).tolist()
+    counts = (
+        bell(GREY - 20, 3, 9000) + bell(GREY - 1, 2, 9000) + bell(GREY + 20, 3, 3000)
+    ).tolist()
     found = green_from(counts)
     assert found is not None
     assert GREY + 4 < found < GREY + 16
@@ -116,5 +122,7 @@ def test_gaps_of_dark_8_bit_colours_are_not_valleys() -> None:
     rng = np.random.default_rng(1)
     colours = np.clip(rng.normal(14, 1.5, (3, 50_000)).round(), 1, 255).astype(np.uint16)
     counts = np.bincount(gli_bins(colours), minlength=BINS)
-    assert (counts[GREY - 3 : GREY + 4] == 0).any() or counts[GREY - 3 : GREY + 4].min() < counts.max() / 3
+    assert (counts[GREY - 3 : GREY + 4] == 0).any() or counts[
+        GREY - 3 : GREY + 4
+    ].min() < counts.max() / 3
     assert green_from(counts.tolist()) is None

@@ -21,7 +21,8 @@ PODIUM = [
     ([0, 1100], [0, 900], [False, False]),  # beyond the radius of 10 m
     # A slope of 20 % keeps all its seeds; the paper's rule would keep only the lowest.
     ([0, 500, 1000, 1500], [0, 100, 200, 300], [False] * 4),
-    # All seeds are judged before any is dropped: the middle one drops the highest, and is dropped as well.
+    # All seeds are judged before any is dropped: the middle one drops the highest, and is
+    # dropped as well.
     ([0, 400, 800], [0, 300, 600], [False, True, True]),
 ]
 

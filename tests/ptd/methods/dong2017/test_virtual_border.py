@@ -29,14 +29,19 @@ def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def cells_of(points: np.ndarray) -> set[tuple[int, int]]:
-    return {(CELLS.column(int(x)), CELLS.row(int(y))) for x, y in zip(points[0], points[1], strict=True)}
+    return {
+        (CELLS.column(int(x)), CELLS.row(int(y)))
+        for x, y in zip(points[0], points[1], strict=True)
+    }
 
 
 def test_each_empty_cell_within_two_has_a_point_in_its_middle() -> None:
     points = block(3, 4)
     found = rim(*points, CELLS)
     filled = cells_of(points)
-    wanted = {(c + i, r + j) for c, r in filled for i in range(-2, 3) for j in range(-2, 3)} - filled
+    wanted = {
+        (c + i, r + j) for c, r in filled for i in range(-2, 3) for j in range(-2, 3)
+    } - filled
     assert cells_of(found.T) == wanted
     assert len(found) == len(wanted) == 7 * 8 - 12
     for x, y, _ in found:
@@ -46,7 +51,8 @@ def test_each_empty_cell_within_two_has_a_point_in_its_middle() -> None:
 
 def test_virtual_points_extend_the_plane_of_the_ground() -> None:
     found = rim(*block(4, 4), CELLS)
-    corner = abs(found[:, :2] - np.median(found[:, :2], axis=0)).min(axis=1) > 1000  # few cells near there
+    # few cells near there
+    corner = abs(found[:, :2] - np.median(found[:, :2], axis=0)).min(axis=1) > 1000
     assert abs(found[:, 2] - plane(found[:, 0], found[:, 1]))[~corner].max() <= 2
 
 
@@ -55,7 +61,11 @@ def test_a_hole_is_filled() -> None:
     kept = np.delete(points, 24, axis=1)
     found = rim(*kept, CELLS)
     hole = cells_of(points[:, 24:25])
-    inner = [z - plane(x, y) for x, y, z in found if (CELLS.column(int(x)), CELLS.row(int(y))) in hole]
+    inner = [
+        z - plane(x, y)
+        for x, y, z in found
+        if (CELLS.column(int(x)), CELLS.row(int(y))) in hole
+    ]
     assert len(inner) == 1
     assert abs(inner[0]) <= 2
 

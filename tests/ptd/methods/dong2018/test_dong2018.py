@@ -22,12 +22,19 @@ from ptd.passes import MethodRefusal, Points
 from tests.ptd.tiling import classify_tiled
 
 DEFAULTS = Dong2018(robust_cells=False)
-PAPER = Dong2018(robust_cells=False, iteration_angle_deg=6.0, density_k=10.0, max_building_size_m=30.0)
+PAPER = Dong2018(
+    robust_cells=False, iteration_angle_deg=6.0, density_k=10.0, max_building_size_m=30.0
+)
 
 
 def terrain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Hills, and swells that blur a TIN of points 4 m apart."""
-    return 2.0 * np.sin(x / 25) + 1.5 * np.cos(y / 18) + 0.03 * x + 0.3 * np.sin(x / 3.5) * np.sin(y / 3.1)
+    return (
+        2.0 * np.sin(x / 25)
+        + 1.5 * np.cos(y / 18)
+        + 0.03 * x
+        + 0.3 * np.sin(x / 3.5) * np.sin(y / 3.1)
+    )
 
 
 def matched_cloud(
@@ -73,9 +80,9 @@ def test_facets_as_dense_as_the_threshold() -> None:
 def test_stage_one_leaves_dense_facets_alone() -> None:
     xyz, _ = matched_cloud(10, 60.0, 40.0)
     few, many = (
-        classify(xyz, "dong2018", replace(DEFAULTS, density_k=k, thin_cell_m=0.3), sigma=0.066).stats[
-            "stage-one"
-        ]
+        classify(
+            xyz, "dong2018", replace(DEFAULTS, density_k=k, thin_cell_m=0.3), sigma=0.066
+        ).stats["stage-one"]
         for k in (0.01, 1.0)
     )
     assert few["candidates"] == many["candidates"]
@@ -95,7 +102,8 @@ def test_even_tin_by_hand() -> None:
     x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(steps, steps))
     z = np.zeros(x.size, np.int32)
     scale = Scale(Fraction(1, 100), Fraction(1, 100))
-    # A second point lies in the cell of (21, 21), half a metre beside and 0.31 m above it. The hash picks one of them.
+    # A second point lies in the cell of (21, 21), half a metre beside and 0.31 m above it. The
+    # hash picks one of them.
     x, y, z = (np.append(a, b).astype(np.int32) for a, b in ((x, 2150), (y, 2100), (z, 31)))
     even = EvenTin(x, y, z, np.ones(x.size, bool), 4.0, Window.everything(), scale)
     left = np.flatnonzero(even.left_out)
@@ -130,7 +138,9 @@ def test_a_matched_cloud() -> None:
         assert total < errors(classify(xyz, "classic", params).classification, ground)[2] - 2.0
     scales = state["scales"]
     assert [found["scale_m"] for found in scales] == [4.0, 2.0, 1.0]
-    angles, distances = ([found[name] for found in scales] for name in ("angle_deg", "distance_m"))
+    angles, distances = (
+        [found[name] for found in scales] for name in ("angle_deg", "distance_m")
+    )
     assert angles == sorted(angles)
     assert distances[0] > max(distances[1:])
     assert any("scale 2 m" in note for note in state["notes"])
@@ -175,7 +185,9 @@ def test_no_planar_patch_is_refused_where_noise_matters() -> None:
     with pytest.raises(MethodRefusal, match=r"planar patches .* too few.* --sigma"):
         classify(rough_cloud(12.0), "dong2018", DEFAULTS)
     assert classify(rough_cloud(0.8), "dong2018", DEFAULTS).classification.size
-    assert classify(rough_cloud(12.0), "dong2018", DEFAULTS, sigma=0.1).decisions["statistics"]["dense"]
+    assert classify(rough_cloud(12.0), "dong2018", DEFAULTS, sigma=0.1).decisions["statistics"][
+        "dense"
+    ]
 
 
 def test_a_thinning_cell_that_cannot_reach_the_density_is_refused() -> None:
@@ -211,8 +223,12 @@ def measured(angle_bin: int, distance_bin: int) -> list[dict[str, Any]]:
 
 def test_thresholds_that_move_the_other_way_are_reported_and_kept() -> None:
     state: dict[str, Any] = {"dense": True, "cells": 1, "threshold_m2": 1.0}
-    state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[0], "measure").reduce(measured(10, 5), state)
-    state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[1], "measure").reduce(measured(12, 4), state)
+    state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[0], "measure").reduce(
+        measured(10, 5), state
+    )
+    state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[1], "measure").reduce(
+        measured(12, 4), state
+    )
     assert not any("warning" in note for note in state["notes"])
     state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[2], "measure").reduce(measured(8, 7), state)
     told = [note.split("warning: ")[1] for note in state["notes"] if "warning" in note]

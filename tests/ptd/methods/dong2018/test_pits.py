@@ -33,7 +33,9 @@ def test_a_slope_has_no_pits(rise: float) -> None:
 @pytest.mark.parametrize("rise", [0.0, 0.5])
 def test_single_points_and_clumps(rise: float) -> None:
     cloud = slope(rise)
-    low = (np.hypot(cloud[0] - 1000, cloud[1] - 1500) < 75) | ((cloud[0] == 2125) & (cloud[1] == 525))
+    low = (np.hypot(cloud[0] - 1000, cloud[1] - 1500) < 75) | (
+        (cloud[0] == 2125) & (cloud[1] == 525)
+    )
     cloud[2, low] -= 150  # points a cell or two downhill still lie 50 above it
     shallow = (cloud[0] == 725) & (cloud[1] == 725)
     cloud[2, shallow] -= 30

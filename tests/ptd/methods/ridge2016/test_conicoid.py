@@ -35,7 +35,9 @@ def judge(
 def reference(xyz: np.ndarray, confidence: float, data: np.ndarray) -> set[tuple[int, int]]:
     """Equations 3-10 with Qhull, numpy and scipy's distribution."""
     indptr, indices = Delaunay(xyz[:, :2].astype(float)).vertex_neighbor_vertices
-    around = [{int(k) for k in indices[indptr[v] : indptr[v + 1]] if data[k]} for v in range(len(xyz))]
+    around = [
+        {int(k) for k in indices[indptr[v] : indptr[v + 1]] if data[k]} for v in range(len(xyz))
+    ]
     found = set()
     for v in np.flatnonzero(data):
         near = set().union(around[v], *(around[k] for k in around[v])) - {int(v)}
@@ -48,7 +50,9 @@ def reference(xyz: np.ndarray, confidence: float, data: np.ndarray) -> set[tuple
         residuals = hat @ z - z
         freedom = len(rows) - 6 - 1
         sigma = np.sqrt((residuals**2).sum() / freedom)
-        if abs(residuals[0]) / (sigma * np.sqrt(1 - hat[0, 0])) > student.ppf((1 + confidence) / 2, freedom):
+        if abs(residuals[0]) / (sigma * np.sqrt(1 - hat[0, 0])) > student.ppf(
+            (1 + confidence) / 2, freedom
+        ):
             found.add((int(xyz[v, 0]), int(xyz[v, 1])))
     return found
 
@@ -59,11 +63,15 @@ def hill(seed: int, rough: float, n: int = 9) -> np.ndarray:
     xy = np.stack(np.meshgrid(np.arange(n), np.arange(n))).reshape(2, -1) * STEP
     x, y = xy = xy + rng.integers(-STEP // 3, STEP // 3, xy.shape)
     u, v = x / STEP, y / STEP
-    z = 1000 * (50 + 3 * u - 2 * v + 0.3 * u * u - 0.2 * u * v + 0.4 * v * v) + rng.normal(0, rough, x.size)
+    z = 1000 * (50 + 3 * u - 2 * v + 0.3 * u * u - 0.2 * u * v + 0.4 * v * v) + rng.normal(
+        0, rough, x.size
+    )
     return np.column_stack([x, y, np.rint(z)]).astype(np.int64)
 
 
-def test_a_seed_on_a_roof_or_in_a_pit_is_rejected_and_its_neighbours_on_the_roof_are_kept() -> None:
+def test_a_seed_on_a_roof_or_in_a_pit_is_rejected_and_its_neighbours_on_the_roof_are_kept() -> (
+    None
+):
     """The seed lies five metres above ground that is even to 5 cm; seeds whose fits it spoils pass."""
     for height in (5000, -5000):
         points = hill(3, 50.0)
@@ -121,13 +129,18 @@ def test_neighbours_on_one_conic_reject_nothing() -> None:
 
 def test_an_undetermined_conicoid_rejects_nothing() -> None:
     """For two rows, y2 is a multiple of y."""
-    points = np.array([(x * STEP, y * STEP, 100 * (x * 7919 % 13)) for x in range(12) for y in (0, 1)])
+    points = np.array(
+        [(x * STEP, y * STEP, 100 * (x * 7919 % 13)) for x in range(12) for y in (0, 1)]
+    )
     assert judge(points, 0.5) == set()
 
 
 def test_no_seed_on_exact_ground_is_rejected() -> None:
     """All residuals come from rounding to counts."""
-    assert judge(np.array([(x * STEP, y * STEP, 0) for x in range(8) for y in range(8)]), 0.5) == set()
+    assert (
+        judge(np.array([(x * STEP, y * STEP, 0) for x in range(8) for y in range(8)]), 0.5)
+        == set()
+    )
 
 
 def test_confidence_and_least_residual() -> None:

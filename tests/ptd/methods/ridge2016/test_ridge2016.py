@@ -24,7 +24,9 @@ from tests.scenes.windows import cut, opened
 EVERYTHING = Window.everything()
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (-7_123_456, 93_000_017))
 DEFAULTS = Ridge2016(robust_cells=False)
-SMALL = Ridge2016(robust_cells=False, max_building_size_m=6.0, rounds=4, low_radius_m=2.5, low_depth_m=2.0)
+SMALL = Ridge2016(
+    robust_cells=False, max_building_size_m=6.0, rounds=4, low_radius_m=2.5, low_depth_m=2.0
+)
 
 
 def labels_of(cloud: Cloud, params: Ridge2016) -> np.ndarray:
@@ -60,7 +62,12 @@ def test_partials_add_up_in_any_order() -> None:
     ]
     state = step.reduce(parts, {"run": {}, "notes": ["before"]})
     assert state == step.reduce(parts[::-1], {"run": {}, "notes": ["before"]})
-    assert state["ridge2016"] == {"rounds": 2, "points": 1000, "gained": [300, 1], "unsure": [1, 1]}
+    assert state["ridge2016"] == {
+        "rounds": 2,
+        "points": 1000,
+        "gained": [300, 1],
+        "unsure": [1, 1],
+    }
     assert state["notes"][0] == "before"
     assert len(state["notes"]) == 2
 
@@ -78,7 +85,9 @@ def test_a_count_near_the_edge_of_a_window_is_not_certain() -> None:
 
 def test_without_a_growth_to_watch_there_is_one_pass() -> None:
     (only,) = Ridge2016(growth=0.0, rounds=3, robust_cells=False).passes
-    model = only.fit(Points(SCENES["plane"](np.random.default_rng(1))), EVERYTHING, EVERYTHING, SCALE, {})
+    model = only.fit(
+        Points(SCENES["plane"](np.random.default_rng(1))), EVERYTHING, EVERYTHING, SCALE, {}
+    )
     assert model.stats["rounds"] <= 3
     assert only.reduce([model.partial()], {"kept": 1}) == {"kept": 1}
 
@@ -90,12 +99,16 @@ def test_the_last_pass_has_the_tin_of_the_round_that_was_decided() -> None:
     statistics = result.decisions["statistics"]["ridge2016"]
     last = statistics["rounds"]
     assert result.stats["ridge2016"]["rounds"] == last < result.stats["growth"]["rounds"]
-    one = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(growth=0.0, rounds=last, robust_cells=False))
+    one = ptd.classify(
+        cloud.T / CM, "ridge2016", Ridge2016(growth=0.0, rounds=last, robust_cells=False)
+    )
     assert np.array_equal(one.classification, result.classification)
     assert one.stats["ridge2016"]["vertices"] == result.stats["ridge2016"]["vertices"]
     assert one.stats["ridge2016"]["seeds"] == result.stats["growth"]["seeds"]
     assert len(statistics["gained"]) == statistics["rounds"]
-    assert statistics["gained"][-1] <= 0.01 * statistics["points"] < min(statistics["gained"][:-1])
+    assert (
+        statistics["gained"][-1] <= 0.01 * statistics["points"] < min(statistics["gained"][:-1])
+    )
     assert statistics["points"] == cloud.shape[1]
 
 
@@ -108,7 +121,9 @@ def test_codes_of_vertices_are_the_rounds_in_which_they_became_such() -> None:
     found = model.stats["seeds"] + model.stats["ridge_points"] - model.stats["dropped_seeds"]
     assert (codes == SEED).sum() == found
     order = np.random.default_rng(0).permutation(cloud.shape[1])
-    assert np.array_equal(model.label(Points(np.ascontiguousarray(cloud[:, order])))[0], codes[order])
+    assert np.array_equal(
+        model.label(Points(np.ascontiguousarray(cloud[:, order])))[0], codes[order]
+    )
     stranger = cloud[:, :1] + np.array([[0], [0], [1]], np.int32)
     assert model.label(Points(stranger.astype(np.int32)))[0].tolist() == [1]
 
@@ -171,11 +186,16 @@ def rough_roofs(seed: int) -> tuple[np.random.Generator, Cloud, Ridge2016]:
 def test_unmarked_labels_of_any_window_are_those_of_the_untiled_run(seed: int) -> None:
     rng, cloud, params = rough_roofs(seed)
     truth = labels_of(cloud, params)
-    (west, south), (wide, high) = rng.integers(-SIDE // 3, SIDE // 2, 2), rng.integers(SIDE // 2, SIDE, 2)
+    (west, south), (wide, high) = (
+        rng.integers(-SIDE // 3, SIDE // 2, 2),
+        rng.integers(SIDE // 2, SIDE, 2),
+    )
     window = opened(cloud, Window(int(west), int(south), int(west + wide), int(south + high)))
     inside = cut(cloud, window)
     part = np.ascontiguousarray(cloud[:, inside])
-    labels, marked = params.passes[-1].fit(Points(part), window, window, SCALE, {}).label(Points(part))
+    labels, marked = (
+        params.passes[-1].fit(Points(part), window, window, SCALE, {}).label(Points(part))
+    )
     assert not (~marked & (labels != truth[inside])).any()
     first, last = replace(params, growth=0.001).passes
     whole = first.fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})

@@ -21,9 +21,13 @@ LEFT, RIGHT = (-30, -10, 10), (50, 70, 90)
 """Columns of seeds on the slopes; the ridge at x = 30 lies in a gap of 40 m."""
 
 
-def seeds(height: Callable[[float], float], columns: tuple[int, ...] = LEFT + RIGHT) -> np.ndarray:
+def seeds(
+    height: Callable[[float], float], columns: tuple[int, ...] = LEFT + RIGHT
+) -> np.ndarray:
     """Rows of seeds every 20 m, shifted so that no four lie on a circle: int32 [3, n]."""
-    points = [(x, y + (7 if x > 30 else 0), height(x)) for x in columns for y in range(-60, 80, 20)]
+    points = [
+        (x, y + (7 if x > 30 else 0), height(x)) for x in columns for y in range(-60, 80, 20)
+    ]
     return np.rint(np.array(points).T * M).astype(np.int32)
 
 
@@ -31,11 +35,15 @@ def roof(slope: float) -> Callable[[float], float]:
     return lambda x: 100.0 - slope * abs(x - 30)
 
 
-def at(tin: Tin, x: float, y: float, rule: RidgeRule = RULE, data: np.ndarray | None = None) -> bool:
+def at(
+    tin: Tin, x: float, y: float, rule: RidgeRule = RULE, data: np.ndarray | None = None
+) -> bool:
     """Whether the facet at a place lies on a ridge."""
     data = np.ones(tin.n_vertices, np.bool_) if data is None else data
     t = triangle_at(tin, round(x * M), round(y * M))
-    return ridge_facet(tin.vertex_array, tin.triangle_array, t, data, rule, np.empty(AROUND, np.int32))
+    return ridge_facet(
+        tin.vertex_array, tin.triangle_array, t, data, rule, np.empty(AROUND, np.int32)
+    )
 
 
 def test_facets_across_the_ridge_of_a_roof_are_found_and_no_others() -> None:
@@ -103,7 +111,9 @@ def place(
 ) -> tuple[list[tuple[int, ...]], np.ndarray, UncertifiedRegion]:
     """Ridge points of the roof near the centre of the facet at (30, 3), this centre, and the uncertified region."""
     tin = Tin.build(*seeds(roof(1.0)))
-    facet = tin.vertices[list(corners_of(tin, triangle_at(tin, 30 * M, 3 * M)))].astype(np.int64)
+    facet = tin.vertices[list(corners_of(tin, triangle_at(tin, 30 * M, 3 * M)))].astype(
+        np.int64
+    )
     centre = facet[:, :2].sum(axis=0) / 3 / M
     points = np.rint(candidates((centre[0], centre[1])) * M).astype(np.int32)
     stacks = Stacks(*np.ascontiguousarray(points.T), CellLattice.of(1.0, SCALE))
@@ -130,7 +140,10 @@ def test_candidates_of_an_uncertified_facet_are_uncertified() -> None:
     """The window ends close to the roof: places near its border are uncertified, the middle is certain."""
     picked, points, region = place(Window(-35 * M, -65 * M, 95 * M, 68 * M))
     assert picked == [tuple(points[2].tolist())]
-    x, y = np.array([30 * M, 30 * M, 30 * M], np.int32), np.array([3 * M, -55 * M, 62 * M], np.int32)
+    x, y = (
+        np.array([30 * M, 30 * M, 30 * M], np.int32),
+        np.array([3 * M, -55 * M, 62 * M], np.int32),
+    )
     assert region.covers(x, y).tolist() == [False, True, True]
 
 

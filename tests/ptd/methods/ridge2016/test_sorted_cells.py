@@ -13,7 +13,9 @@ from ptd.methods.ridge2016.sorted_cells import Stacks, indices_in_stacks, lowest
 SCALE = Scale(origin=(-12_345, 987))
 
 
-def cloud(seed: int, n: int, spread: int, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def cloud(
+    seed: int, n: int, spread: int, step: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     x, y, z = np.random.default_rng(seed).integers(-spread, spread, (3, n)) // step * step
     return x.astype(np.int32), y.astype(np.int32), z.astype(np.int32)
 
@@ -52,7 +54,9 @@ def test_lowest_within_a_radius(
     x, y, z = cloud(seed, 200, spread, step)
     stacks = Stacks(x, y, z, CellLattice.of(cell, SCALE))
     got = lowest_within(stacks.x, stacks.y, stacks.z, stacks.raster, x3, y3, radius)
-    near = (3 * x.astype(np.int64) - x3) ** 2 + (3 * y.astype(np.int64) - y3) ** 2 <= 9 * radius**2
+    near = (3 * x.astype(np.int64) - x3) ** 2 + (
+        3 * y.astype(np.int64) - y3
+    ) ** 2 <= 9 * radius**2
     expected = min(zip(*(v[near].tolist() for v in (z, x, y)), strict=True), default=None)
     found = (int(stacks.z[got]), int(stacks.x[got]), int(stacks.y[got])) if got >= 0 else None
     assert found == expected

@@ -30,7 +30,9 @@ def tins(
     x, y, z = np.ascontiguousarray(points.T.astype(np.int32))
     stacks = Stacks(x, y, z, CellLattice.of(cell_m, Scale()))
     seeds = {tuple(p) for p in points[:n_seeds].tolist()}
-    own = np.array([tuple(p) in seeds for p in np.column_stack([stacks.x, stacks.y, stacks.z]).tolist()])
+    own = np.array(
+        [tuple(p) in seeds for p in np.column_stack([stacks.x, stacks.y, stacks.z]).tolist()]
+    )
     region = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
     chosen = np.flatnonzero(own).astype(np.int32)
     steps = densify_thinned(stacks, chosen, CORNERS.astype(np.int32), limits, region)
@@ -76,7 +78,9 @@ def test_the_vertices_are_those_of_the_naive_way(
     seeds, others = scene(seed, 60, rough)
     points = np.unique(np.vstack([seeds[4:], others]), axis=0)
     np.random.default_rng(seed).shuffle(points)
-    limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=88.0, reduce_m=5.0)
+    limits = FacetLimits.of(
+        Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=88.0, reduce_m=5.0
+    )
     got, _ = tins(points, 5, limits, rounds, cell)
     assert [rows(t) for t in got] == naive(points, 5, limits, rounds, cell)
 
@@ -86,7 +90,9 @@ def figure_5(cell_m: float) -> list[Points]:
 
     The result holds the vertices of the first three rounds, without seeds.
     """
-    ring: Points = [(x, y, 0) for x, y in ((2000, 2000), (98_000, 2000), (2000, 98_000), (98_000, 98_000))]
+    ring: Points = [
+        (x, y, 0) for x, y in ((2000, 2000), (98_000, 2000), (2000, 98_000), (98_000, 98_000))
+    ]
     a, b = (50_300, 50_300, -1000), (50_600, 50_400, -1800)
     limits = FacetLimits.of(Scale(), distance_m=1.4, angle_deg=80.0, terrain_deg=88.0)
     got, _ = tins(np.array([*ring, a, b]), 4, limits, 5, cell_m)
@@ -117,8 +123,12 @@ def test_the_tally_counts_what_labelling_gives() -> None:
     """The counts agree in each round, though only changed triangles are labelled again."""
     for step, steep in ((1, 88.0), (1, 15.0), (2500, 88.0)):
         seeds, others = scene(11, 3000, 900)
-        points = np.unique(np.vstack([seeds[4:], others]) // [step, step, 1] * [step, step, 1], axis=0)
-        limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=steep, reduce_m=5.0)
+        points = np.unique(
+            np.vstack([seeds[4:], others]) // [step, step, 1] * [step, step, 1], axis=0
+        )
+        limits = FacetLimits.of(
+            Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=steep, reduce_m=5.0
+        )
         got, stacks = tins(points, 40, limits, 7, 2.0)
         assert len(got) >= 5
         x, y, z = stacks.x, stacks.y, stacks.z
@@ -126,7 +136,9 @@ def test_the_tally_counts_what_labelling_gives() -> None:
         before, counts = np.zeros(x.size, np.uint8), []
         for tin in got:
             clear = np.zeros(tin.n_triangles, np.uint8)
-            labels, _ = label_points(tin, Locator.of(tin), Xyz(x, y, z), clear, LabelRule(limits, 200.0))
+            labels, _ = label_points(
+                tin, Locator.of(tin), Xyz(x, y, z), clear, LabelRule(limits, 200.0)
+            )
             counts.append(tally.count(tin, clear))
             assert counts[-1] == (((labels == 2) & (before != 2)).sum(), 0)
             before = labels
@@ -141,9 +153,14 @@ def test_the_tally_counts_what_is_uncertified() -> None:
     uncertified = (np.arange(tin.n_triangles) % 3 == 0).astype(np.uint8)
     # On a vertex, the search may end in any of its triangles.
     off = [
-        p not in rows(tin) for p in zip(stacks.x.tolist(), stacks.y.tolist(), stacks.z.tolist(), strict=True)
+        p not in rows(tin)
+        for p in zip(stacks.x.tolist(), stacks.y.tolist(), stacks.z.tolist(), strict=True)
     ]
     x, y, z = stacks.x[off], stacks.y[off], stacks.z[off]
-    _, marked = label_points(tin, Locator.of(tin), Xyz(x, y, z), uncertified, LabelRule(limits, 0.0))
+    _, marked = label_points(
+        tin, Locator.of(tin), Xyz(x, y, z), uncertified, LabelRule(limits, 0.0)
+    )
     tally = GrowthCounter(x, y, z, limits, 0.0, np.zeros(x.size, np.bool_))
-    assert tally.count(tin, uncertified)[1] == tally.count(tin, uncertified)[1] == marked.sum() > 0
+    assert (
+        tally.count(tin, uncertified)[1] == tally.count(tin, uncertified)[1] == marked.sum() > 0
+    )

@@ -31,7 +31,9 @@ def write_surface(
 ) -> Path:
     """A square raster of `side` pixels with the surface's heights at pixel centres; `holes` are (row, col)."""
     north = south + side * size
-    x, y = np.meshgrid(west + (np.arange(side) + 0.5) * size, north - (np.arange(side) + 0.5) * size)
+    x, y = np.meshgrid(
+        west + (np.arange(side) + 0.5) * size, north - (np.arange(side) + 0.5) * size
+    )
     heights = np.asarray(surface(x, y), np.float32)
     for hole in holes:
         heights[hole] = -9999

@@ -35,17 +35,31 @@ def test_bilinear_between_four_centres(tmp_path: Path) -> None:
         (7.5, 12.5): 0.75 * 0.6,
         (8.5, 12.5): 0.25 * 0.6,
     }
-    assert heights[0] == pytest.approx(sum(w * x * y for (x, y), w in weights.items()), rel=1e-6)
+    assert heights[0] == pytest.approx(
+        sum(w * x * y for (x, y), w in weights.items()), rel=1e-6
+    )
 
 
 def test_points_without_a_height_are_counted(tmp_path: Path) -> None:
     path = write_surface(tmp_path / "d.tif", tilted, holes=((10, 10),))
-    # On the hole, beside it with weight on it, on its neighbour's centre, in the outermost half pixel, outside.
+    # On the hole, beside it with weight on it, on its neighbour's centre, in the outermost half
+    # pixel, outside.
     x = np.array([10.5, 10.8, 11.5, 0.2, -3.0])
     y = np.array([29.5, 29.9, 29.5, 20.0, 20.0])
     facts = check_dtm(path, checkpoints(x, y, tilted(x, y)))
-    assert (facts["points"], facts["used"], facts["no_height"], facts["outside"]) == (5, 1, 3, 1)
-    assert [p["difference"] is None for p in facts["differences"]] == [True, True, False, True, True]
+    assert (facts["points"], facts["used"], facts["no_height"], facts["outside"]) == (
+        5,
+        1,
+        3,
+        1,
+    )
+    assert [p["difference"] is None for p in facts["differences"]] == [
+        True,
+        True,
+        False,
+        True,
+        True,
+    ]
     assert facts["all"]["rmse"] == pytest.approx(0, abs=1e-4)
 
 
@@ -55,13 +69,21 @@ def test_figures_of_known_offsets(tmp_path: Path) -> None:
     offset[5] = 2.0
     kinds = ["NVA"] * 30 + ["VVA"] * 10
     path = write_surface(tmp_path / "d.tif", tilted)
-    facts = check_dtm(path, checkpoints(x, y, tilted(x, y) - offset, kinds), PointOptions(rmse=0.05))
+    facts = check_dtm(
+        path, checkpoints(x, y, tilted(x, y) - offset, kinds), PointOptions(rmse=0.05)
+    )
     nva = offset[:30]
     assert facts["nva"]["rmse"] == pytest.approx(np.sqrt(np.mean(nva**2)), abs=1e-4)
-    assert facts["nva"]["rmse_v"] == pytest.approx(math.hypot(np.sqrt(np.mean(nva**2)), 0.05), abs=1e-4)
+    assert facts["nva"]["rmse_v"] == pytest.approx(
+        math.hypot(np.sqrt(np.mean(nva**2)), 0.05), abs=1e-4
+    )
     assert facts["nva"]["bias"] == pytest.approx(nva.mean(), abs=1e-4)
     assert facts["nva"]["median"] == pytest.approx(np.median(nva), abs=1e-4)
-    assert (facts["nva"]["points"], facts["nva"]["outliers"], facts["vva"]["outliers"]) == (30, 1, 0)
+    assert (facts["nva"]["points"], facts["nva"]["outliers"], facts["vva"]["outliers"]) == (
+        30,
+        1,
+        0,
+    )
     assert facts["vva"]["rmse"] == pytest.approx(0.3, abs=1e-4)
     assert facts["vva"]["p95_abs"] == pytest.approx(0.3, abs=1e-4)
     assert [p["name"] for p in facts["differences"] if p["outlier"]][:1] == ["5"]
@@ -73,8 +95,14 @@ def test_figures_of_known_offsets(tmp_path: Path) -> None:
 
 def test_too_few_points_make_no_statement(tmp_path: Path) -> None:
     x, y = scattered(29)
-    asprs = check_dtm(write_surface(tmp_path / "d.tif", tilted), checkpoints(x, y, tilted(x, y)))["asprs"]
-    assert (asprs["enough_points"], asprs["least_points"], asprs["statement"]) == (False, 30, None)
+    asprs = check_dtm(
+        write_surface(tmp_path / "d.tif", tilted), checkpoints(x, y, tilted(x, y))
+    )["asprs"]
+    assert (asprs["enough_points"], asprs["least_points"], asprs["statement"]) == (
+        False,
+        30,
+        None,
+    )
 
 
 @pytest.mark.parametrize(
@@ -104,7 +132,10 @@ def test_points_of_another_crs_are_moved(tmp_path: Path) -> None:
     x, y = scattered(10)
     x, y = x + 500_000, y + 5_300_000
     path = write_surface(
-        tmp_path / "d.tif", lambda x, y: tilted(x - 500_000, y - 5_300_000), west=500_000, south=5_300_000
+        tmp_path / "d.tif",
+        lambda x, y: tilted(x - 500_000, y - 5_300_000),
+        west=500_000,
+        south=5_300_000,
     )
     lon, lat = Transformer.from_crs("EPSG:25832", "EPSG:4258", always_xy=True).transform(x, y)
     points = checkpoints(lon, lat, tilted(x - 500_000, y - 5_300_000), crs="EPSG:4258")
@@ -143,7 +174,9 @@ def test_unfit_checkpoints_are_refused(tmp_path: Path) -> None:
 
 def test_a_point_at_infinity_is_on_no_pixel() -> None:
     columns, rows = pixel_places(
-        (1.0, 0.0, 500.0, 0.0, -1.0, 900.0), np.array([np.inf, 510.0]), np.array([np.inf, 890.0])
+        (1.0, 0.0, 500.0, 0.0, -1.0, 900.0),
+        np.array([np.inf, 510.0]),
+        np.array([np.inf, 890.0]),
     )
     assert np.isnan(columns[0]) or np.isinf(columns[0])
     assert (columns[1], rows[1]) == (10, 10)

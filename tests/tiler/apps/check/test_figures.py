@@ -23,9 +23,16 @@ def test_histogram_and_map(tmp_path: Path) -> None:
     offset = np.linspace(-0.1, 0.3, 20)
     path = write_surface(tmp_path / "d.tif", tilted)
     accuracy = check_dtm(path, checkpoints(x, y, tilted(x, y) - offset))
-    bars, points = (ElementTree.parse(f).getroot() for f in write_figures(tmp_path / "f", path, accuracy))
+    bars, points = (
+        ElementTree.parse(f).getroot() for f in write_figures(tmp_path / "f", path, accuracy)
+    )
     assert (
-        sum(int(r[0].text.rsplit(": ")[1]) for r in bars.iter(f"{SVG}rect") if r.get("class") == "bar") == 19
+        sum(
+            int(r[0].text.rsplit(": ")[1])
+            for r in bars.iter(f"{SVG}rect")
+            if r.get("class") == "bar"
+        )
+        == 19
     )
     circles = list(points.iter(f"{SVG}circle"))
     assert len(circles) == 20
@@ -47,7 +54,11 @@ def test_a_histogram_of_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("low", "high", "expected"),
-    [(0, 1, [0, 0.2, 0.4, 0.6, 0.8, 1.0]), (-0.03, 0.07, [-0.02, 0, 0.02, 0.04, 0.06]), (2, 2, [2])],
+    [
+        (0, 1, [0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        (-0.03, 0.07, [-0.02, 0, 0.02, 0.04, 0.06]),
+        (2, 2, [2]),
+    ],
 )
 def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
     assert ticks(low, high) == pytest.approx(expected)

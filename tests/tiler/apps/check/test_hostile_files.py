@@ -34,8 +34,16 @@ def read_polygons(path: Path) -> Any:
 
 
 GEOMETRIES: dict[Read, tuple[dict[str, Any], Any, str]] = {
-    read_polygons: ({"type": "MultiPolygon", "coordinates": [[SQUARE]]}, shapely.Polygon(SQUARE), "Polygon"),
-    read_checkpoints: ({"type": "Point", "coordinates": [0, 0, 5]}, shapely.Point(1, 2, 3), "Point Z"),
+    read_polygons: (
+        {"type": "MultiPolygon", "coordinates": [[SQUARE]]},
+        shapely.Polygon(SQUARE),
+        "Polygon",
+    ),
+    read_checkpoints: (
+        {"type": "Point", "coordinates": [0, 0, 5]},
+        shapely.Point(1, 2, 3),
+        "Point Z",
+    ),
 }
 readers = pytest.mark.parametrize("read", GEOMETRIES, ids=lambda read: read.__name__)
 
@@ -56,7 +64,11 @@ def one_line_at_most(read: Read, path: Path) -> str:
 @readers
 def test_geojson_with_junk_anywhere(read: Read, tmp_path: Path) -> None:
     path = tmp_path / "a.geojson"
-    feature = {"type": "Feature", "properties": {"type": "NVA", "id": 1}, "geometry": GEOMETRIES[read][0]}
+    feature = {
+        "type": "Feature",
+        "properties": {"type": "NVA", "id": 1},
+        "geometry": GEOMETRIES[read][0],
+    }
     crs = {"type": "name", "properties": {"name": "EPSG:25832"}}
     document = {**collection(), "crs": crs, "features": [feature]}
     path.write_text(json.dumps(document))
@@ -75,7 +87,9 @@ def test_geojson_with_junk_anywhere(read: Read, tmp_path: Path) -> None:
         '{"type":"FeatureCollection","features":[' + "[" * 100_000,
         "1" * 5000,
         "\0",
-        '{"type": "FeatureCollection", "features": [{"geometry": {"coordinates": [' + "9" * 5000 + "]}}]}",
+        '{"type": "FeatureCollection", "features": [{"geometry": {"coordinates": ['
+        + "9" * 5000
+        + "]}}]}",
     ],
     ids=["lists", "objects", "features", "number", "nothing", "digits"],
 )
@@ -93,7 +107,9 @@ def package(read: Read, tmp_path: Path) -> Path:
 
 def change(path: Path, *changes: tuple[str, tuple[Any, ...]]) -> None:
     base = sqlite3.connect(path)
-    for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+    for (name,) in base.execute(
+        "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+    ).fetchall():
         base.execute(f'DROP TRIGGER "{name}"')  # they need functions of GDAL
     for statement, values in changes:
         base.execute(statement, values)
@@ -134,7 +150,10 @@ def test_geopackage_with_damaged_geometries(read: Read, package: Path) -> None:
     base.close()
     blobs: list[Any] = [None, b"", "text", 5, 1.5, *(whole[:n] for n in range(len(whole)))]
     for position in range(len(whole)):
-        blobs += [whole[:position] + bytes([value]) + whole[position + 1 :] for value in (0, 3, 6, 127, 255)]
+        blobs += [
+            whole[:position] + bytes([value]) + whole[position + 1 :]
+            for value in (0, 3, 6, 127, 255)
+        ]
     for blob in random.Random(1).sample(blobs, 20):
         change(package, ("UPDATE l0 SET geom = ?", (blob,)))
         one_line_at_most(read, package)
@@ -159,7 +178,20 @@ def test_geopackage_with_damaged_pages(read: Read, package: Path) -> None:
 def test_tables_with_damaged_lines(tmp_path: Path) -> None:
     chance, path = random.Random(3), tmp_path / "a.csv"
     whole = b"x,y,z,type,cover,id\n1.5,2.5,3.5,NVA,grass,a\n4,5,6,VVA,,b\n"
-    pieces = [b'"', b"\n", b'""', b",", b"\r", b";", b"\t", b"\0", b"\xff", b"\xe2\x80\xa8", b"\x1c", b"#"]
+    pieces = [
+        b'"',
+        b"\n",
+        b'""',
+        b",",
+        b"\r",
+        b";",
+        b"\t",
+        b"\0",
+        b"\xff",
+        b"\xe2\x80\xa8",
+        b"\x1c",
+        b"#",
+    ]
     for _ in range(800):
         data = bytearray(whole)
         for _ in range(chance.randint(1, 4)):

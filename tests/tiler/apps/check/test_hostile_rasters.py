@@ -19,7 +19,11 @@ from tiler.apps.info import describe_raster
 from tiler.errors import ConfigError, InputError
 
 POINTS = Checkpoints(
-    np.array([[5.0, 20.0], [5.0, 20.0]]), np.array([100.0, 101.0]), ("NVA",) * 2, ("",) * 2, ("a", "b")
+    np.array([[5.0, 20.0], [5.0, 20.0]]),
+    np.array([100.0, 101.0]),
+    ("NVA",) * 2,
+    ("",) * 2,
+    ("a", "b"),
 )
 
 USES: dict[str, Callable[[Path, Path], object]] = {
@@ -43,7 +47,11 @@ def test_invalid_text(use: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("use", USES)
 def test_flipped_bytes(use: str, tmp_path: Path) -> None:
-    good, bad, chance = write_surface(tmp_path / "good.tif", tilted), tmp_path / "bad.tif", random.Random(4)
+    good, bad, chance = (
+        write_surface(tmp_path / "good.tif", tilted),
+        tmp_path / "bad.tif",
+        random.Random(4),
+    )
     whole = good.read_bytes()
     for _ in range(25):
         data = bytearray(whole)
@@ -51,7 +59,8 @@ def test_flipped_bytes(use: str, tmp_path: Path) -> None:
             data[chance.randrange(600)] = chance.choice((0, 1, 127, 255))
         bad.write_bytes(data)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GDAL warns of rasters without georeference and of damage
+            # GDAL warns of rasters without georeference and of damage
+            warnings.simplefilter("ignore")
             try:
                 USES[use](bad, good)
             except (InputError, ConfigError) as error:

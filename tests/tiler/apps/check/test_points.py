@@ -47,11 +47,18 @@ def feature(coordinates: list[float], **properties: object) -> dict[str, object]
 def test_geojson(tmp_path: Path) -> None:
     content = {
         "type": "FeatureCollection",
-        "features": [feature([9.0, 48.0, 7.25], Type="VVA", name="t1"), feature([9.1, 48.1], Height=8)],
+        "features": [
+            feature([9.0, 48.0, 7.25], Type="VVA", name="t1"),
+            feature([9.1, 48.1], Height=8),
+        ],
     }
     points = read_checkpoints(text(tmp_path / "p.geojson", json.dumps(content)))
     assert (points.xy.tolist(), points.z.tolist()) == ([[9.0, 9.1], [48.0, 48.1]], [7.25, 8])
-    assert (points.kinds, points.names, points.crs) == (("VVA", "NVA"), ("t1", "2"), "EPSG:4979")
+    assert (points.kinds, points.names, points.crs) == (
+        ("VVA", "NVA"),
+        ("t1", "2"),
+        "EPSG:4979",
+    )
     content["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
     assert read_checkpoints(text(tmp_path / "q.json", json.dumps(content))).crs == "EPSG:25832"
 
@@ -65,7 +72,9 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
     assert (points.covers, points.names) == (("gravel", "gravel"), ("1", "2"))
     assert points.crs is not None
     assert pyproj.CRS(points.crs).to_epsg() == 25832
-    flat = write(tmp_path / f"q{suffix}", [shapely.Point(1, 2)], "Point", columns={"Elev": [7.5]})
+    flat = write(
+        tmp_path / f"q{suffix}", [shapely.Point(1, 2)], "Point", columns={"Elev": [7.5]}
+    )
     assert read_checkpoints(flat).z.tolist() == [7.5]
 
 
@@ -74,17 +83,33 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
     [
         ("p.csv", "x,y,z\n1,2,high\n", r"line 2: z 'high' is not a number"),
         ("p.csv", "x,y\n1,2\n", r"line 2: z is missing"),
-        ("p.csv", "x;y;z\n1;2;3,5\n", r"line 2: z '3,5' is not a number \(1234.5, with a point\)"),
+        (
+            "p.csv",
+            "x;y;z\n1;2;3,5\n",
+            r"line 2: z '3,5' is not a number \(1234.5, with a point\)",
+        ),
         ("p.csv", "x,y,z\n1,2,inf\n", r"line 2: z 'inf' is not a number"),
-        ("p.csv", "x,y,z,type\n1,2,3,forest\n", r"type 'forest' is neither NVA nor VVA; give land cover"),
+        (
+            "p.csv",
+            "x,y,z,type\n1,2,3,forest\n",
+            r"type 'forest' is neither NVA nor VVA; give land cover",
+        ),
         ("p.csv", "x,y,z\n", "holds no checkpoint"),
         ("p.csv", "", "holds no checkpoint"),
         ("p.shp", "", r"does not begin as a .shp file does"),
         ("p.geojson", "{", "not valid GeoJSON"),
         ("p.geojson", "[]", r"not valid GeoJSON \(not a JSON object\)"),
         ("p.geojson", "{}", "not a GeoJSON FeatureCollection"),
-        ("p.csv", "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n", "line 3: .* table .unexpected end of data"),
-        ("p.csv", f"x,y,z\n1,2,{'9' * 200_000}\n", "line 2: .* table .field larger than field limit"),
+        (
+            "p.csv",
+            "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n",
+            "line 3: .* table .unexpected end of data",
+        ),
+        (
+            "p.csv",
+            f"x,y,z\n1,2,{'9' * 200_000}\n",
+            "line 2: .* table .field larger than field limit",
+        ),
         ("p.csv", f"x,y,z\n1,2,{'9' * 400}\n", r"line 2: z '9+\.\.\. is not a number"),
         ("p.gpkg", "no data base", "does not begin as a .gpkg file does"),
     ],
@@ -99,7 +124,9 @@ def test_unfit_geopackages_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="l0, feature 1: is a Polygon; checkpoints are needed"):
         read_checkpoints(square)
     write(square, [shapely.Point(1, 2, 3)], "Point Z", layer="l1")
-    with pytest.raises(InputError, match=r"needs one layer of checkpoints, has 2 \(l0 \(Unknown\), l1 \("):
+    with pytest.raises(
+        InputError, match=r"needs one layer of checkpoints, has 2 \(l0 \(Unknown\), l1 \("
+    ):
         read_checkpoints(square)
     with pytest.raises(InputError, match="no such file"):
         read_checkpoints(tmp_path / "absent.csv")

@@ -12,8 +12,18 @@ from tiler.errors import ConfigError
 
 
 def report(**nva: Any) -> dict[str, Any]:
-    figures = {"rmse_v": 0.5, "bias": -0.2, "median": 0.1, "nmad": 0.1, "p95_abs": 1.0, "max_abs": 2.0}
-    accuracy = {"metres_per_unit": 0.3048, "nva": {**figures, "points": 30, "outliers": 2, **nva}}
+    figures = {
+        "rmse_v": 0.5,
+        "bias": -0.2,
+        "median": 0.1,
+        "nmad": 0.1,
+        "p95_abs": 1.0,
+        "max_abs": 2.0,
+    }
+    accuracy = {
+        "metres_per_unit": 0.3048,
+        "nva": {**figures, "points": 30, "outliers": 2, **nva},
+    }
     return {"accuracy": accuracy, "seams": {"metres_per_unit": 1.0, "excess": 0.001}}
 
 

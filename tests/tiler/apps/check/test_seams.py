@@ -33,7 +33,9 @@ def test_a_plane_has_steps_and_no_jumps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("block", [1024, 16])
-def test_steps_at_the_edges_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int) -> None:
+def test_steps_at_the_edges_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
     monkeypatch.setattr("tiler.apps.evaluate.heights.BLOCK", block)
     facts = seam_steps(write_surface(tmp_path / "d.tif", stepped), TileEdges(10))
     # Of six edges three are jumps of 0.1, one is a jump of 0.25, two are none.
@@ -46,7 +48,10 @@ def test_steps_at_the_edges_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_edges_of_the_wrong_lattice_show_nothing(tmp_path: Path) -> None:
     path = write_surface(tmp_path / "d.tif", stepped)
-    assert seam_steps(path, TileEdges(10 / 3 * 2))["excess"] < seam_steps(path, TileEdges(10))["excess"] / 2
+    assert (
+        seam_steps(path, TileEdges(10 / 3 * 2))["excess"]
+        < seam_steps(path, TileEdges(10))["excess"] / 2
+    )
 
 
 def test_rough_places_are_not_seams(tmp_path: Path) -> None:
@@ -57,28 +62,34 @@ def test_rough_places_are_not_seams(tmp_path: Path) -> None:
         return np.where(np.abs(x - 120) < 20, noise, 0 * y)
 
     facts = seam_steps(write_surface(tmp_path / "d.tif", rough, side=240), TileEdges(120))
-    assert facts["beside_tiles"]["pairs"] == 2 * 2 * 18 * 240  # 18 lines on each side of two edges
+    # 18 lines on each side of two edges
+    assert facts["beside_tiles"]["pairs"] == 2 * 2 * 18 * 240
     assert facts["tiles"]["mean_jump"] > facts["interior"]["mean_jump"] + 0.2
     assert abs(facts["excess"]) < 0.1
 
 
 @pytest.mark.parametrize("west", [0.0, 3.0, -7.0])
 def test_edges_are_anchored_at_zero(tmp_path: Path, west: float) -> None:
-    path = write_surface(tmp_path / "d.tif", lambda x, y: 0 * y + (np.floor(x / 10) % 2), west=west)
+    path = write_surface(
+        tmp_path / "d.tif", lambda x, y: 0 * y + (np.floor(x / 10) % 2), west=west
+    )
     facts = seam_steps(path, TileEdges(10))
     assert facts["tiles"]["largest_step"] == 1
     assert facts["interior"]["largest_step"] == 0
 
 
 def test_tiles_of_buckets_end_where_their_buckets_do() -> None:
-    # Buckets of 4 have centres at 2, 6, 10, ...; the one from 8 to 12 belongs to the tile that begins at 10.
+    # Buckets of 4 have centres at 2, 6, 10, ...; the one from 8 to 12 belongs to the tile that
+    # begins at 10.
     assert TileEdges(10, 4).between(0, 40) == [8, 20, 28]
     assert TileEdges(10).between(0, 40) == [10, 20, 30]
     assert TileEdges(10).between(-15, 10) == [-10, 0]
 
 
 def test_holes_are_not_steps(tmp_path: Path) -> None:
-    facts = seam_steps(write_surface(tmp_path / "d.tif", tilted, holes=((5, 10), (6, 20))), TileEdges(10))
+    facts = seam_steps(
+        write_surface(tmp_path / "d.tif", tilted, holes=((5, 10), (6, 20))), TileEdges(10)
+    )
     assert facts["tiles"]["largest_step"] < 0.31
     assert facts["tiles"]["pairs"] == 6 * 40 - 2
 
@@ -86,7 +97,11 @@ def test_holes_are_not_steps(tmp_path: Path) -> None:
 def test_tiles_are_those_of_the_run(tmp_path: Path) -> None:
     path = write_surface(tmp_path / "dtm.tif", stepped, crs="EPSG:2992", unit="foot")
     assert seams_of(path, None) is None
-    plan = {"units": {"horizontal": "foot", "vertical": "foot"}, "tile_m": 3.048, "bucket_m": 0.3048}
+    plan = {
+        "units": {"horizontal": "foot", "vertical": "foot"},
+        "tile_m": 3.048,
+        "bucket_m": 0.3048,
+    }
     (tmp_path / "run.json").write_text(json.dumps({"plan": plan}))
     found = seams_of(path, None)
     assert found is not None

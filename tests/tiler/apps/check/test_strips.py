@@ -14,7 +14,9 @@ from tiler.errors import InputError
 from tiler.io.las import reader
 
 
-def write_strips(path: Path, offsets: dict[int, float], classes: int = 2, steep: float = 0.0) -> Path:
+def write_strips(
+    path: Path, offsets: dict[int, float], classes: int = 2, steep: float = 0.0
+) -> Path:
     """Strips 30 m wide, 20 m apart, 20 m long, of 4 points/m2 over a gentle plane, each with an offset."""
     rng = np.random.default_rng(9)
     parts = []
@@ -34,9 +36,13 @@ def write_strips(path: Path, offsets: dict[int, float], classes: int = 2, steep:
 
 
 @pytest.mark.parametrize("bytes_at_once", [1 << 27, 20_000])
-def test_offsets_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bytes_at_once: int) -> None:
+def test_offsets_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bytes_at_once: int
+) -> None:
     monkeypatch.setattr(reader, "BYTES_PER_BATCH", bytes_at_once)
-    facts = strip_differences([write_strips(tmp_path / "a.laz", {11: 0.0, 12: 0.05, 14: -0.02})])
+    facts = strip_differences(
+        [write_strips(tmp_path / "a.laz", {11: 0.0, 12: 0.05, 14: -0.02})]
+    )
     assert facts["strips"] == {"11": 2400, "12": 2400, "14": 2400}
     assert [(p["first"], p["second"]) for p in facts["pairs"]] == [(11, 12), (12, 14)]
     first, second = facts["pairs"]

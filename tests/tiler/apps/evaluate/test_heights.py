@@ -16,7 +16,9 @@ def test_a_dtm_against_its_truth(tmp_path):
     mine = truth + np.array([[1, -1, 1, -1], [3, 1, 1, 1], [1, 1, 1, 1]])
     mine[2, 3] = -9999
     truth[0, 0] = -9999
-    result = evaluate_dtm(raster(tmp_path / "a.tif", mine, 10, 20), raster(tmp_path / "b.tif", truth, 10, 20))
+    result = evaluate_dtm(
+        raster(tmp_path / "a.tif", mine, 10, 20), raster(tmp_path / "b.tif", truth, 10, 20)
+    )
     difference = np.array([-1, 1, -1, 3, 1, 1, 1, 1, 1, 1])
     assert (result["pixels"], result["only_dtm"], result["only_truth"]) == (10, 1, 1)
     assert result["bias"] == pytest.approx(0.8)
@@ -32,14 +34,19 @@ def test_rasters_of_other_extents_are_compared_where_they_overlap(tmp_path):
     )
     assert (result["pixels"], result["rmse"], result["nmad"]) == (30, 0.5, 0.0)
     wider = evaluate_dtm(
-        raster(tmp_path / "c.tif", truth, 100, 200), raster(tmp_path / "d.tif", truth[2:7, 3:9], 103, 198)
+        raster(tmp_path / "c.tif", truth, 100, 200),
+        raster(tmp_path / "d.tif", truth[2:7, 3:9], 103, 198),
     )
     assert (wider["pixels"], wider["rmse"]) == (30, 0.0)
 
 
 @pytest.mark.parametrize(
     ("west", "size", "message"),
-    [(0.5, 1.0, "one pixel lattice"), (0.0, 2.0, "one pixel lattice"), (50.0, 1.0, "do not overlap")],
+    [
+        (0.5, 1.0, "one pixel lattice"),
+        (0.0, 2.0, "one pixel lattice"),
+        (50.0, 1.0, "do not overlap"),
+    ],
 )
 def test_rasters_that_cannot_be_compared_are_refused(tmp_path, west, size, message):
     one = raster(tmp_path / "a.tif", np.ones((4, 4)), 0, 4)
@@ -56,7 +63,8 @@ def test_other_files_are_refused(tmp_path):
 def test_missing_pixels_of_the_dtm_lower_the_coverage(tmp_path):
     truth = np.ones((10, 10))
     result = evaluate_dtm(
-        raster(tmp_path / "a.tif", truth[:5, :8], 103, 200), raster(tmp_path / "b.tif", truth, 100, 200)
+        raster(tmp_path / "a.tif", truth[:5, :8], 103, 200),
+        raster(tmp_path / "b.tif", truth, 100, 200),
     )
     assert (result["pixels"], result["only_truth"], result["only_dtm"]) == (35, 65, 0)
     assert result["coverage"] == 0.35
@@ -76,7 +84,9 @@ def test_blocks_change_nothing(tmp_path, monkeypatch):
     with rasterio.open(tmp_path / "d.tif") as raster_:
         difference = raster_.read(1, masked=True).compressed()
     assert difference.size == whole["pixels"]
-    assert np.sqrt(np.mean(difference.astype(float) ** 2)) == pytest.approx(whole["rmse"], rel=1e-6)
+    assert np.sqrt(np.mean(difference.astype(float) ** 2)) == pytest.approx(
+        whole["rmse"], rel=1e-6
+    )
     assert np.median(difference) == pytest.approx(whole["median"], abs=1e-4)
 
 

@@ -14,7 +14,9 @@ def test_counts_and_errors_of_a_small_table():
     truth = np.repeat(np.array([2, 2, 6, 5], np.uint8), [8, 2, 3, 7])
     labels = np.repeat(np.array([2, 1, 2, 1], np.uint8), [8, 2, 3, 7])
     result = evaluate_labels(labels, truth)
-    assert [result[k] for k in ("ground_kept", "ground_lost", "object_taken", "object_kept")] == [8, 2, 3, 7]
+    assert [
+        result[k] for k in ("ground_kept", "ground_lost", "object_taken", "object_kept")
+    ] == [8, 2, 3, 7]
     assert result["type_1"] == pytest.approx(2 / 10)
     assert result["type_2"] == pytest.approx(3 / 10)
     assert result["total"] == pytest.approx(5 / 20)
@@ -25,13 +27,30 @@ def test_counts_and_errors_of_a_small_table():
 
 def test_ignored_classes_are_left_out_and_counted():
     truth = np.array([2, 1, *IGNORED], np.uint8)
-    assert confusion(np.full(truth.size, 2, np.uint8), truth).tolist() == [1, 0, 1, 0, len(IGNORED)]
-    assert confusion(np.full(truth.size, 2, np.uint8), truth, ()).tolist() == [1, 0, 1 + len(IGNORED), 0, 0]
+    assert confusion(np.full(truth.size, 2, np.uint8), truth).tolist() == [
+        1,
+        0,
+        1,
+        0,
+        len(IGNORED),
+    ]
+    assert confusion(np.full(truth.size, 2, np.uint8), truth, ()).tolist() == [
+        1,
+        0,
+        1 + len(IGNORED),
+        0,
+        0,
+    ]
 
 
 def test_a_division_by_zero_gives_none():
     result = scores(np.array([0, 0, 0, 4, 1]))
-    assert (result["type_1"], result["type_2"], result["kappa"], result["f1"]) == (None, 0.0, None, None)
+    assert (result["type_1"], result["type_2"], result["kappa"], result["f1"]) == (
+        None,
+        0.0,
+        None,
+        None,
+    )
     assert scores(np.zeros(5, np.int64))["total"] is None
 
 

@@ -12,7 +12,13 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning
 
 from tests.tiler.apps.evaluate.clouds import write_cloud
-from tiler.apps.evaluate import MapRequest, Scene, evaluate_scenes, filter_and_evaluate, find_scenes
+from tiler.apps.evaluate import (
+    MapRequest,
+    Scene,
+    evaluate_scenes,
+    filter_and_evaluate,
+    find_scenes,
+)
 from tiler.config import RunConfig
 from tiler.errors import ConfigError
 
@@ -35,7 +41,10 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def pairs(scenes: list[Scene]) -> list[tuple[str, str]]:
-    return [(s.cloud.parent.name + s.cloud.stem, s.reference.parent.name + s.reference.stem) for s in scenes]
+    return [
+        (s.cloud.parent.name + s.cloud.stem, s.reference.parent.name + s.reference.stem)
+        for s in scenes
+    ]
 
 
 def test_folders_are_paired_by_place(folders: tuple[Path, Path]) -> None:
@@ -66,22 +75,35 @@ def test_a_reference_without_cloud_is_refused(folders: tuple[Path, Path]) -> Non
 def test_scores_of_each_scene_of_all_points_and_their_mean(folders: tuple[Path, Path]) -> None:
     facts = evaluate_scenes(find_scenes([folders[0]], [folders[1]]))
     one, other = facts["scenes"]
-    assert (one["type_1"], one["type_2"], other["type_1"], other["type_2"]) == (6 / 36, None, None, 30 / 36)
+    assert (one["type_1"], one["type_2"], other["type_1"], other["type_2"]) == (
+        6 / 36,
+        None,
+        None,
+        30 / 36,
+    )
     assert facts["total"] == facts["mean"]["total"] == 36 / 72
     assert (facts["type_1"], facts["type_2"], facts["points"]) == (6 / 36, 30 / 36, 72)
-    assert facts["classes"]["6"] == {"points": 36, "labelled_ground": 30, "wrong": 30, "error": 30 / 36}
+    assert facts["classes"]["6"] == {
+        "points": 36,
+        "labelled_ground": 30,
+        "wrong": 30,
+        "error": 30 / 36,
+    }
 
 
 def test_a_map_shows_the_places_of_errors(tmp_path: Path) -> None:
     truth = np.where(square()[:, 0] < 103, 2, 6).astype(np.uint8)
-    labels = np.where(square()[:, 1] < 202, 1, truth).astype(np.uint8)  # ground lost in the south-west
+    # ground lost in the south-west
+    labels = np.where(square()[:, 1] < 202, 1, truth).astype(np.uint8)
     labels[-1] = 2  # an object in the north-east
     truth[30] = 7  # the north-west is left out
     cloud, reference = (
         write_cloud(tmp_path / f"{name}.laz", square(), classes)
         for name, classes in (("a", labels), ("b", truth))
     )
-    facts = evaluate_scenes([Scene("s", cloud, reference)], maps=MapRequest(tmp_path / "maps", Fraction(2)))
+    facts = evaluate_scenes(
+        [Scene("s", cloud, reference)], maps=MapRequest(tmp_path / "maps", Fraction(2))
+    )
     tif, png = (Path(path) for path in facts["scenes"][0]["maps"])
     with rasterio.open(tif) as raster:
         assert raster.transform[:6] == (2, 0, 100, 0, -2, 206)
@@ -107,7 +129,12 @@ def test_cells_without_judged_points_are_transparent(tmp_path: Path) -> None:
     with rasterio.open(facts["scenes"][0]["maps"][0]) as raster:
         assert raster.read(1).tolist() == [[0, 255, 0]]
     noise = write_cloud(tmp_path / "n.laz", xyz, np.array([7, 7], np.uint8))
-    assert evaluate_scenes([Scene("n", noise, noise)], maps=MapRequest(tmp_path))["scenes"][0]["maps"] == []
+    assert (
+        evaluate_scenes([Scene("n", noise, noise)], maps=MapRequest(tmp_path))["scenes"][0][
+            "maps"
+        ]
+        == []
+    )
 
 
 def test_a_filter_does_not_see_the_classes(tmp_path: Path) -> None:
@@ -123,7 +150,10 @@ def test_a_filter_does_not_see_the_classes(tmp_path: Path) -> None:
         path = write_cloud(tmp_path / f"{name}.laz", xyz, classes)
         scores[name] = filter_and_evaluate([path], RunConfig(in_process=True), ignore=())
     assert scores["true"]["total"] < 0.01
-    found = {name: sum(c["labelled_ground"] for c in s["classes"].values()) for name, s in scores.items()}
+    found = {
+        name: sum(c["labelled_ground"] for c in s["classes"].values())
+        for name, s in scores.items()
+    }
     assert found["true"] == found["lying"]
     assert scores["true"]["scenes"][0]["seconds"] > 0
     assert scores["true"]["method"] == "auto"

@@ -13,7 +13,9 @@ from tiler.apps.evaluate.sigma import SigmaTally
 from tiler.errors import ConfigError
 
 
-def judged(tmp_path: Path, error: np.ndarray, sigma: np.ndarray, truth: np.ndarray | None = None) -> dict:
+def judged(
+    tmp_path: Path, error: np.ndarray, sigma: np.ndarray, truth: np.ndarray | None = None
+) -> dict:
     truth = np.full(error.shape, 50.0) if truth is None else truth
     paths = [
         raster(tmp_path / f"{name}.tif", values, 10, 20)
@@ -22,7 +24,9 @@ def judged(tmp_path: Path, error: np.ndarray, sigma: np.ndarray, truth: np.ndarr
     return evaluate_dtm(paths[0], paths[1], sigma=paths[2])["sigma"]
 
 
-def test_normal_errors_of_known_spread_lie_within_it_as_often_as_theory_says(tmp_path: Path) -> None:
+def test_normal_errors_of_known_spread_lie_within_it_as_often_as_theory_says(
+    tmp_path: Path,
+) -> None:
     random = np.random.default_rng(1)
     sigma = random.choice([0.1, 0.5, 2.0], (300, 300))
     found = judged(tmp_path, random.normal(0, sigma), sigma)
@@ -47,11 +51,15 @@ def test_an_order_that_is_known_and_one_that_is_not(tmp_path: Path) -> None:
 
 def test_classes_of_slope_have_figures_of_their_own(tmp_path: Path) -> None:
     column = np.arange(40.0)
-    truth = np.where(column < 20, 50.0, 50.0 + (column - 20)) * np.ones((30, 1))  # level, then 45 degrees
+    # level, then 45 degrees
+    truth = np.where(column < 20, 50.0, 50.0 + (column - 20)) * np.ones((30, 1))
     error = np.where(column < 20, 0.1, 0.4) * np.ones((30, 1))
     found = judged(tmp_path, error, np.full((30, 40), 0.2), truth)
     level, _, _, steep = found["by_slope"]
-    assert (level["rmse"], steep["rmse"]) == (pytest.approx(0.1, rel=1e-3), pytest.approx(0.4, rel=1e-3))
+    assert (level["rmse"], steep["rmse"]) == (
+        pytest.approx(0.1, rel=1e-3),
+        pytest.approx(0.4, rel=1e-3),
+    )
     assert level["predicted_rmse"] == pytest.approx(0.2, rel=1e-3)
     assert sum(row["pixels"] for row in found["by_slope"]) == found["pixels"] == 1200
 

@@ -96,7 +96,9 @@ def test_a_bridge_is_found_as_long_and_wide_as_it_is(turn: float) -> None:
 
 @pytest.mark.parametrize("height", [embankment, dam, retaining_wall, ramp, terraces])
 @pytest.mark.parametrize("turn", [0.0, 31.0, 77.0])
-def test_what_stands_on_the_ground_is_no_bridge(height: Callable[..., Floats], turn: float) -> None:
+def test_what_stands_on_the_ground_is_no_bridge(
+    height: Callable[..., Floats], turn: float
+) -> None:
     assert not found(height, turn)
 
 
@@ -104,7 +106,9 @@ def test_cells_depend_on_nothing_beyond_their_reach() -> None:
     """The cells of a window, with what lies within the reach around it, are those of the whole."""
     n, pad = 240, math.ceil(REACH_M / CELL)
     y, x = (np.mgrid[:n, :n] - n / 2 + 0.5) * CELL
-    low = (bridge(x - 20, y) + np.random.default_rng(2).normal(0, 0.05, x.shape)).astype(np.float32)
+    low = (bridge(x - 20, y) + np.random.default_rng(2).normal(0, 0.05, x.shape)).astype(
+        np.float32
+    )
     low[np.random.default_rng(3).random(low.shape) < 0.1] = np.nan
     whole = cells_of(low)
     assert len(whole) > 50

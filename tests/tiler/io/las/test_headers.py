@@ -74,7 +74,12 @@ def test_false_headers_are_refused_in_one_line(make_cloud: Any, lie: str) -> Non
 
 @pytest.mark.parametrize(
     ("size", "said"),
-    [(0, "is empty"), (3, "begins with b'LAS'"), (100, "has 100 bytes"), (226, "has 226 bytes")],
+    [
+        (0, "is empty"),
+        (3, "begins with b'LAS'"),
+        (100, "has 100 bytes"),
+        (226, "has 226 bytes"),
+    ],
 )
 def test_stubs_are_refused(make_cloud: Any, size: int, said: str) -> None:
     path = make_cloud("stub.las")
@@ -96,7 +101,9 @@ def test_a_wrong_number_of_vlrs_is_noted(make_cloud: Any) -> None:
 
 @pytest.mark.parametrize("start", [2**60, 900])
 def test_evlrs_beyond_the_file_or_inside_the_points(make_cloud: Any, start: int) -> None:
-    path = patch(make_cloud("e.las", point_format=6, version="1.4", evlr=b"1"), 235, "<Q", start)
+    path = patch(
+        make_cloud("e.las", point_format=6, version="1.4", evlr=b"1"), 235, "<Q", start
+    )
     with pytest.raises(InputError, match="extended records"):
         read_header(path)
     assert read_header(path, salvage=True).evlrs == ()
@@ -158,7 +165,9 @@ def test_the_digest_covers_the_table_of_chunks(make_cloud: Any) -> None:
 
 @pytest.mark.parametrize("n", [1, 49_999, 50_000, 50_001, 100_000])
 @pytest.mark.parametrize("point_format", [0, 6])
-def test_chunks_that_are_exactly_full_are_read(make_cloud: Any, n: int, point_format: int) -> None:
+def test_chunks_that_are_exactly_full_are_read(
+    make_cloud: Any, n: int, point_format: int
+) -> None:
     header = read_header(make_cloud("full.laz", n=n, point_format=point_format, version="1.4"))
     assert header.laz is not None
     assert int(header.laz.counts.sum()) == n
@@ -179,7 +188,9 @@ def test_points_are_salvaged_if_the_header_says_there_are_none(
     version = "1.4" if point_format > 5 else "1.2"
     path = make_cloud(f"c.{suffix}", n=500, point_format=point_format, version=version)
     patch(path, *((247, "<Q", 0) if version == "1.4" else (107, "<I", 0)))
-    with pytest.raises(InputError, match=r"says 0 points, has .* it was never finished; .*--salvage"):
+    with pytest.raises(
+        InputError, match=r"says 0 points, has .* it was never finished; .*--salvage"
+    ):
         read_header(path)
     header = read_header(path, salvage=True)
     assert "never finished" in header.notes[0]
@@ -189,7 +200,9 @@ def test_points_are_salvaged_if_the_header_says_there_are_none(
 
 @pytest.mark.parametrize("name", ["none.las", "none.laz"])
 def test_a_cloud_without_points_is_no_damage(name: str, make_cloud: Any) -> None:
-    header = read_header(make_cloud(name, n=0, point_format=6, version="1.4", evlr=b"xyz" * 100))
+    header = read_header(
+        make_cloud(name, n=0, point_format=6, version="1.4", evlr=b"xyz" * 100)
+    )
     assert (header.point_count, header.notes) == (0, ())
 
 
@@ -202,15 +215,24 @@ def test_chunks_behind_the_last_point_are_refused(point_format: int, make_cloud:
 
 def test_records_behind_the_last_point_are_noted(make_cloud: Any) -> None:
     path = patch(make_cloud("c.las", n=100), 107, "<I", 90)
-    assert read_header(path).notes == ("says 90 points, has room for 100: the rest is not read",)
+    assert read_header(path).notes == (
+        "says 90 points, has room for 100: the rest is not read",
+    )
 
 
 @pytest.mark.parametrize(
     ("times", "offset", "found"),
-    [((0.0, 0.0), None, None), ((10.0, 2e6), None, (10.0, 2e6)), ((-3.5, -3.5), 1500, (-3.5, -3.5))],
+    [
+        ((0.0, 0.0), None, None),
+        ((10.0, 2e6), None, (10.0, 2e6)),
+        ((-3.5, -3.5), 1500, (-3.5, -3.5)),
+    ],
 )
 def test_the_times_of_las_1_5_are_read(
-    make_cloud: Any, times: tuple[float, float], offset: int | None, found: tuple[float, float] | None
+    make_cloud: Any,
+    times: tuple[float, float],
+    offset: int | None,
+    found: tuple[float, float] | None,
 ) -> None:
     path = make_cloud("a.las", point_format=7, version="1.4", evlr=b"more")
     before = read_header(path)
@@ -219,8 +241,14 @@ def test_the_times_of_las_1_5_are_read(
     assert header.version == (1, 5)
     assert header.header_size == 393
     assert (header.gps_times, header.time_offset) == (found, offset)
-    assert (header.point_count, header.scales, header.notes) == (before.point_count, before.scales, ())
-    assert [v.length for v in header.vlrs + header.evlrs] == [v.length for v in before.vlrs + before.evlrs]
+    assert (header.point_count, header.scales, header.notes) == (
+        before.point_count,
+        before.scales,
+        (),
+    )
+    assert [v.length for v in header.vlrs + header.evlrs] == [
+        v.length for v in before.vlrs + before.evlrs
+    ]
 
 
 def test_an_unfinished_header_of_las_1_5_needs_its_own_length(make_cloud: Any) -> None:

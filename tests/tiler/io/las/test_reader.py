@@ -18,7 +18,10 @@ from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, NEEDED, PointReader, count_decodable, decoding
 
 FORMATS = [
-    (f, v) for f in range(11) for v in ("1.2", "1.3", "1.4") if f <= {"1.2": 3, "1.3": 5, "1.4": 10}[v]
+    (f, v)
+    for f in range(11)
+    for v in ("1.2", "1.3", "1.4")
+    if f <= {"1.2": 3, "1.3": 5, "1.4": 10}[v]
 ]
 
 
@@ -76,7 +79,9 @@ def test_new_classes_leave_the_flags(make_cloud: Any, point_format: int) -> None
     records = records_of(path).copy()
     _, flags = class_and_flags(records, point_format)
     was_overlap = class_and_flags(records, point_format)[0] == 12
-    write_classes(records, point_format, np.full(len(records), 2, np.uint8), np.ones(len(records), bool))
+    write_classes(
+        records, point_format, np.full(len(records), 2, np.uint8), np.ones(len(records), bool)
+    )
     classes, after = class_and_flags(records, point_format)
     assert (classes == 2).all()
     np.testing.assert_array_equal(after[~was_overlap], flags[~was_overlap])
@@ -88,7 +93,14 @@ def test_any_range_is_the_same_as_in_the_whole(make_cloud: Any, point_format: in
     header = read_header(path)
     whole = records_of(path)
     with PointReader(header, EVERYTHING) as reader:
-        for start, count in ((100_000, 20_000), (0, 10), (49_999, 2), (50_000, 50_000), (119_999, 1), (5, 0)):
+        for start, count in (
+            (100_000, 20_000),
+            (0, 10),
+            (49_999, 2),
+            (50_000, 50_000),
+            (119_999, 1),
+            (5, 0),
+        ):
             assert reader.read(start, count).tobytes() == whole[start : start + count].tobytes()
 
 
@@ -99,7 +111,9 @@ def test_neighbouring_ranges_are_read_one_after_the_other(
     path = make_cloud("n.laz", n=260_000, point_format=point_format, version="1.4")
     header = read_header(path)
     with PointReader(header, EVERYTHING) as reader:
-        parts = [reader.read(s, min(step, 260_000 - s)).tobytes() for s in range(0, 260_000, step)]
+        parts = [
+            reader.read(s, min(step, 260_000 - s)).tobytes() for s in range(0, 260_000, step)
+        ]
     assert b"".join(parts) == laspy.read(path).points.array.tobytes()
 
 
@@ -112,7 +126,15 @@ def test_any_range_of_variable_chunks(make_cloud: Any, point_format: int) -> Non
     assert header.laz is not None
     assert header.laz.chunk_size is None
     assert header.laz.counts.tolist()[:5] == [10, 300, 1, 489, 200]
-    for start, count in ((0, 1000), (10, 300), (310, 1), (311, 489), (800, 200), (5, 900), (999, 1)):
+    for start, count in (
+        (0, 1000),
+        (10, 300),
+        (310, 1),
+        (311, 489),
+        (800, 200),
+        (5, 900),
+        (999, 1),
+    ):
         with PointReader(header, EVERYTHING) as reader:
             assert reader.read(start, count).tobytes() == whole[start : start + count].tobytes()
 
@@ -134,7 +156,9 @@ def test_whole_chunks_of_a_cut_laz_are_salvaged(make_cloud: Any, point_format: i
         assert reader.read(0, 10).tobytes() == whole[:10].tobytes()
 
 
-def test_layers_that_claim_gigabytes_are_refused_before_they_are_allocated(make_cloud: Any) -> None:
+def test_layers_that_claim_gigabytes_are_refused_before_they_are_allocated(
+    make_cloud: Any,
+) -> None:
     path = make_cloud("l.laz", point_format=6, version="1.4")
     header = read_header(path)
     data = bytearray(path.read_bytes())
@@ -184,7 +208,9 @@ class Panics:
         pass
 
 
-def test_a_panic_of_the_decoder_is_an_input_error(make_cloud: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_panic_of_the_decoder_is_an_input_error(
+    make_cloud: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = make_cloud("p.laz")
     monkeypatch.setattr(lazrs, "LasZipDecompressor", lambda *a: Panics())
     with pytest.raises(InputError, match="make the decoder fail") as caught:

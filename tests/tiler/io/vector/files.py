@@ -14,7 +14,9 @@ from pyogrio import raw
 
 def collection(*geometries: dict[str, Any] | None) -> dict[str, Any]:
     """A GeoJSON FeatureCollection."""
-    features = [{"type": "Feature", "properties": {}, "geometry": geometry} for geometry in geometries]
+    features = [
+        {"type": "Feature", "properties": {}, "geometry": geometry} for geometry in geometries
+    ]
     return {"type": "FeatureCollection", "features": features}
 
 
@@ -29,7 +31,9 @@ def write(
 ) -> Path:
     """Write a file in the format of its suffix; geometries are shapely's, well-known binary, or None."""
     shapes = np.empty(len(geometries), object)
-    shapes[:] = [g if g is None or isinstance(g, bytes) else shapely.to_wkb(g) for g in geometries]
+    shapes[:] = [
+        g if g is None or isinstance(g, bytes) else shapely.to_wkb(g) for g in geometries
+    ]
     driver = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}[path.suffix]
     named = {} if driver != "GPKG" else {"layer": layer}
     with warnings.catch_warnings():

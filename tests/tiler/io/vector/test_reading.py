@@ -39,7 +39,10 @@ UTM = pyproj.CRS(25832).to_wkt()
 
 def test_geojson(tmp_path: Path) -> None:
     path = tmp_path / "a.geojson"
-    multi = {"type": "MultiPolygon", "coordinates": [[SQUARE, HOLE], [[[*p, 7.5] for p in FAR]]]}
+    multi = {
+        "type": "MultiPolygon",
+        "coordinates": [[SQUARE, HOLE], [[[*p, 7.5] for p in FAR]]],
+    }
     content = collection({"type": "Polygon", "coordinates": [FAR]}, multi, None)
     path.write_text(json.dumps(content))
     found = read_features(path, POLYGONS)
@@ -59,17 +62,30 @@ def test_other_formats(suffix: str, tmp_path: Path) -> None:
     kind = {".gpkg": "MultiPolygon", ".fgb": "Unknown", ".shp": "Polygon"}[suffix]
     path = write(tmp_path / f"a{suffix}", [HOLED, BOTH, None][:number], kind, columns=columns)
     found = read_features(path, POLYGONS)
-    assert pyproj.CRS(found.crs) == pyproj.CRS(25832) or pyproj.CRS(found.crs).to_epsg() == 25832
+    assert (
+        pyproj.CRS(found.crs) == pyproj.CRS(25832) or pyproj.CRS(found.crs).to_epsg() == 25832
+    )
     by_action = {f.attributes["action"]: f for f in found.features}  # FlatGeobuf sorts by place
     assert shapely.equals(by_action["void"].geometry, HOLED)
     assert shapely.equals(by_action["flat"].geometry, BOTH)
-    assert (by_action["void"].height(), by_action["flat"].height(), len(by_action)) == (1.5, None, 2)
-    assert read_features(write(tmp_path / f"b{suffix}", [HOLED], "Polygon", crs=None), POLYGONS).crs is None
+    assert (by_action["void"].height(), by_action["flat"].height(), len(by_action)) == (
+        1.5,
+        None,
+        2,
+    )
+    assert (
+        read_features(
+            write(tmp_path / f"b{suffix}", [HOLED], "Polygon", crs=None), POLYGONS
+        ).crs
+        is None
+    )
 
 
 def test_polygons_are_repaired_and_features_outside_are_reported(tmp_path: Path) -> None:
     bow = shapely.Polygon([[0, 0], [10, 10], [10, 0], [0, 10], [0, 0]])
-    found = read_in_crs(path := write(tmp_path / "a.gpkg", [bow, TRIANGLE], "Polygon"), POLYGONS, UTM)
+    found = read_in_crs(
+        path := write(tmp_path / "a.gpkg", [bow, TRIANGLE], "Polygon"), POLYGONS, UTM
+    )
     assert found.notes == (f"{path}: 1 of 2 polygons crossed themselves and were repaired",)
     assert shapely.area(found.features[0].geometry) == 50
     assert shapely.equals_exact(found.features[1].geometry, TRIANGLE)
@@ -81,15 +97,21 @@ def test_polygons_are_repaired_and_features_outside_are_reported(tmp_path: Path)
 
 def test_heights_of_lines(tmp_path: Path) -> None:
     flat = shapely.force_2d(WALL)
-    path = write(tmp_path / "a.gpkg", [WALL, flat], "LineString Z", columns={"Elev": [9.0, 7.0]})
+    path = write(
+        tmp_path / "a.gpkg", [WALL, flat], "LineString Z", columns={"Elev": [9.0, 7.0]}
+    )
     heights = [
         shapely.get_coordinates(f.geometry, include_z=True)[:, 2].tolist()
         for f in read_in_crs(path, LINES, UTM, needs_z=True).features
     ]
     assert heights[0] == [3, 6]
     moved = read_in_crs(path, LINES, pyproj.CRS(25833).to_wkt(), needs_z=True)
-    assert shapely.get_coordinates(moved.features[0].geometry, include_z=True)[:, 2].tolist() == [3, 6]
-    with pytest.raises(InputError, match="b.gpkg: l0, feature 1: has no heights; draw it in 3D"):
+    assert shapely.get_coordinates(moved.features[0].geometry, include_z=True)[
+        :, 2
+    ].tolist() == [3, 6]
+    with pytest.raises(
+        InputError, match="b.gpkg: l0, feature 1: has no heights; draw it in 3D"
+    ):
         read_in_crs(write(tmp_path / "b.gpkg", [flat], "LineString"), LINES, UTM, needs_z=True)
 
 
@@ -100,7 +122,8 @@ def test_several_layers(tmp_path: Path) -> None:
     both = read_features(path, LINES_AND_POLYGONS, every_layer=True).features
     assert [f.place for f in both] == [f"{path}: l0, feature 1", f"{path}: flow, feature 1"]
     with pytest.raises(
-        InputError, match=r"needs one layer of lines or polygons, has 2 \(l0 \(Polygon\), flow \("
+        InputError,
+        match=r"needs one layer of lines or polygons, has 2 \(l0 \(Polygon\), flow \(",
     ):
         read_features(path, LINES_AND_POLYGONS)
 
@@ -117,15 +140,31 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.kml", "", r"polygons are read from .gpkg, .geojson, .json, .shp and .fgb files; convert it"),
+        (
+            "a.kml",
+            "",
+            r"polygons are read from .gpkg, .geojson, .json, .shp and .fgb files; convert it",
+        ),
         ("a.geojson", "{", "not valid GeoJSON"),
-        ("a.json", "[]", r"not valid GeoJSON \(not a JSON object\); write polygons as features"),
+        (
+            "a.json",
+            "[]",
+            r"not valid GeoJSON \(not a JSON object\); write polygons as features",
+        ),
         ("a.json", json.dumps(collection()), "contains no polygons"),
-        ("a.json", json.dumps({**collection(), "features": [7]}), "feature 1: is not a GeoJSON Feature"),
+        (
+            "a.json",
+            json.dumps({**collection(), "features": [7]}),
+            "feature 1: is not a GeoJSON Feature",
+        ),
         ("a.json", json.dumps(collection(POINT)), r"has 0 \(a \(Point\)\)"),
         ("a.json", polygon([1, 2], [3, "x"], [5, 6]), "feature 1: its geometry is damaged"),
         ("a.json", polygon([1, 2], [3, 4]), "feature 1: has no area; draw it wider"),
-        ("a.json", polygon([1, 2], [3, 4], [5, float("inf")], [1, 2]), "damaged|that is not a number"),
+        (
+            "a.json",
+            polygon([1, 2], [3, 4], [5, float("inf")], [1, 2]),
+            "damaged|that is not a number",
+        ),
         ("a.json", json.dumps(ODD_CRS), "its CRS 'no CRS' is not known"),
         ("a.gpkg", "no data base", "does not begin as a .gpkg file does"),
         ("a.gpkg", VRT, "does not begin as a .gpkg file does"),
@@ -133,7 +172,9 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
         ("a!b.json", polygon(*SQUARE), "rename it"),
     ],
 )
-def test_wrong_vector_files_are_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
+def test_wrong_vector_files_are_refused(
+    tmp_path: Path, name: str, content: str, message: str
+) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message) as caught:
         read_in_crs(tmp_path / name, POLYGONS, pyproj.CRS(4326).to_wkt())
@@ -151,7 +192,9 @@ def test_files_that_are_not_whole(tmp_path: Path) -> None:
         read_features(path, POLYGONS)
     path = write(tmp_path / "b.gpkg", [TRIANGLE, TRIANGLE], "Polygon")
     with sqlite3.connect(path) as base:  # drop its triggers, which need SQL functions of GDAL
-        for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+        for (name,) in base.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+        ).fetchall():
             base.execute(f'DROP TRIGGER "{name}"')
         base.execute("UPDATE l0 SET geom = substr(geom, 1, 60) WHERE fid = 2")
     base.close()
@@ -178,7 +221,9 @@ def test_written_features_are_read_back_and_have_the_same_bytes(tmp_path: Path) 
     assert len(digests) == 1
     found = read_features(path, LINES)
     assert found.crs == "EPSG:25832"
-    assert [f.attributes for f in found.features] == [{"elevation": z, "name": "x"} for z in (0.5, 1.5)]
+    assert [f.attributes for f in found.features] == [
+        {"elevation": z, "name": "x"} for z in (0.5, 1.5)
+    ]
     assert [p.name for p in tmp_path.iterdir()] == ["a.gpkg"]
     with contextlib.suppress(ZeroDivisionError), geopackage(path, None) as file:
         file.add("other", "LineString", [WALL], {})
@@ -198,5 +243,10 @@ def test_two_gdals_in_one_process(tmp_path: Path) -> None:
     for order in (lines, lines[::-1]):
         script = "\n".join([*order, "print(p(), *numpy.round(r(), 4).ravel(), p())"])
         command = [sys.executable, "-W", "error", "-c", script]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_SECONDS)
-        assert (done.stdout.split(), done.stderr) == (["EPSG:25832", "9.0", "48.753", "EPSG:25832"], "")
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_SECONDS
+        )
+        assert (done.stdout.split(), done.stderr) == (
+            ["EPSG:25832", "9.0", "48.753", "EPSG:25832"],
+            "",
+        )

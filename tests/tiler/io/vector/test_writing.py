@@ -14,7 +14,9 @@ from tiler.errors import ProcessingError
 from tiler.io.vector.writing import geopackage
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="this system has no limit of the size of files")
+@pytest.mark.skipif(
+    not hasattr(signal, "SIGXFSZ"), reason="this system has no limit of the size of files"
+)
 def test_a_file_that_may_not_grow_is_reported_as_such(tmp_path: Path) -> None:
     """GDAL itself only says "Failed to commit transaction"."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -22,7 +24,9 @@ def test_a_file_that_may_not_grow_is_reported_as_such(tmp_path: Path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, before[1]))
     try:
         points = [shapely.Point(i, i) for i in range(20_000)]
-        refused = pytest.raises(ProcessingError, match=r"x\.gpkg: cannot be written \(File too large\)")
+        refused = pytest.raises(
+            ProcessingError, match=r"x\.gpkg: cannot be written \(File too large\)"
+        )
         with refused, geopackage(tmp_path / "x.gpkg", "EPSG:32632") as file:
             file.add("a", "Point", points, {"n": np.arange(len(points))})
     finally:
