@@ -54,12 +54,13 @@ MAX_DUG = {"als_weir": 0.03, "als_meander": 0.005, "als_lakes": 0.015, "als_cana
 """Share of the outermost pixels of water on land above it. Those of the weir are faces of
 masonry."""
 MAX_DUG_WHOLE = {
-    "als_weir": 0.012,
+    "als_weir": 0.02,
     "als_meander": 0.005,
     "als_lakes": 0.008,
     "als_canal": 0.005,
 }
-"""The same share, without pixels that have the true shore in them."""
+"""The same share, without pixels that have the true shore in them. Lock walls of the weir have no
+ground."""
 MAX_VOID = 0.005
 """Share of the water without a height, where a river leaves the survey."""
 MAX_FLOATING = 0.005
