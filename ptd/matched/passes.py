@@ -8,7 +8,16 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
-from ptd.matched import by_size, cell_features, islands, last_look, objects, surface, voting
+from ptd.matched import (
+    bent_hull,
+    by_size,
+    cell_features,
+    islands,
+    last_look,
+    objects,
+    surface,
+    voting,
+)
 from ptd.matched.canopy_pass import CanopyPass, below_canopy
 from ptd.matched.cells import CELL_M, EMPTY, SPARSE_CELL_M, cell_heights, raster_of
 from ptd.matched.ground_model import GroundModel
@@ -111,7 +120,8 @@ class ObjectPass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (objects.reach_cells(size_m) + replace(surface.STIFF, cell_m=size_m).reach + 1) * size_m
+        (objects.reach_cells(size_m) + replace(bent_hull.STIFF, cell_m=size_m).reach + 1)
+        * size_m
         for size_m in CELL_SIZES_M
     )
 
@@ -140,7 +150,7 @@ class ObjectPass(MatchedPass):
         is_object = np.zeros(raster.heights.size, np.bool_)
         is_object[raster.keys[codes == OBJECT]] = True
         removed = is_object.reshape(raster.heights.shape)
-        stiff = replace(surface.STIFF, cell_m=size_m)
+        stiff = replace(bent_hull.STIFF, cell_m=size_m)
         hull = lower_envelope(
             raster.heights, stiff, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS
         )

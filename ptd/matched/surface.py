@@ -1,23 +1,17 @@
 """Ground surface from cells: hulls that bend more where the cells show it, then the mean of the cells near them.
 
-1. There are two hulls. The stiff one is correct below trees, where ground is visible only through gaps; the pliable one
-   follows terrain. The *contrast* decides between them: above ground there is a gap up to the objects on it, and a hull
-   that climbed into plants has as many cells above it as on it. Cells that are terrain as a whole
-   (`ptd.matched.objects`) do not count as plants, because a hull lies below crests.
-2. Less stiff hulls follow banks, ridges and crests. They are used where the cells above the surface are terrain as a
-   whole, or where nearly everything around is ground. The least stiff hull would follow cars too. So on level ground it
-   is used only for features that are wider than cars.
-3. The mean residual of the cells near the surface is added `ROUNDS` times, at two scales. In the last rounds cells that
-   rise next to objects count less. The noise is the root mean square of the residuals below the surface, because cells
-   above it may be plants.
-4. Ground grows to the edges of terraces and banks (`ptd.matched.growth`). Then the mean residual is added at a still
-   smaller scale, so that the surface comes nearer to each cell's own height.
+1. A hull below the cells bends as much as the cells show (`ptd.matched.bent_hull`).
+2. The mean residual of the cells near the surface is added `ROUNDS` times, at two scales. In
+   the last rounds cells that rise next to objects count less. The noise is the root mean square
+   of the residuals below the surface, because cells above it may be plants.
+3. Ground grows to the edges of terraces and banks (`ptd.matched.growth`). Then the mean
+   residual is added at a still smaller scale, so that the surface comes nearer to each cell's
+   own height.
 
 Gaussian sums over cells are cut off at a fixed radius, so cells beyond `reach_cells` do not
 change the surface.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,7 +22,8 @@ import scipy
 from ptd.cells import Int32
 from ptd.frame import Scale
 from ptd.ground.morphology import Bool
-from ptd.matched import growth
+from ptd.matched import bent_hull, growth
+from ptd.matched.bent_hull import ramp
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import LOWEST, Envelope, lower_envelope
 from ptd.matched.surroundings import (
@@ -40,49 +35,6 @@ from ptd.matched.surroundings import (
 )
 
 Float64 = npt.NDArray[np.float64]
-
-STIFF, PLIABLE = Envelope(0.01, 11.5), Envelope(0.04, 11.5)
-RIDGES = (Envelope(0.08, 6.0), Envelope(0.2, 6.0), Envelope(0.5, 6.0))
-OPEN_GROUND = 0.3
-"""Curvature up to which a hull is used on open ground as well. Hulls of more curvature are used
-only on surfaces that are terrain as a whole (`ptd.matched.objects`), because they would follow
-cars."""
-CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
-"""Mean slopes of the surroundings (`TERRAIN_M`) at which hulls of more curvature than
-`OPEN_GROUND` begin to be used, and are used fully. On level ground they are used only for
-features that are at least `CREST_M` wide, for example dams. A car that a single cell connects
-to the ground belongs to the surface of the ground, so it is terrain as a whole."""
-STEEP = (0.3, 0.6)
-"""Mean slopes up to which terrain just above a ridge's hull counts fully as plants, and from
-which on it does not count, because hulls cut off crests."""
-BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
-"""Largest distance of cells on a hull: the sum of metres, a multiple of the noise, and metres
-per unit of slope."""
-CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
-"""Standard deviation of the surroundings in which cells are counted, and limits of the
-contrast. Up to the first limit (half as many cells above a hull as on it) only the pliable hull
-is used, from the second on (equally many) only the stiff one."""
-RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = (
-    6.0,
-    (0.6, 0.85),
-    (0.02, 0.06),
-    (0.05, 0.15),
-)
-"""Settings of the hulls of ridges.
-
-- `RIDGE_M`: standard deviation of the surroundings in which cells are counted.
-- `RIDGE_SHARE`: shares of open ground or terrain at which the hulls begin to be used, and are
-  used fully.
-- `RIDGE_CONTRAST`: contrasts up to which they are used fully, and at which they end to be used.
-- `CREST_CONTRAST`: the same contrasts for hulls of more curvature than `OPEN_GROUND`.
-"""
-MIN_SHARE_LEFT = 0.3
-"""Lower limit of the share of cells that remain after objects are removed. The share of open
-ground is relative to these cells, so that it is the same next to a roof or a pond as in the
-open."""
-TERRAIN_M = 8.0
-"""Standard deviation of the surroundings in which cells above the surface are counted and
-slopes are averaged."""
 
 ROUNDS = 6
 SCALES_M, SCALES_CELLS = (3.0, 1.5), (2.0, 1.0)
@@ -149,11 +101,6 @@ class Surface(NamedTuple):
     narrowing: Float64
 
 
-def _crest_cells(cell_m: float) -> int:
-    """Return the least width in cells, an odd number, of a crest on level ground."""
-    return 2 * int(CREST_M / cell_m / 2) + 1
-
-
 def _scales(cell_m: float) -> list[float]:
     """Return the standard deviations, in cells, of the surroundings whose mean residual is added."""
     return [max(m / cell_m, least) for m, least in zip(SCALES_M, SCALES_CELLS, strict=True)]
@@ -166,14 +113,8 @@ def _fine_scale(cell_m: float) -> float:
 
 def reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which heights do not change the surface."""
-    hulls = [replace(h, cell_m=cell_m) for h in (STIFF, PLIABLE, *RIDGES)]
-    slope, contrast = slope_radius(cell_m), share_radius(CONTRAST_M, cell_m)
-    bent = max(h.reach for h in hulls) + slope + contrast
-    bent += len(RIDGES) * (
-        slope + max(share_radius(RIDGE_M, cell_m), share_radius(TERRAIN_M, cell_m))
-    )
-    bent += sum(_crest_cells(cell_m) - 1 for h in RIDGES if h.curvature > OPEN_GROUND)
-    about = max(slope, gaussian_radius(NOISE_M / cell_m)) + contrast
+    about = max(slope_radius(cell_m), gaussian_radius(NOISE_M / cell_m))
+    about += share_radius(bent_hull.CONTRAST_M, cell_m)
     rounds = (
         ROUNDS * sum(gaussian_radius(cells) for cells in _scales(cell_m))
         + ROUNDS
@@ -184,7 +125,9 @@ def reach_cells(cell_m: float) -> int:
     )
     fine = FINE_ROUNDS * (gaussian_radius(_fine_scale(cell_m)) + 1)
     extended = gaussian_radius(max(EXTENDED_M) / cell_m)
-    return hulls[0].cut_cells + bent + 2 * about + rounds + edges + fine + extended
+    cut_cells = replace(bent_hull.STIFF, cell_m=cell_m).cut_cells
+    bent = bent_hull.reach_cells(cell_m)
+    return cut_cells + bent + 2 * about + rounds + edges + fine + extended
 
 
 def ground_surface(
@@ -213,7 +156,7 @@ def ground_surface(
     cell_m : float
         Size of the cells in metres.
     """
-    heights = _without_pockets(heights, replace(STIFF, cell_m=cell_m).cut_cells)
+    heights = _without_pockets(heights, replace(bent_hull.STIFF, cell_m=cell_m).cut_cells)
     there = heights != EMPTY
     metres = 1.0 / scale.counts_z(1.0)
     cells = RemainingCells(np.where(there, heights * metres, 0.0), there, cell_m)
@@ -223,7 +166,7 @@ def ground_surface(
         below: Float64 = np.where(there & (lowest != LOWEST), lowest * metres, 0.0)
         return below
 
-    start = _bent(cells, terrain, hull, sigma_m)
+    start = bent_hull.bent_hull(cells, terrain, hull, sigma_m)
     height, sigma, narrowing = _refined(cells, terrain, start, sigma_m)
     return _extended(cells, height, sigma, narrowing)
 
@@ -231,7 +174,11 @@ def ground_surface(
 def noise_reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which cells do not change the result of `with_noise`."""
     about = max(slope_radius(cell_m), gaussian_radius(NOISE_M / cell_m))
-    return about + share_radius(CONTRAST_M, cell_m) + gaussian_radius(max(EXTENDED_M) / cell_m)
+    return (
+        about
+        + share_radius(bent_hull.CONTRAST_M, cell_m)
+        + gaussian_radius(max(EXTENDED_M) / cell_m)
+    )
 
 
 def with_noise(
@@ -262,82 +209,6 @@ def with_noise(
     below: Float64 = np.where(there, ground * metres, 0.0)
     sigma, narrowing, _, _ = _noise_and_band(cells, np.zeros_like(there), below, sigma_m)
     return _extended(cells, below, sigma, narrowing)
-
-
-def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
-    """Return 0 up to the first limit, 1 from the second on, and linear values between them."""
-    ramp: Float64 = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)
-    return ramp
-
-
-def _contrast(
-    cells: RemainingCells,
-    counted: Bool | Float64,
-    surface: Float64,
-    sigma_m: float | Float64,
-    std_m: float,
-) -> tuple[Float64, Float64]:
-    """Return the contrast around each cell, and the share of cells on the surface.
-
-    The contrast is the number of cells just above the surface, weighted by ``counted``, in
-    parts of those on it.
-    """
-    band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * cells.slope(surface)
-    residual = cells.height - surface
-    on = cells.around(cells.there & (np.abs(residual) < band), std_m)
-    just_above = cells.there & (residual >= band) & (residual < 3.0 * band)
-    return cells.around(counted * just_above, std_m) / np.maximum(on, 1e-3), on
-
-
-def _bent(
-    cells: RemainingCells,
-    terrain: Bool,
-    hull: Callable[[Envelope], Float64],
-    sigma_m: float | Float64,
-) -> Float64:
-    """Combine hulls so that the surface bends as much as the cells show."""
-    stiff = hull(STIFF)
-    pliable = np.maximum(hull(PLIABLE), stiff)
-    contrast, _ = _contrast(cells, ~terrain, pliable, sigma_m, CONTRAST_M)
-    surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
-    left = np.maximum(cells.around(cells.there, RIDGE_M), MIN_SHARE_LEFT)
-    for envelope in RIDGES:
-        slope = _slope_around(cells, surface)
-        share = _of_terrain(cells, terrain, surface, sigma_m)
-        crests = envelope.curvature > OPEN_GROUND
-        if crests and (share <= RIDGE_SHARE[0]).all():
-            continue
-        raised = np.maximum(hull(envelope) - surface, 0.0)
-        if crests:
-            crest = _crest_cells(cells.cell_m)
-            least = scipy.ndimage.minimum_filter(raised, crest, mode="constant")
-            wide = scipy.ndimage.maximum_filter(least, crest, mode="constant")
-            raised = wide + _ramp(slope, CREST_SLOPE) * (raised - wide)
-        ridges = surface + raised
-        counted = 1.0 - terrain * _ramp(slope, STEEP)
-        contrast, on = _contrast(cells, counted, ridges, sigma_m, RIDGE_M)
-        if not crests:
-            share = np.maximum(share, on / left)
-        clear = 1.0 - _ramp(contrast, CREST_CONTRAST if crests else RIDGE_CONTRAST)
-        surface = surface + _ramp(share, RIDGE_SHARE) * clear * raised
-    return surface
-
-
-def _slope_around(cells: RemainingCells, surface: Float64) -> Float64:
-    """Return the mean slope of the cells around each one."""
-    return cells.around(cells.slope(surface), TERRAIN_M) / np.maximum(
-        cells.around(cells.there, TERRAIN_M), 1e-3
-    )
-
-
-def _of_terrain(
-    cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64
-) -> Float64:
-    """Return the share of terrain among the cells above a surface, around each cell."""
-    above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
-    return cells.around(above & terrain, TERRAIN_M) / np.maximum(
-        cells.around(above, TERRAIN_M), 1e-3
-    )
 
 
 def _refined(
@@ -423,10 +294,14 @@ def _noise_and_band(
     sigma = _noise(cells, residual, sigma_m)
     above = ABOVE_M + ABOVE_SIGMAS * sigma + ABOUT_SLOPE * slope
     below = BELOW_M + BELOW_SIGMAS * sigma + 2 * ABOUT_SLOPE * slope
-    on = cells.around(cells.there & (residual > -below) & (residual < above), CONTRAST_M)
+    on = cells.around(
+        cells.there & (residual > -below) & (residual < above), bent_hull.CONTRAST_M
+    )
     just_above = cells.there & (residual >= above) & (residual < 2 * above)
-    next_above = cells.around(just_above * (1.0 - (1.0 - GAP_TERRAIN) * terrain), CONTRAST_M)
-    narrowing = 1.0 - (1.0 - NARROWEST) * _ramp(next_above / np.maximum(on, 1e-3), GAP)
+    next_above = cells.around(
+        just_above * (1.0 - (1.0 - GAP_TERRAIN) * terrain), bent_hull.CONTRAST_M
+    )
+    narrowing = 1.0 - (1.0 - NARROWEST) * ramp(next_above / np.maximum(on, 1e-3), GAP)
     return sigma, narrowing, above * narrowing, below * (2.0 - narrowing)
 
 

@@ -13,7 +13,7 @@ from unittest import mock
 import numpy as np
 
 from ptd import classify
-from ptd.matched import ground_model, objects, surface
+from ptd.matched import bent_hull, ground_model, objects, surface
 from ptd.methods.auto.method import Auto
 from tests.benchmarks.scorecard_scenes import Cloud
 from tiler.apps.evaluate import IGNORED, evaluate_labels
@@ -27,7 +27,7 @@ FACTORS = (0.75, 1.0, 1.25)
 GROUND = 2
 
 MATCHED_SETTINGS = {
-    "FALL_M": objects, "CONTRAST": surface, "RIDGE_CONTRAST": surface, "ABOVE_M": surface, "GAP": surface,
+    "FALL_M": objects, "CONTRAST": bent_hull, "RIDGE_CONTRAST": bent_hull, "ABOVE_M": surface, "GAP": surface,
     "SCALES_M": surface, "BESIDE": surface, "GROUND_M": ground_model,
 }  # fmt: skip
 """Constants of matched clouds, at least one of each step, and their modules: the rim of large

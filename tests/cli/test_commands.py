@@ -13,6 +13,7 @@ from cli.commands.methods import range_text
 from cli.main import main
 from cli.output import fact_lines, map_lines
 from cli.summary import score_lines, summary_lines
+from tiler.apps.warm import WarmResult
 from tiler.config import RunConfig
 from tiler.observe.events import Note, Warned
 
@@ -424,3 +425,15 @@ def test_a_map_of_density_in_shades(encoding: str | None, shades: str) -> None:
     assert f"{light} below 1.2, {medium} below 3, {dark} below 6, {full} more" in head
     assert "a character is 5 x 10 m, north is up" in head
     assert map_lines({**density, "per_m2": [[0, 0]]}, encoding) == []
+
+
+def test_warm_prints_its_result_as_json(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tiler.apps.warm.warm", lambda methods: WarmResult("cache", 7, 2))
+    assert main(["warm", "classic", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "folder": "cache",
+        "kernels": 7,
+        "compiled": 2,
+    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.matched import surface
+from ptd.matched import bent_hull, surface
 from ptd.matched.hull import Envelope
 from ptd.passes import Points
 
@@ -48,8 +48,11 @@ def short_sighted_surface(patch: pytest.MonkeyPatch) -> None:
         "STIFF": Envelope(0.04, 2.0),
         "PLIABLE": Envelope(0.08, 2.0),
         "RIDGES": (Envelope(0.3, 2.0),),
-        "ROUNDS": 2,
+        "CONTRAST_M": 2.0,
+        "RIDGE_M": 2.0,
+        "TERRAIN_M": 2.0,
     }
-    near |= {"CONTRAST_M": 2.0, "RIDGE_M": 2.0, "TERRAIN_M": 2.0, "EXTENDED_M": (1.0, 2.0)}
     for name, value in near.items():
-        patch.setattr(surface, name, value)
+        patch.setattr(bent_hull, name, value)
+    patch.setattr(surface, "ROUNDS", 2)
+    patch.setattr(surface, "EXTENDED_M", (1.0, 2.0))

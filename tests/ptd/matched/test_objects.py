@@ -7,10 +7,10 @@ import pytest
 
 from ptd.frame import Scale
 from ptd.ground.connected import connected_surfaces
+from ptd.matched.bent_hull import STIFF
 from ptd.matched.cells import EMPTY
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, lower_envelope, tilts
 from ptd.matched.objects import DIAGONAL, MAX_WIDTH_M, judged
-from ptd.matched.surface import STIFF
 
 MM = Scale()
 SIGMA_M = 0.05

@@ -11,7 +11,7 @@ import pytest
 import ptd
 from ptd.frame import Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
-from ptd.matched import canopy, cell_features, islands, objects, passes, surface
+from ptd.matched import bent_hull, canopy, cell_features, islands, objects, passes, surface
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
 from tests.ptd.tiling import classify_tiled
@@ -47,7 +47,8 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     monkeypatch.setattr(objects, "MAX_WIDTH_M", 14.0)
     monkeypatch.setattr(objects, "TERRAIN_M", 10.0)
     seen = max(
-        size_m * (objects.reach_cells(size_m) + replace(surface.STIFF, cell_m=size_m).reach + 1)
+        size_m
+        * (objects.reach_cells(size_m) + replace(bent_hull.STIFF, cell_m=size_m).reach + 1)
         for size_m in passes.CELL_SIZES_M
     )
     later = [replace(step, influence_radius_m=seen) for step in passes.PASSES[1:3]]
