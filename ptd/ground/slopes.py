@@ -31,17 +31,27 @@ def _sums(values: Int32) -> Int64:
 
 
 @kernel
-def _mean(sums: Int64, row: int, column: int, reach: int) -> float:
-    """Return the mean of the filled cells up to `reach` from a cell, or NaN if there are none.
-
-    The cell may lie beyond the raster.
-    """
+def _box(sums: Int64, row: int, column: int, reach: int) -> tuple[int, int]:
+    """Return sum and number of the filled cells up to `reach` from a cell, which may lie beyond the raster."""
     height, width = sums.shape[0] - 1, sums.shape[1] - 1
     south, north = min(max(row - reach, 0), height), max(min(row + reach + 1, height), 0)
     west, east = min(max(column - reach, 0), width), max(min(column + reach + 1, width), 0)
     a, b, c, d = sums[north, east], sums[north, west], sums[south, east], sums[south, west]
-    n = a[1] - b[1] - c[1] + d[1]
-    return (a[0] - b[0] - c[0] + d[0]) / n if n > 0 else math.nan
+    return a[0] - b[0] - c[0] + d[0], a[1] - b[1] - c[1] + d[1]
+
+
+@kernel
+def _mean(sums: Int64, row: int, column: int, reach: int) -> float:
+    """Return the mean of the filled cells up to `reach` from a cell, or NaN if there are none."""
+    total, n = _box(sums, row, column, reach)
+    return total / n if n > 0 else math.nan
+
+
+@kernel
+def _totals(sums: Int64, reach: int, cells: Int64, out: Int64) -> None:
+    for i in range(cells.size):
+        row, column = divmod(cells[i], sums.shape[1] - 1)
+        out[i] = _box(sums, row, column, reach)
 
 
 @kernel
@@ -90,6 +100,15 @@ class Boxes:
 
     def __init__(self, values: Int32) -> None:
         self._sums = _sums(np.ascontiguousarray(values))
+
+    def totals(self, reach: int, cells: Int64) -> Int64:
+        """Return sum and number of the filled cells up to `reach` from some cells: int64 [n, 2].
+
+        `means` describes the parameters.
+        """
+        out = np.empty((cells.size, 2), np.int64)
+        _totals(self._sums, reach, cells, out)
+        return out
 
     def means(self, reach: int, cells: Int64) -> Float64:
         """Return the means of the filled cells up to `reach` from some cells, in both directions.

@@ -7,10 +7,14 @@ import numpy.typing as npt
 
 from ptd.cells import CellIndex, Int32, lowest_per_cell
 from ptd.frame import CellLattice, Window
-from ptd.ground.labelling import UNCLASSIFIED
+from ptd.ground.labelling import LOW_NOISE, UNCLASSIFIED
 from ptd.passes import Model, Points, Stats, UInt8
 
 Bool = npt.NDArray[np.bool_]
+
+OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
+"""Codes of cells between passes. Cells that stay ground after `refine` have the code
+`GROUND` (`ptd.ground.labelling`). `ROOF` is also that of crowns on slopes."""
 
 
 class CellCodes(Model):

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ptd.frame import Scale
+from ptd.ground import treetops
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
+from ptd.ground.summits import REACH_CELLS
 from ptd.methods.auto.objects import Drop, Residuals, Shape
 from ptd.methods.progressive import Progressive
 from ptd.params import check, like, parameter
@@ -198,6 +200,11 @@ class AutoParameters:
         return self.shape.reach + search_margin(self.low_radius_m, 1, self.thin_cell_m)
 
     @property
+    def summit_reach(self) -> int:
+        """Distance in cells beyond which points do not change the code of a cell in the pass `summits`."""
+        return self.shape.radius + REACH_CELLS
+
+    @property
     def refine_reach(self) -> int:
         """Distance in cells beyond which points do not change the code of a cell in the pass `refine`."""
         return self.objects.reach + self.bumps.reach
@@ -208,6 +215,11 @@ class AutoParameters:
         return math.ceil(
             (Plateaus.of(Scale(), self.roof_size_m).reach + 1) * ROOF_CELL_M / self.thin_cell_m
         )
+
+    @property
+    def treetop_reach(self) -> int:
+        """Distance in thinning cells beyond which points do not change the code of a cell in the pass `treetops`."""
+        return math.ceil(treetops.reach_m() / self.thin_cell_m)
 
     @property
     def halo_m(self) -> float:

@@ -12,13 +12,14 @@ from ptd.frame import Window
 from ptd.ground import blocks
 from ptd.ground.labelling import GROUND
 from ptd.ground.noise_sums import Roughness
+from ptd.methods.auto.cell_codes import OBJECT, ROOF
 from ptd.methods.auto.label_thresholds import (
     ReturnStatistics,
     decided,
     label_bands,
     label_thresholds,
 )
-from ptd.methods.auto.method import OBJECT, ROOF, Auto
+from ptd.methods.auto.method import Auto
 from ptd.methods.auto.params import Reaches
 from ptd.passes import Points
 from ptd.places import value_at
@@ -70,7 +71,8 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     assert found[:2].tolist() == [7, 7]
     assert result.stats["seeds"]["low_outliers"] == 1  # both in a cell
     roofs = [f"roofs{n}" for n in ("", 2, 3, 4)]
-    assert list(result.stats) == ["survey", "seeds", "densify", "refine", *roofs, "label"]
+    before = ["survey", "seeds", "summits", "densify", "refine"]
+    assert list(result.stats) == [*before, *roofs, "treetops", "label"]
 
 
 @pytest.mark.parametrize(
@@ -98,9 +100,10 @@ def test_a_window_without_ground_knows_nothing() -> None:
     window = Window(0, 0, 10_000, 10_000)
     cloud = Points(np.full((3, 4), 500, np.int32), np.full(4, OBJECT, np.uint8))
     state = {"run": {"sigma_m": None}, "survey": {"kind": "lidar"}, "places": alike(1.0)}
-    for number in (2, 5):
+    for name in ("densify", "label"):
+        step = next(p for p in Auto().passes if p.name == name)
         for given, marked in ((window, True), (Window.everything(), False)):
-            model = Auto().passes[number].fit(cloud, given, given, SCALE, state)
+            model = step.fit(cloud, given, given, SCALE, state)
             labels, marks = model.label(cloud)
             assert (labels == OBJECT).all()
             assert (marks == marked).all()
@@ -244,17 +247,20 @@ def test_the_decision_reaches_the_result() -> None:
 
 def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().seed_reach == 2 * 18 + 2 * 9 + 5
+    assert Auto().summit_reach == 18 + 3
     assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert {step.name: step.influence_radius_m for step in Auto().passes} == {
         "survey": 24.0,
         "seeds": 60.0,
+        "summits": 22.0,
         "densify": None,
         "refine": 60.0,
         "roofs": 229.0,
         "roofs2": 229.0,
         "roofs3": 229.0,
         "roofs4": 229.0,
+        "treetops": 181.0,
         "label": None,
         "cells": 4.0,
         "objects": 324.0,
@@ -290,7 +296,7 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
 
     class Until:
         align_m, margin_m, candidate_cell_m = params.align_m, params.margin_m, thin_cell_m
-        passes = params.passes[:2]
+        passes = params.passes[:3]
 
     truth, _, state = classify_tiled(Points(cloud), SCALE, Until, None, kind="lidar")
     labels, marks, tiled = classify_tiled(Points(cloud), SCALE, Until, tile_m, kind="lidar")
@@ -299,7 +305,7 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
     assert tiled == state
 
     class Refine(Until):
-        passes = (params.passes[0], params.passes[1], *params.passes[3:5])
+        passes = (*params.passes[:3], *params.passes[4:6], params.passes[9])
 
     truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None, kind="lidar")
     labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m, kind="lidar")

@@ -1,0 +1,222 @@
+"""Ridges and summits that openings cut off: cells that continue the slopes of the ground beside them.
+
+An opening cuts off a sharp ridge like a house, because both are high and narrow. They differ at
+their edges: a house ends at its walls, whereas the slopes of a ridge continue. So a cell that
+was taken for an object is terrain if the surface through the cells around it is smooth and
+steep, and if objects nearby continue the ground at most of their edges. At the ends of a bridge
+the deck continues the road, but most of its edges are sides, below which the ground lies.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Int64, Xyz
+from ptd.frame import Scale
+from ptd.ground.morphology import EMPTY, Bool, CellRaster, Float64
+from ptd.ground.planes import MOMENTS, add_point, fit_plane
+from ptd.ground.slopes import Boxes
+from ptd.kernel import as_int64, kernel
+
+PLANES = ((1, 6), (2, 9))
+"""Half widths in cells of the squares through whose cells a plane is fitted, and how many cells
+each needs. The second is used where the first has too few."""
+ROUGH_M, ROUGH_SLOPE = 0.15, 0.1
+"""Largest scatter of cells about the plane of a smooth surface: metres, plus this multiple of
+the slope. A cell on it lies at most `OFF` times as far from the plane."""
+OFF = 2.0
+STEEP = 0.3
+"""Smallest slope of cells that are terrain. Crops and low shrubs on level ground are as
+smooth."""
+SIDE_CELLS, SIDE_M = 3, 1.2
+"""A cell is beside ground below if ground within this many cells is lower, by more than this
+height, than the plane of the cell at its lowest there."""
+SHARE, LEAST = 0.75, 10
+"""Least share and least number of the edges nearby that continue the ground."""
+REACH_CELLS = 1 + PLANES[-1][0]
+"""Distance in cells from an edge beyond which heights do not change it. It includes the plane of
+the ground beside the edge, and is not less than `SIDE_CELLS`."""
+
+_UNKNOWN, _ROUGH, _LEVEL, _STEEP = range(4)
+"""Kinds of surface at a cell: not known yet, rough, smooth, and smooth and steep."""
+_FALLS, _CONTINUES = range(2)
+"""Kinds of edges."""
+
+UInt8 = npt.NDArray[np.uint8]
+
+
+class _Limits(NamedTuple):
+    """Lengths above in horizontal counts, and the length of a cell and of a vertical count in them."""
+
+    rough: float
+    side: float
+    cell: float
+    z_ratio: float
+
+
+@kernel
+def _plane(
+    slots: Int32, points: Xyz, row: int, column: int, z_ratio: float
+) -> tuple[float, float, float]:
+    """Return slope, height above the cell's point, and scatter of the plane through the cells around a cell.
+
+    The height and the scatter are in horizontal counts. The scatter is infinite if no plane can be fitted.
+    """
+    x, y, z = points
+    own = slots[row, column]
+    for reach, enough in PLANES:
+        sums = np.zeros(MOMENTS, np.int64)
+        for r in range(max(row - reach, 0), min(row + reach + 1, slots.shape[0])):
+            for c in range(max(column - reach, 0), min(column + reach + 1, slots.shape[1])):
+                i = slots[r, c]
+                if i >= 0:
+                    add_point(
+                        sums,
+                        as_int64(x[i]) - x[own],
+                        as_int64(y[i]) - y[own],
+                        as_int64(z[i]) - z[own],
+                    )
+        if sums[0] >= enough:
+            east, north, height, squares = fit_plane(sums, z_ratio)
+            if squares >= 0.0:
+                return math.hypot(east, north), height, math.sqrt(squares / (sums[0] - 3))
+    return 0.0, 0.0, math.inf
+
+
+@kernel
+def _surface(
+    slots: Int32,
+    points: Xyz,
+    row: int,
+    column: int,
+    limits: _Limits,
+    known: UInt8,
+    slopes: Float64,
+) -> int:
+    """Return the kind of surface at a cell, and keep it and the slope by point."""
+    own = slots[row, column]
+    if known[own] == _UNKNOWN:
+        slope, height, scatter = _plane(slots, points, row, column, limits.z_ratio)
+        rough = limits.rough * (1.0 + ROUGH_SLOPE / ROUGH_M * slope)
+        slopes[own], known[own] = slope, _ROUGH
+        if scatter <= rough and abs(height) <= OFF * rough:
+            known[own] = _STEEP if slope >= STEEP else _LEVEL
+    return int(known[own])
+
+
+@kernel
+def _is_beside_smooth(
+    slots: Int32,
+    points: Xyz,
+    row: int,
+    column: int,
+    ground: Bool,
+    limits: _Limits,
+    known: UInt8,
+    slopes: Float64,
+) -> bool:
+    """Return whether the surface is smooth at a ground cell next to a cell."""
+    for r in range(max(row - 1, 0), min(row + 2, slots.shape[0])):
+        for c in range(max(column - 1, 0), min(column + 2, slots.shape[1])):
+            i = slots[r, c]
+            if (
+                i >= 0
+                and ground[i]
+                and _surface(slots, points, r, c, limits, known, slopes) >= _LEVEL
+            ):
+                return True
+    return False
+
+
+@kernel
+def _edges(
+    keys: Int64, slots: Int32, points: Xyz, lost: Bool, ground: Bool, limits: _Limits
+) -> tuple[Int32, UInt8]:
+    """Return the kind of edge at each lost cell (`EMPTY` for none), and the kinds of surface that are known."""
+    rows, columns = slots.shape
+    edges = np.full(keys.size, EMPTY, np.int32)
+    known, slopes = np.zeros(keys.size, np.uint8), np.zeros(keys.size, np.float64)
+    for k in range(keys.size):
+        if not lost[k]:
+            continue
+        row, column = divmod(keys[k], columns)
+        lowest, beside = EMPTY, False
+        for r in range(max(row - SIDE_CELLS, 0), min(row + SIDE_CELLS + 1, rows)):
+            for c in range(max(column - SIDE_CELLS, 0), min(column + SIDE_CELLS + 1, columns)):
+                i = slots[r, c]
+                if i >= 0 and ground[i]:
+                    lowest = min(lowest, points.z[i])
+                    beside |= abs(r - row) <= 1 and abs(c - column) <= 1
+        if (
+            lowest == EMPTY
+            or _surface(slots, points, row, column, limits, known, slopes) < _LEVEL
+        ):
+            continue
+        fall = (as_int64(points.z[k]) - lowest) * limits.z_ratio
+        if fall > limits.side + slopes[k] * math.sqrt(2.0) * SIDE_CELLS * limits.cell:
+            edges[k] = _FALLS
+        elif beside and _is_beside_smooth(
+            slots, points, row, column, ground, limits, known, slopes
+        ):
+            edges[k] = _CONTINUES
+    return edges, known
+
+
+@kernel
+def _steep(
+    keys: Int64, slots: Int32, points: Xyz, chosen: Bool, limits: _Limits, known: UInt8
+) -> Bool:
+    """Return a mask of the chosen cells on smooth and steep surfaces."""
+    steep, slopes = np.zeros(keys.size, np.bool_), np.zeros(keys.size, np.float64)
+    for k in range(keys.size):
+        if chosen[k]:
+            row, column = divmod(keys[k], slots.shape[1])
+            steep[k] = _surface(slots, points, row, column, limits, known, slopes) == _STEEP
+    return steep
+
+
+def on_summits(
+    points: Xyz,
+    lost: Bool,
+    ground: Bool,
+    raster: CellRaster,
+    scale: Scale,
+    cell_m: float,
+    around: int,
+) -> Bool:
+    """Find the cells that openings cut off ridges and summits: bool [n].
+
+    The result of a cell depends on points up to ``around + REACH_CELLS`` cells away.
+
+    Parameters
+    ----------
+    points : Xyz
+        Lowest point of each cell, in counts. No two points share a cell.
+    lost, ground : bool [n]
+        Masks of the cells that openings cut off, and of the ground. Other cells (low outliers) are not looked at.
+    raster : CellRaster
+        Raster of the points.
+    scale : Scale
+    cell_m : float
+        Size of the cells in metres.
+    around : int
+        Distance in cells, along rows and columns, of the edges that count: half the width of the widest object.
+    """
+    slots = np.full(raster.shape[0] * raster.shape[1], -1, np.int32)
+    seen = np.flatnonzero(lost | ground)
+    slots[raster.keys[seen]] = seen
+    slots = slots.reshape(raster.shape)
+    limits = _Limits(
+        scale.counts(ROUGH_M), scale.counts(SIDE_M), scale.counts(cell_m), scale.z_ratio
+    )
+    edges, known = _edges(raster.keys, slots, points, lost, ground, limits)
+    if not (edges == _CONTINUES).any():
+        return np.zeros(lost.size, np.bool_)
+    boxes = Boxes(raster.lowest(edges, edges != EMPTY))
+    continued, n_edges = boxes.totals(around, raster.keys).T
+    near: Bool = lost & (continued >= np.maximum(SHARE * n_edges, LEAST))
+    return _steep(raster.keys, slots, points, near, limits, known)
