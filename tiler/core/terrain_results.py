@@ -250,6 +250,45 @@ class VoidsResult(Record):
 
 
 @dataclass(frozen=True, slots=True)
+class AbovePlace(Record):
+    """Connected pixels in which the terrain lies above all returns.
+
+    Attributes
+    ----------
+    pixels : int
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    height_m : float
+        Largest height of the terrain above the highest return of a pixel.
+    """
+
+    pixels: int
+    bounds: list[float]
+    area_m2: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AboveResult(Record):
+    """Terrain above all returns.
+
+    Attributes
+    ----------
+    pixels : int
+        Number of pixels, also of those in small places.
+    number : int
+        Number of places that are large enough to be listed.
+    worst : list of AbovePlace
+        Places, the largest height first.
+    """
+
+    pixels: int
+    number: int
+    worst: list[AbovePlace]
+
+
+@dataclass(frozen=True, slots=True)
 class ContourResult(Record):
     """Contours: interval, numbers of lines and vertices, of lines cut in two, and of lines left out as too short."""
 

@@ -11,7 +11,7 @@ from itertools import zip_longest
 from typing import Any, NamedTuple
 
 from tiler.core.classes import NOISE
-from tiler.core.units_text import small_area_text
+from tiler.core.units_text import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.runfile import title_of
@@ -107,10 +107,25 @@ def _labels(run: Run) -> Iterator[Problem]:
         yield Problem("doubtful tiles", None, why, remedy)
 
 
+def _unit(run: Run, direction: str) -> float:
+    """Return the metres per unit of the CRS: ``horizontal`` or ``vertical``."""
+    return float(run["plan"].get("metres_per_unit", {}).get(direction, 1.0))
+
+
 def _area(run: Run, square_metres: float) -> str:
-    return small_area_text(
-        square_metres, run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0)
-    )
+    return small_area_text(square_metres, _unit(run, "horizontal"))
+
+
+def _above(run: Run) -> Iterator[Problem]:
+    """Yield the places where the terrain is certainly wrong, because it lies above all returns."""
+    for place in run.get("above_returns", {}).get("worst", ()):
+        height = length_text(round(place["height_m"], 1), _unit(run, "vertical"))
+        why = f"{_area(run, place['area_m2'])} of terrain lie above all returns, by up to {height}"
+        remedy = (
+            "look at the points; use --edits with action ground if they are ground, or void to leave it "
+            "without heights"
+        )
+        yield Problem("terrain above all returns", place_of(place["bounds"]), why, remedy)
 
 
 def _voids(run: Run) -> Iterator[Problem]:
@@ -176,6 +191,7 @@ def _healed(run: Run) -> Iterator[Problem]:
 SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _files,
     _tasks,
+    _above,
     _warnings,
     _voids,
     _edits,

@@ -54,6 +54,15 @@ def test_squares_that_a_canopy_hides_are_problems_with_a_place() -> None:
     assert "--canopy void" in problem.remedy
 
 
+def test_terrain_above_all_returns_is_a_problem_with_a_place_an_area_and_a_height() -> None:
+    place = {"pixels": 5, "bounds": [0.0, 1.0, 4.0, 8.0], "area_m2": 1045.0, "height_m": 10.669}
+    (problem,) = found(above_returns={"pixels": 9, "number": 1, "worst": [place]})
+    assert problem.what == "terrain above all returns"
+    assert problem.where == (0.0, 1.0, 4.0, 8.0)
+    assert problem.why == "1,045 m2 of terrain lie above all returns, by up to 35.1 ft (10.7 m)"
+    assert "action ground" in problem.remedy
+
+
 def test_doubtful_tiles_have_a_place() -> None:
     tiles = [results.tile(0, 2, 30.0), results.tile(3, 2, 30.0, marked=7)]
     filtered = {"points": 1, "ground": 1, "marked": 7}
