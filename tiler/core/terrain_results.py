@@ -221,11 +221,22 @@ class SigmaResult(Record):
 
 @dataclass(frozen=True, slots=True)
 class VoidResult(Record):
-    """Connected pixels without a height: their number, bounds in units of the CRS, and area."""
+    """Connected pixels without a height.
+
+    Attributes
+    ----------
+    pixels : int
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    at_border : bool
+        Whether one of the pixels touches a pixel outside the survey.
+    """
 
     pixels: int
     bounds: list[float]
     area_m2: float
+    at_border: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,6 +28,7 @@ from tiler.grid import (
     reach_of,
     reach_pixels,
 )
+from tiler.grid.coarse import padded
 from tiler.grid.pieces import around
 from tiler.grid.tasks.gridding import GridContext, RasterStep
 from tiler.grid.tasks.survey import surveyed_blocks
@@ -214,7 +215,7 @@ def outline_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             raster,
             work,
             context.checksums(model, [key]),
-            context.coarse_checksums(survey, block),
+            context.coarse_checksums(survey, padded(block, 1)),
             water_digest,
             context.checksums(CANOPY, [key]) if canopy else [],
         )
