@@ -78,7 +78,7 @@ def _warnings(run: Run) -> Iterator[Problem]:
 
 
 def _objects(run: Run) -> Iterator[Problem]:
-    """Yield roofs and crowns that may still be in the finished terrain."""
+    """Yield the widest roof, and crowns, that may still be in the finished terrain."""
     positions = run.get("advice_at", ())
     for text, position in zip_longest(run.get("advice", ()), positions):
         yield Problem("objects suspected in the terrain", place_of(position), text)
@@ -272,7 +272,10 @@ def problems(run: Run) -> Node:
     """Return the section of the report about missing and doubtful results, with remedies."""
     all_problems = table_rows(run)
     if not all_problems:
-        none = "None: every file was read, every tile was processed, and no result is doubtful."
+        none = (
+            "None: every file was read, every tile was processed, and no check of the run found a doubtful result. "
+            "The checks do not find every error, such as houses in the terrain: look at the map."
+        )
         return section("problems", "Problems", el("p", none))
     rows: list[tuple[Content, ...]] = [
         (p.what, _link(p.where), p.why, p.remedy) for p in all_problems[:MAX_ROWS]
