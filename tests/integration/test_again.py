@@ -40,6 +40,7 @@ GROUND = (
     "grid-water-planes",
     "grid-water-areas",
     "grid-dtm-outlined",
+    "grid-dtm-above",
 )
 """Rasters that depend on the ground,"""
 PIXELS = ("grid-survey", "grid-domain")

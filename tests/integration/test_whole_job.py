@@ -28,7 +28,7 @@ WATER = (
     "grid-water-planes",
     "grid-water-areas",
 )
-GRID = ("grid-dtm", *SURVEY, *WATER, "grid-dtm-outlined")
+GRID = ("grid-dtm", *SURVEY, *WATER, "grid-dtm-outlined", "grid-dtm-above")
 
 
 def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoScene) -> None:

@@ -37,6 +37,7 @@ _FORMS = {
     "voids": "voids",
     "filled": "voids filled",
     "outlined": "cut at the outline",
+    "above": "where it lies above all returns",
     "open": "gaps",
     "terrain": "terrain in cells",
     "ground": "heights of the cells",

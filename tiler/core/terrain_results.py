@@ -221,11 +221,22 @@ class SigmaResult(Record):
 
 @dataclass(frozen=True, slots=True)
 class VoidResult(Record):
-    """Connected pixels without a height: their number, bounds in units of the CRS, and area."""
+    """Connected pixels without a height.
+
+    Attributes
+    ----------
+    pixels : int
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    at_border : bool
+        Whether one of the pixels touches a pixel outside the survey.
+    """
 
     pixels: int
     bounds: list[float]
     area_m2: float
+    at_border: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -247,6 +258,45 @@ class VoidsResult(Record):
     asked_pixels: int
     number: int
     largest: list[VoidResult]
+
+
+@dataclass(frozen=True, slots=True)
+class AbovePlace(Record):
+    """Connected pixels in which the terrain lies above all returns.
+
+    Attributes
+    ----------
+    pixels : int
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    height_m : float
+        Largest height of the terrain above the highest return of a pixel.
+    """
+
+    pixels: int
+    bounds: list[float]
+    area_m2: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AboveResult(Record):
+    """Terrain above all returns.
+
+    Attributes
+    ----------
+    pixels : int
+        Number of pixels, also of those in small places.
+    number : int
+        Number of places that are large enough to be listed.
+    worst : list of AbovePlace
+        Places, the largest height first.
+    """
+
+    pixels: int
+    number: int
+    worst: list[AbovePlace]
 
 
 @dataclass(frozen=True, slots=True)

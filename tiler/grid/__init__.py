@@ -1,5 +1,6 @@
 """Stage grid: heights on the TIN of the ground points, and other rasters, block by block."""
 
+from tiler.grid.above import ABOVE_M, MIN_PLACE_M2, AboveBlock, above_block
 from tiler.grid.blank import BlankBlocks, blank_blocks
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.bridges.examine import (
@@ -24,12 +25,13 @@ from tiler.grid.derived import DeriveBlock, derive_block
 from tiler.grid.distance import DistanceBlock, distance_block
 from tiler.grid.edits import CountEditedPoints, count_edited_points
 from tiler.grid.ground import GroundSelection
+from tiler.grid.highest import reach_pixels
 from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.mask import MaskBlock, mask_block
 from tiler.grid.outline import OutlineBlock, outline_block
 from tiler.grid.sigma import SigmaBlock, sigma_block
 from tiler.grid.sigma_measures import reach_of
-from tiler.grid.surface import DEEP_M, SurfaceBlock, reach_pixels, surface_block
+from tiler.grid.surface import SurfaceBlock, surface_block
 from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
 from tiler.grid.water_crowns import CrownsBlock, crowns_block
@@ -56,10 +58,12 @@ from tiler.grid.water_search import (
 from tiler.grid.work import GridBlock, GridBlocks, PointsBlock
 
 __all__ = [
+    "ABOVE_M",
     "CANOPY_AROUND",
     "CELL_PIXELS",
-    "DEEP_M",
+    "MIN_PLACE_M2",
     "NO_PIECE",
+    "AboveBlock",
     "BlankBlocks",
     "CanopyBlock",
     "CloseBlock",
@@ -92,6 +96,7 @@ __all__ = [
     "SurveyBlock",
     "Void",
     "VoidRasters",
+    "above_block",
     "blank_blocks",
     "blocks_of",
     "canopy_block",

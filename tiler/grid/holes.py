@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from tiler.core.area import Area
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.raster import NODATA, Block, RasterSpec, within
+from tiler.grid.coarse import padded
 from tiler.store import TileStore
 
 CELL_PIXELS = 32
@@ -61,14 +63,16 @@ def holes_of_block(
     block : Block
     heights : float32, shape (height, width)
         Heights as they are delivered.
-    surveyed : bool, shape (height, width)
-        Mask of the pixels inside the survey.
+    surveyed : bool, shape (height + 2, width + 2)
+        Mask of the pixels inside the survey: those of the block and one more on each side.
     edits : str or None
         Key in the store of the edits.
     area : Area or None
         Area outside which holes do not count.
     """
-    empty, in_area = heights == np.float32(NODATA), spec.inside(block, area)
+    empty, in_area = heights == np.float32(NODATA), spec.inside(padded(block, 1), area)
+    outside, in_area = ~(surveyed & in_area), in_area[1:-1, 1:-1]
+    surveyed = surveyed[1:-1, 1:-1]
     holes = empty & surveyed & in_area
     asked, counts = np.zeros_like(holes), []
     block_edits = (
@@ -83,23 +87,37 @@ def holes_of_block(
     return BlockHoles(
         n_surveyed=int(np.count_nonzero((~empty | surveyed) & in_area)),
         n_voided=int(np.count_nonzero(holes & asked)),
-        cells=hole_cells(holes & ~asked, block),
+        cells=hole_cells(holes & ~asked, block, outside),
         by_edit=counts,
     )
 
 
-def hole_cells(holes: Mask, block: Block) -> list[list[int]]:
-    """Return for each cell with holes their number, first row and column, and last row and column."""
+def hole_cells(holes: Mask, block: Block, outside: Mask) -> list[list[int]]:
+    """Return a list of numbers for each cell with holes.
+
+    These are the number of holes, their first row and column, their last row and column, and
+    the number of holes that touch a pixel outside the survey.
+
+    Parameters
+    ----------
+    holes : bool, shape (height, width)
+    block : Block
+    outside : bool, shape (height + 2, width + 2)
+        Mask of the pixels outside the survey: those of the block and one more on each side.
+    """
     rows, cols = np.nonzero(holes)
     if not len(rows):
         return []
+    near_outside = scipy.ndimage.binary_dilation(outside, np.ones((3, 3), np.bool_))
+    at_border = near_outside[1:-1, 1:-1][rows, cols]
     rows, cols = rows + block.row, cols + block.col
     cell_positions = np.stack((rows // CELL_PIXELS, cols // CELL_PIXELS))
     cells, number = np.unique(cell_positions, axis=1, return_inverse=True)
     number = number.ravel()
-    counts_and_extents = np.empty((5, cells.shape[1]), np.int64)
+    counts_and_extents = np.empty((6, cells.shape[1]), np.int64)
     counts_and_extents[0] = np.bincount(number)
-    counts_and_extents[1:3], counts_and_extents[3:] = np.iinfo(np.int64).max, -1
+    counts_and_extents[1:3], counts_and_extents[3:5] = np.iinfo(np.int64).max, -1
+    counts_and_extents[5] = np.bincount(number[at_border], minlength=cells.shape[1])
     for axis, values in enumerate((rows, cols)):
         np.minimum.at(counts_and_extents[1 + axis], number, values)
         np.maximum.at(counts_and_extents[3 + axis], number, values)

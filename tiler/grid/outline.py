@@ -11,6 +11,7 @@ from tiler.core.products import BEYOND, SURVEYED
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.block import edit_heights
 from tiler.grid.checksum import checksum
+from tiler.grid.coarse import padded
 from tiler.grid.holes import holes_of_block
 from tiler.grid.records import OutlineRecord
 from tiler.grid.work import BlockWork
@@ -68,8 +69,8 @@ def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
     heights_before = store.read_block(work.heights, block)
-    cells = coarse_values(store, work.survey, work.coarse, spec, block)
-    beyond = cells == BEYOND
+    cells = coarse_values(store, work.survey, work.coarse, spec, padded(block, 1))
+    beyond = cells[1:-1, 1:-1] == BEYOND
     heights, water = heights_before.copy(), []
     if work.canopy is not None:
         heights[store.read_block(work.canopy, block) > 0] = nodata

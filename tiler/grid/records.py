@@ -63,8 +63,6 @@ class SurfaceRecord(BlockRecord):
     ----------
     measured : int
         Number of pixels with a return.
-    deep : int
-        Number of measured pixels whose returns all lie far below the terrain.
     marked, tries, halo : int
         See `TerrainRecord`.
     """
@@ -73,7 +71,6 @@ class SurfaceRecord(BlockRecord):
     marked: int
     tries: int
     halo: int
-    deep: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +87,7 @@ class OutlineRecord(BlockRecord):
         Number of pixels that have a height or should have one.
     voided : int
         Number of pixels without a height that edits request.
-    holes : list of [pixels, row, col, last_row, last_col]
+    holes : list of [pixels, row, col, last_row, last_col, pixels at the border]
         Cells with other pixels without a height, see `tiler.grid.holes.hole_cells`.
     edit_holes : list of [number, pixels]
         Number (name) of each edit in the block, and count of its pixels without a height.
@@ -173,6 +170,22 @@ class LabelsRecord(BlockRecord):
 
     sides: dict[str, Side]
     labels: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AboveRecord(LabelsRecord):
+    """Record of the places in a block where the terrain lies above all returns.
+
+    Attributes
+    ----------
+    wrong : int
+        Number of these pixels, also of those in places that are too small to be listed.
+    places : list of [pixels, row, col, last_row, last_col, height]
+        Place of each label, and the largest height of its terrain above the returns, in metres.
+    """
+
+    wrong: int
+    places: list[list[float]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

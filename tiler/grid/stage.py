@@ -23,7 +23,7 @@ from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
+from tiler.grid import BlankBlocks, blank_blocks
 from tiler.grid.records import (
     MaskRecord,
     OpenAreasRecord,
@@ -33,12 +33,13 @@ from tiler.grid.records import (
     TerrainRecord,
 )
 from tiler.grid.sigma import sigma_result
+from tiler.grid.tasks.above import report_above
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
-from tiler.grid.tasks.raster_table import required_rasters
+from tiler.grid.tasks.raster_table import ABOVE, required_rasters
 from tiler.grid.tasks.shared_tins import join_blocks
 from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
@@ -90,6 +91,7 @@ def grid(
     _report_outline(job, gridding)
     if "dtm-outlined" in gridding.made:
         report_voids(job, gridding.spec, gridding.made["dtm-outlined"])
+    report_above(job, gridding.spec, gridding.made[ABOVE])
     if "dsm" in gridding.made:
         _report_surface(job, gridding.made["dsm"])
     if "mask" in gridding.made:
@@ -205,17 +207,11 @@ def _gaps(gridding: GridContext) -> tuple[float, float]:
 
 def _report_surface(job: Job, made: Mapping[str, Any]) -> None:
     records = records_of(SurfaceRecord, made)
-    deep = sum(record.deep for record in records)
     job.results.dsm = SurfaceResult(
         filled=sum(record.filled for record in records),
         measured=sum(record.measured for record in records),
-        deep=deep,
+        deep=job.results.above_returns.pixels,
     )
-    if deep:
-        job.note(
-            f"in {counted(deep, 'pixel')} all returns lie more than {DEEP_M:g} m below the terrain "
-            "(undetected low noise, or terrain that is too high): the surface model has the terrain's height there"
-        )
 
 
 def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:

@@ -2,27 +2,24 @@
 
 The surface is never below the terrain. Returns below the terrain come from the slope within
 their pixel, from low noise that the filter missed, or from places where the terrain is too
-high.
+high (see `tiler.grid.above`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.gridding.highest_returns import NOTHING, HighestReturns
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
 from tiler.grid.block import full_halo, heights_in_units, rasterise_window
 from tiler.grid.checksum import checksum
-from tiler.grid.density import pixel_indices
-from tiler.grid.ground import surface_points
+from tiler.grid.highest import NOTHING, ReturnsBlock, highest_returns
 from tiler.grid.records import SurfaceRecord
 from tiler.grid.work import TinBlock
 from tiler.store import TileStore, open_store
@@ -30,37 +27,18 @@ from tiler.store import TileStore, open_store
 Int32 = npt.NDArray[np.int32]
 Heights = npt.NDArray[np.float32]
 
-DEEP_M = 1.0
-"""Depth below the terrain from which returns are counted as deep."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class SurfaceBlock(TinBlock):
-    """Arguments of `surface_block`.
-
-    Attributes
-    ----------
-    spike : Fraction
-        Height in vertical counts by which a return may rise above all others within ``reach``.
-    reach : int
-        Search radius in pixels.
-    terrain : str
-        Raster of the terrain in the same pixels, which limits the surface from below.
-    """
-
-    spike: Fraction
-    reach: int
-    terrain: str
+class SurfaceBlock(TinBlock, ReturnsBlock):
+    """Arguments of `surface_block`. The terrain limits the surface from below."""
 
 
 def surface_block(store_url: str, work: SurfaceBlock) -> SurfaceRecord:
     """Write one block of the surface model. This is a `tiler.schedule.task.Work`.
 
-    All points except withheld or skipped ones and noise (classes 7 and 18, by the input or by
-    the filter) are used, since water and bridges are surface. `HighestReturns.supported`
-    removes spikes among the pixels within ``reach``. A pixel with a return has its height.
-    Other pixels are interpolated on the TIN of these returns under the same limit as the
-    terrain. All heights are at least those of the terrain.
+    A pixel with a return (see `highest_returns`) has its height. Other pixels are interpolated
+    on the TIN of these returns under the same limit as the terrain. All heights are at least
+    those of the terrain.
 
     Returns
     -------
@@ -68,23 +46,16 @@ def surface_block(store_url: str, work: SurfaceBlock) -> SurfaceRecord:
         Record of the block.
     """
     store = open_store(store_url)
-    heights, measured, record = surface_heights(store, work)
-    deep_m = DEEP_M / float(store.meta.frame.units.vertical)
-    heights, deep = above_terrain(heights, store.read_block(work.terrain, work.block), deep_m)
+    heights, _, record = surface_heights(store, work)
+    heights = raised_to(heights, store.read_block(work.terrain, work.block))
     store.write_block(work.name, work.block, heights)
-    return replace(
-        record, deep=int(np.count_nonzero(deep & measured)), checksum=checksum(heights)
-    )
+    return replace(record, checksum=checksum(heights))
 
 
-def above_terrain(
-    heights: Heights, terrain: Heights, deep: float
-) -> tuple[Heights, npt.NDArray[np.bool_]]:
-    """Raise heights to the terrain where both are known. Return also where they were more than ``deep`` below it."""
+def raised_to(heights: Heights, terrain: Heights) -> Heights:
+    """Return the heights, at least those of the terrain where both are known."""
     both = (heights != np.float32(NODATA)) & (terrain != np.float32(NODATA))
-    return np.where(both, np.maximum(heights, terrain), heights), both & (
-        terrain - heights > deep
-    )
+    return np.where(both, np.maximum(heights, terrain), heights)
 
 
 def surface_heights(
@@ -96,7 +67,7 @@ def surface_heights(
         work.spec.block_bounds(work.block),
         full_halo(work.max_edge),
     )
-    returns = _returns(store, work, block)
+    returns = highest_returns(store, work, block)
     measured = returns[..., 2] != NOTHING
     heights = np.where(measured, returns[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
     # A block with a return in every pixel needs no interpolation.
@@ -129,32 +100,7 @@ def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:
     west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
     south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
     block = Block(spec.north - north, west - spec.west, north - south, east - west)
-    returns = _returns(store, work, block).reshape(-1, 3).T
+    returns = highest_returns(store, work, block).reshape(-1, 3).T
     returns = returns[:, returns[2] != NOTHING]
     inside = PointBlock(returns).inside(window, store.meta.frame.origin)
     return np.ascontiguousarray(returns[:, inside])
-
-
-def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
-    """Return the highest supported return of each pixel, int32 (height, width, 3)."""
-    radius, origin = work.reach, store.meta.frame.origin
-    wider = Block(
-        block.row - radius,
-        block.col - radius,
-        block.height + 2 * radius,
-        block.width + 2 * radius,
-    )
-    bounds = work.spec.block_bounds(wider)
-    highest = HighestReturns(wider.height, wider.width)
-    for cell in store.buckets_within(bounds):
-        points, chosen = surface_points(store, work.rule, cell)
-        chosen &= points.inside(bounds, origin)
-        xyz = np.ascontiguousarray(points.xyz[:, chosen])
-        highest.add(pixel_indices(xyz, origin, work.spec, wider), xyz)
-    supported = highest.supported(radius, float(work.spike))
-    return supported[radius : radius + block.height, radius : radius + block.width]
-
-
-def reach_pixels(pixel_m: Fraction) -> int:
-    """Return the radius in pixels within which a return needs support: a metre, but at least one pixel."""
-    return max(math.ceil(1 / pixel_m), 1)

@@ -6,18 +6,25 @@ A source is a function from run.json to problems. To add a kind of problem, add 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
 from tiler.core.classes import NOISE
-from tiler.core.units_text import small_area_text
+from tiler.core.units_text import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.runfile import title_of
 
 MAX_ROWS = 1000
 """Largest number of rows of a table. The other rows are in run.json."""
+MAX_OF_KIND = 10
+"""Largest number of places of a kind that have their own row, the worst ones. The others share
+one row."""
+SMALL_M2 = 1000.0
+"""Voids at the border of the survey below this area share one row."""
+AT_BORDER = "void at the border of the survey"
 
 Run = Mapping[str, Any]
 Place = tuple[float, float, float, float]
@@ -38,12 +45,15 @@ class Problem(NamedTuple):
         Cause and size of the problem.
     remedy : str
         Remedy in words. It is empty if there is nothing to do.
+    area_m2 : float or None
+        Area of a place whose pixels are the problem.
     """
 
     what: str
     where: Place | None
     why: str
     remedy: str = ""
+    area_m2: float | None = None
 
 
 def problems_of(run: Run) -> list[Problem]:
@@ -68,7 +78,7 @@ def _warnings(run: Run) -> Iterator[Problem]:
 
 
 def _objects(run: Run) -> Iterator[Problem]:
-    """Yield roofs and crowns that may still be in the finished terrain."""
+    """Yield the widest roof, and crowns, that may still be in the finished terrain."""
     positions = run.get("advice_at", ())
     for text, position in zip_longest(run.get("advice", ()), positions):
         yield Problem("objects suspected in the terrain", place_of(position), text)
@@ -107,17 +117,54 @@ def _labels(run: Run) -> Iterator[Problem]:
         yield Problem("doubtful tiles", None, why, remedy)
 
 
+def _unit(run: Run, direction: str) -> float:
+    """Return the metres per unit of the CRS: ``horizontal`` or ``vertical``."""
+    return float(run["plan"].get("metres_per_unit", {}).get(direction, 1.0))
+
+
 def _area(run: Run, square_metres: float) -> str:
-    return small_area_text(
-        square_metres, run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0)
-    )
+    return small_area_text(square_metres, _unit(run, "horizontal"))
+
+
+def _above(run: Run) -> Iterator[Problem]:
+    """Yield the places where the terrain is certainly wrong, because it lies above all returns."""
+    for place in run.get("above_returns", {}).get("worst", ()):
+        height = length_text(round(place["height_m"], 1), _unit(run, "vertical"))
+        why = f"{_area(run, place['area_m2'])} of terrain lie above all returns, by up to {height}"
+        remedy = (
+            "look at the points; use --edits with action ground if they are ground, or void to leave it "
+            "without heights"
+        )
+        yield Problem(
+            "terrain above all returns",
+            place_of(place["bounds"]),
+            why,
+            remedy,
+            place["area_m2"],
+        )
 
 
 def _voids(run: Run) -> Iterator[Problem]:
+    """Yield the voids, those inside the survey before those at its border, without small ones there."""
+    found = list(_all_voids(run))
+    yield from (void for void in found if void.what != AT_BORDER)
+    yield from (void for void in found if void.what == AT_BORDER and not _is_small(void))
+
+
+def _small_voids(run: Run) -> Iterator[Problem]:
+    yield from (void for void in _all_voids(run) if void.what == AT_BORDER and _is_small(void))
+
+
+def _is_small(problem: Problem) -> bool:
+    return problem.area_m2 is not None and problem.area_m2 < SMALL_M2
+
+
+def _all_voids(run: Run) -> Iterator[Problem]:
     for void in run.get("voids", {}).get("largest", ()):
         why = f"{counted(void['pixels'], 'pixel')} ({_area(run, void['area_m2'])}) without a height"
         remedy = "use --voids fill to fill it from its boundary, or --edits with action void to accept it"
-        yield Problem("void inside the survey", place_of(void["bounds"]), why, remedy)
+        what = AT_BORDER if void.get("at_border") else "void inside the survey"
+        yield Problem(what, place_of(void["bounds"]), why, remedy, void["area_m2"])
 
 
 def _edits(run: Run) -> Iterator[Problem]:
@@ -176,25 +223,59 @@ def _healed(run: Run) -> Iterator[Problem]:
 SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _files,
     _tasks,
+    _above,
     _warnings,
+    _objects,
     _voids,
     _edits,
-    _objects,
     _water,
     _canopy,
     _labels,
     _kept,
     _strays,
     _healed,
+    _small_voids,
 )
 """Sources of problems, the most serious first."""
 
 
+def table_rows(run: Run) -> list[Problem]:
+    """Return the problems of a run without long lists of places, so that these hide no other problem.
+
+    Small voids at the border share one row, and so do the places of any kind after the worst
+    `MAX_OF_KIND`. These rows are the last.
+    """
+    rows: list[Problem] = []
+    shared: dict[str, list[Problem]] = {}
+    own = Counter[str]()
+    for problem in problems_of(run):
+        is_minor = problem.what == AT_BORDER and _is_small(problem)
+        if problem.area_m2 is not None and (is_minor or own[problem.what] >= MAX_OF_KIND):
+            shared.setdefault(problem.what, []).append(problem)
+        else:
+            rows.append(problem)
+            own[problem.what] += 1
+    return rows + [_joined(run, places) for places in shared.values()]
+
+
+def _joined(run: Run, places: Sequence[Problem]) -> Problem:
+    """Return one problem for places of the same kind."""
+    if len(places) == 1:
+        return places[0]
+    area = _area(run, sum(place.area_m2 or 0.0 for place in places))
+    which = "small ones" if places[0].what == AT_BORDER else "more"
+    why = f"{len(places):,} {which}, {area} together, each marked on the map and listed in run.json"
+    return places[0]._replace(where=None, why=why)
+
+
 def problems(run: Run) -> Node:
     """Return the section of the report about missing and doubtful results, with remedies."""
-    all_problems = problems_of(run)
+    all_problems = table_rows(run)
     if not all_problems:
-        none = "None: every file was read, every tile was processed, and no result is doubtful."
+        none = (
+            "None: every file was read, every tile was processed, and no check of the run found a doubtful result. "
+            "The checks do not find every error, such as houses in the terrain: look at the map."
+        )
         return section("problems", "Problems", el("p", none))
     rows: list[tuple[Content, ...]] = [
         (p.what, _link(p.where), p.why, p.remedy) for p in all_problems[:MAX_ROWS]

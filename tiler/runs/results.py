@@ -10,6 +10,7 @@ from ptd.passes import State
 from tiler.core.records import to_json
 from tiler.core.results import ClassCounts, FetchedBytes, LabelCounts, PointCounts, Stray
 from tiler.core.terrain_results import (
+    AboveResult,
     BreaklineCounts,
     BridgeResult,
     CanopyResult,
@@ -92,6 +93,7 @@ class Results:
     mask: dict[str, int]
     sigma: SigmaResult
     voids: VoidsResult
+    above_returns: AboveResult
     contours: ContourResult
     spots: SpotCounts
     sheets: int

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import tomllib
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 
 from ptd.matched.crowns import Crowns
+from ptd.methods import METHODS
 from tests.scenes.halls import ROWS, with_hall
 from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.water import LAKE, Water, Waters
 from tiler.grid.centreline import area_of
 from tiler.grid.crowns import crown_advice, crowns_in_block
-from tiler.grid.roofs import roofs_in_terrain, thinned
+from tiler.grid.roofs import TOO_WIDE, roofs_in_terrain, thinned
 from tiler.store import TileStore
 
 
@@ -94,3 +97,21 @@ def test_crowns_in_the_terrain_of_a_store(pixels: int, small_store: TileStore) -
     assert 5_400_000 / pixels - 120 < y < 5_400_000 / pixels
     assert crown_advice([Crowns(900, looked[0].found[:20])], spec) is None
     assert crown_advice([Crowns(15, looked[0].found[:9])], spec) is None  # too few
+
+
+def test_methods_md_says_from_which_width_a_roof_is_named() -> None:
+    def width(building_m: float) -> str:
+        return f"{TOO_WIDE * building_m:.0f} m"
+
+    root = Path(__file__).resolve().parents[3]
+    city = tomllib.loads((root / "tiler/config/presets/city.toml").read_text("utf-8"))
+    auto, classic = (METHODS[m].params().max_building_size_m for m in ("auto", "classic"))
+    text = (root / "docs/methods.md").read_text("utf-8")
+    assert (
+        f"({width(auto)} by default, {width(classic)} with `classic`, "
+        f"{width(city['parameters']['max_building_size_m'])} with `--preset city`)"
+    ) in text
+    params = {name: METHODS[name].params() for name in METHODS}
+    assert {n for n, p in params.items() if not hasattr(p, "max_building_size_m")} == {
+        "dong2017"
+    }

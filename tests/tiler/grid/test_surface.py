@@ -11,15 +11,16 @@ from scipy.spatial import KDTree
 
 from tests.scenes.ground_points import islands, l_shape, scattered, void
 from tests.tiler.grid.conftest import FINAL, Scene
+from tests.tiler.grid.test_above import above_work
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
-from tiler.grid import DistanceBlock, SurfaceBlock
+from tiler.grid import DistanceBlock, SurfaceBlock, above_block
 from tiler.grid.distance import distance_block
 from tiler.grid.records import SurfaceRecord
-from tiler.grid.surface import above_terrain, surface_block, surface_heights
+from tiler.grid.surface import raised_to, surface_block, surface_heights
 
 PIXEL = Fraction(2000)
 
@@ -120,7 +121,8 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     spec = scene.grid_into_store("dtm", PIXEL)
     scene.store.create_raster("dsm", spec.height, spec.width)
     (block,) = spec.blocks(512)
-    record = surface_block(scene.store.url, surface_work(scene, spec, block))
+    surface_block(scene.store.url, surface_work(scene, spec, block))
+    above = above_block(scene.store.url, above_work(spec, block))
     surface, terrain = (
         scene.store.read_block("dsm", block),
         scene.store.read_block("dtm", block),
@@ -131,18 +133,15 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     plain, _ = dsm(scene)
     # Also of ground at the lower side of its pixel.
     assert (plain[both] < terrain[both] - 0.5).sum() > len(alone)
-    assert record.deep == len(alone) > 10
+    assert above.wrong == len(alone) > 10
     deepest = plain[both] < terrain[both] - 20
     assert deepest.sum() == len(alone)
 
 
 def test_only_known_heights_are_held_against_the_terrain() -> None:
     none = np.float32(NODATA)
-    surface, deep = above_terrain(
-        np.float32([5, 5, none, none, 5]), np.float32([4, 7, 3, none, none]), 1.0
-    )
+    surface = raised_to(np.float32([5, 5, none, none, 5]), np.float32([4, 7, 3, none, none]))
     assert surface.tolist() == [5, 7, none, none, 5]
-    assert deep.tolist() == [False, True, False, False, False]
 
 
 @pytest.mark.parametrize("shape", [void, islands], ids=["void", "islands"])

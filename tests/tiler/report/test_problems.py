@@ -9,7 +9,7 @@ import pytest
 
 from tests.tiler.report import results
 from tiler.report.html import write_report
-from tiler.report.problems import Problem, problems_of
+from tiler.report.problems import Problem, problems_of, table_rows
 
 WATER = {
     "number": 3,
@@ -52,6 +52,86 @@ def test_squares_that_a_canopy_hides_are_problems_with_a_place() -> None:
     assert problem.where == (0.0, 64.0, 64.0, 128.0)
     assert problem.why == "a closed canopy"
     assert "--canopy void" in problem.remedy
+
+
+def test_terrain_above_all_returns_is_a_problem_with_a_place_an_area_and_a_height() -> None:
+    place = {"pixels": 5, "bounds": [0.0, 1.0, 4.0, 8.0], "area_m2": 1045.0, "height_m": 10.669}
+    (problem,) = found(above_returns={"pixels": 9, "number": 1, "worst": [place]})
+    assert problem.what == "terrain above all returns"
+    assert problem.where == (0.0, 1.0, 4.0, 8.0)
+    assert problem.why == "1,045 m2 of terrain lie above all returns, by up to 35.1 ft (10.7 m)"
+    assert "action ground" in problem.remedy
+
+
+def void(area_m2: float, at_border: bool = True) -> dict[str, Any]:
+    bounds = [area_m2, 0.0, area_m2 + 1.0, 1.0]
+    return {"pixels": 7, "bounds": bounds, "area_m2": area_m2, "at_border": at_border}
+
+
+def voids(*largest: dict[str, Any]) -> dict[str, Any]:
+    return {"surveyed_pixels": 9000, "pixels": 7, "asked_pixels": 0, "largest": [*largest]}
+
+
+def rows(**changes: Any) -> list[Problem]:
+    """Rows of the table of a run that has no problems but those of the changes."""
+    content = results.run(**changes)
+    content["plan"]["warnings"] = []
+    return table_rows(content)
+
+
+def test_a_problem_inside_the_survey_comes_before_one_at_its_border() -> None:
+    place = {"pixels": 12, "bounds": [0.0, 0.0, 4.0, 3.0], "area_m2": 12.0, "height_m": 1.5}
+    changes = {
+        "voids": voids(void(5000), void(800), void(60, False), void(3, False)),
+        "above_returns": {"pixels": 12, "number": 1, "worst": [place]},
+        "water_doubts": [{"text": "a lake", "place": [1.0, 2.0]}],
+        "classes": {"no_part": {"17": 1200}},
+    }
+    inside, border = "void inside the survey", "void at the border of the survey"
+    assert [(problem.what, problem.area_m2) for problem in found(**changes)] == [
+        ("terrain above all returns", 12.0),
+        (inside, 60),
+        (inside, 3),
+        (border, 5000),
+        ("doubtful water", None),
+        ("class kept", None),
+        (border, 800),
+    ]
+    assert rows(**changes) == found(**changes)
+
+
+def test_small_voids_at_the_border_share_the_last_row_but_are_all_in_the_list() -> None:
+    small = [void(area) for area in (515, 212, 2, 2)]
+    changes = {"voids": voids(void(1000), *small, void(1, False)), "healed": ["a"]}
+    *others, last = rows(**changes)
+    assert [problem.area_m2 for problem in others] == [1, 1000, None]
+    assert last.what == "void at the border of the survey"
+    assert last.where is None
+    assert last.why.startswith("4 small ones, 731 m2 together")
+    assert [problem.area_m2 for problem in found(**changes)] == [1, 1000, None, 515, 212, 2, 2]
+
+
+def test_places_after_the_worst_ten_of_a_kind_share_a_row() -> None:
+    worst = [
+        {"pixels": 20, "bounds": [0.0, 0.0, 5.0, 4.0], "area_m2": 20.0, "height_m": 20.0 - i}
+        for i in range(13)
+    ]
+    changes = {
+        "above_returns": {"pixels": 260, "number": 13, "worst": worst},
+        "voids": voids(void(7, False)),
+    }
+    *ten, hole, last = rows(**changes)
+    assert ten == found(**changes)[:10]
+    assert hole.what == "void inside the survey"
+    assert last.what == ten[0].what
+    assert last.why.startswith("3 more, 60 m2 together")
+    assert len(found(**changes)) == 14
+
+
+def test_voids_of_an_earlier_run_lie_inside_the_survey() -> None:
+    earlier = {"pixels": 7, "bounds": [0.0, 0.0, 1.0, 1.0], "area_m2": 7.0}
+    (problem,) = found(voids=voids(earlier))
+    assert problem.what == "void inside the survey"
 
 
 def test_doubtful_tiles_have_a_place() -> None:

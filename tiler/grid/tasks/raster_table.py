@@ -16,6 +16,7 @@ Rasters of pixels:
 - ``<name>-filled``: a model with filled voids.
 - ``<name>-outlined``: a model that ends at the outline of the survey, with level water.
 - ``canopy``: the pixels in which crowns hide the ground.
+- ``dtm-above``: no pixels, but a record for each block of where the terrain lies above all returns.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.grid import (
     NO_PIECE,
+    above_block,
     canopy_block,
     close_block,
     count_plane_rims,
@@ -53,6 +55,7 @@ from tiler.grid import (
 from tiler.grid.tasks.gridding import Grid, RasterStep
 from tiler.grid.tasks.rasters import (
     CANOPY,
+    above_tasks,
     canopy_tasks,
     coarse_terrain_tasks,
     derived_tasks,
@@ -84,6 +87,7 @@ from tiler.grid.tasks.water_search import (
 
 MODELS = ("dtm", "dsm")
 """Products whose voids can be filled."""
+ABOVE = "dtm-above"
 
 
 def final_raster(product: str, config: RunConfig) -> str:
@@ -135,6 +139,7 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
         RasterStep(
             "distance", (), distance_block, Grid.PIXELS, distance_tasks, float(config.max_edge)
         ),
+        RasterStep(ABOVE, (dtm,), above_block, Grid.PIXELS, above_tasks, edits=OF_PIXELS),
         RasterStep("occupancy", (), occupancy_block, Grid.COARSE, point_tasks),
         RasterStep(
             "survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE
@@ -256,7 +261,10 @@ def _nodata(product: str) -> float:
 
 
 def required_rasters(config: RunConfig) -> list[RasterStep]:
-    """Return the rasters to make, each after its inputs. The terrain and its inputs come first."""
+    """Return the rasters to make, each after its inputs. The terrain and its inputs come first.
+
+    Every run looks for places where the terrain is above all returns.
+    """
     table = raster_table(config)
     steps: dict[str, RasterStep] = {}
 
@@ -267,4 +275,5 @@ def required_rasters(config: RunConfig) -> list[RasterStep]:
 
     for product in ("dtm", *(name for name in PRODUCTS if name in config.exported)):
         add(final_raster(product, config))
+    add(ABOVE)
     return list(steps.values())

@@ -14,6 +14,7 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.core.water import Waters
 from tiler.grid import (
     CANOPY_AROUND,
+    AboveBlock,
     CanopyBlock,
     DeriveBlock,
     DistanceBlock,
@@ -27,6 +28,7 @@ from tiler.grid import (
     reach_of,
     reach_pixels,
 )
+from tiler.grid.coarse import padded
 from tiler.grid.pieces import around
 from tiler.grid.tasks.gridding import GridContext, RasterStep
 from tiler.grid.tasks.survey import surveyed_blocks
@@ -82,14 +84,45 @@ def distance_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 
 def surface_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the surface could reach, with the terrain as lower limit."""
-    plan, frame = context.plan, context.plan.frame
-    reach = reach_pixels(plan.grid.resolution)
-    (terrain,) = raster.inputs
-    spike = plan.config.spike / frame.metres_z
-    make = _on_tin(SurfaceBlock, context, spike=spike, reach=reach, terrain=terrain)
-    margin = full_halo(frame.counts(plan.config.max_edge))
-    margin += math.ceil((reach + 1) * frame.counts(plan.grid.resolution))
+    plan, counts = context.plan, context.plan.frame.counts
+    choice = _highest(raster, context)
+    make = _on_tin(SurfaceBlock, context, **choice)
+    margin = full_halo(counts(plan.config.max_edge))
+    margin += math.ceil((choice["reach"] + 1) * counts(plan.grid.resolution))
     return _block_tasks(raster, context, make, margin)
+
+
+def above_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
+    """Yield a task for each block with points. A task also reads the points just outside the block."""
+    spec, choice = context.spec, _highest(raster, context)
+    margin = math.ceil(choice["reach"] * spec.lattice.size)
+    for block, near in _near(context, spec, margin).items():
+        work = AboveBlock(
+            name=raster.name,
+            spec=spec,
+            block=block,
+            rule=context.rule,
+            waters=context.water_key,
+            **choice,
+        )
+        yield context.block_task(
+            raster,
+            work,
+            context.label_digests(near),
+            context.checksums(choice["terrain"], [block.name]),
+            context.waters.digest(spec.block_bounds(block)),
+            points=context.n_points(near),
+        )
+
+
+def _highest(raster: RasterStep, context: GridContext) -> dict[str, Any]:
+    """Return the arguments of `tiler.grid.highest.ReturnsBlock` that are the same for all blocks."""
+    (terrain,) = raster.inputs
+    return {
+        "spike": context.plan.config.spike / context.plan.frame.metres_z,
+        "reach": reach_pixels(context.plan.grid.resolution),
+        "terrain": terrain,
+    }
 
 
 def _on_tin(
@@ -182,7 +215,7 @@ def outline_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             raster,
             work,
             context.checksums(model, [key]),
-            context.coarse_checksums(survey, block),
+            context.coarse_checksums(survey, padded(block, 1)),
             water_digest,
             context.checksums(CANOPY, [key]) if canopy else [],
         )

@@ -52,23 +52,30 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
     """Merge touching cells with holes (see `tiler.grid.holes.hole_cells`) into voids, the largest first."""
-    table = np.array(list(cells), np.int64).reshape(-1, 5)
+    # Records of an earlier version lack the pixels at the border.
+    table = np.array([[*cell, 0][:6] for cell in cells], np.int64).reshape(-1, 6)
     if not len(table):
         return []
-    n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:]
+    n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:5]
     pairs = scipy.spatial.cKDTree(first_pixel // CELL_PIXELS).query_pairs(
         TOUCHING, output_type="ndarray"
     )
     graph = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(table), len(table)))
     n_voids, void_of_cell = scipy.sparse.csgraph.connected_components(graph, directed=False)
     pixels = np.bincount(void_of_cell, n_holes, n_voids).astype(np.int64)
+    at_border = np.bincount(void_of_cell, table[:, 5], n_voids) > 0
     first = np.full((n_voids, 2), np.iinfo(np.int64).max)
     last = np.zeros((n_voids, 2), np.int64)
     np.minimum.at(first, void_of_cell, first_pixel)
     np.maximum.at(last, void_of_cell, last_pixel)
     order = np.lexsort((first[:, 1], first[:, 0], -pixels))
     return [
-        VoidResult(int(pixels[i]), _bounds(spec, first[i], last[i]), int(pixels[i]) * pixel_m2)
+        VoidResult(
+            int(pixels[i]),
+            _bounds(spec, first[i], last[i]),
+            int(pixels[i]) * pixel_m2,
+            bool(at_border[i]),
+        )
         for i in order
     ]
 

@@ -1,0 +1,167 @@
+"""Terrain above all returns: the pixels by definition, and places that blocks do not divide."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from tests.tiler.grid.conftest import FINAL, Scene
+from tiler.core.area import Area
+from tiler.core.edits import FLAT, Edit, Edits
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.units import FOOT, Units
+from tiler.core.water import LAKE, Water, Waters
+from tiler.grid import AboveBlock, above_block
+from tiler.grid.above import ABOVE_M, heights_above
+from tiler.grid.records import AboveRecord
+from tiler.grid.tasks.above import places_of
+
+PIXEL = Fraction(1000)
+SIDE = 40
+"""Pixels of the scenes along a side, each with one return at its centre."""
+
+
+def above_work(spec: RasterSpec, block: Block, **options) -> AboveBlock:
+    usual = {"name": "dtm-above", "rule": FINAL, "terrain": "dtm"}
+    return AboveBlock(
+        spec=spec, block=block, **{**usual, "reach": 1, "spike": Fraction(5000), **options}
+    )
+
+
+def flat_scene(make_scene, low: np.ndarray, depth_m: float = 3.0, **options) -> Scene:
+    """Returns at 50 m, but ``depth_m`` lower in the pixels ``low``, bool (rows, columns); terrain at 50 m."""
+    rows, cols = np.indices(low.shape).reshape(2, -1)
+    heights = np.where(low.ravel(), 50_000 - 1000 * depth_m, 50_000)
+    xyz = np.stack((cols * 1000 + 500, (low.shape[0] - 1 - rows) * 1000 + 500, heights), axis=1)
+    scene = make_scene(xyz.astype(np.int64), **options)
+    spec = spec_of(scene)
+    scene.store.create_raster("dtm", spec.height, spec.width)
+    for block in spec.blocks(BLOCK_PIXELS):
+        scene.store.write_block(
+            "dtm", block, np.full((block.height, block.width), 50.0, np.float32)
+        )
+    return scene
+
+
+def spec_of(scene: Scene) -> RasterSpec:
+    return RasterSpec.enclosing(Lattice(PIXEL), scene.data)
+
+
+def pixels(*places: tuple[slice, slice]) -> np.ndarray:
+    low = np.zeros((SIDE, SIDE), np.bool_)
+    for rows, cols in places:
+        low[rows, cols] = True
+    return low
+
+
+def records(scene: Scene, **options) -> dict[tuple[int, int], AboveRecord]:
+    spec = spec_of(scene)
+    return {
+        (block.row, block.col): above_block(scene.store.url, above_work(spec, block, **options))
+        for block in spec.blocks(BLOCK_PIXELS)
+    }
+
+
+def found(scene: Scene, **options) -> list[tuple[int, list[float], float]]:
+    """Area, bounds and height of each place."""
+    places = places_of(records(scene, **options), spec_of(scene), Fraction(1))
+    return [(place.area_m2, place.bounds, place.height_m) for place in places]
+
+
+def test_a_place_has_its_area_its_bounds_and_its_largest_height(make_scene) -> None:
+    low = pixels((slice(10, 14), slice(20, 25)), (slice(30, 34), slice(5, 9)))
+    scene = flat_scene(make_scene, low)
+    spec = spec_of(scene)
+    dtm = np.full((SIDE, SIDE), 50.0, np.float32)
+    dtm[32, 6] = 54.5
+    scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), dtm)
+    assert found(scene) == [
+        (16.0, [5.0, SIDE - 34.0, 9.0, SIDE - 30.0], 7.5),
+        (20.0, [20.0, SIDE - 14.0, 25.0, SIDE - 10.0], 3.0),
+    ]
+    above = heights_above(scene.store, above_work(spec, Block(0, 0, SIDE, SIDE)))
+    assert np.array_equal(above > ABOVE_M, low)
+
+
+def test_small_places_are_counted_but_not_listed(make_scene) -> None:
+    low = pixels((slice(10, 13), slice(20, 23)), (slice(20, 22), slice(5, 10)))
+    assert [area for area, _, _ in found(flat_scene(make_scene, low))] == [10.0]
+    (record,) = records(flat_scene(make_scene, low)).values()
+    assert (record.wrong, record.filled) == (19, 0)
+
+
+def test_pixels_that_touch_at_a_corner_are_one_place(make_scene) -> None:
+    low = pixels((slice(10, 12), slice(10, 13)), (slice(12, 14), slice(13, 16)))
+    assert [area for area, _, _ in found(flat_scene(make_scene, low))] == [12.0]
+
+
+def test_terrain_up_to_a_metre_above_is_no_place(make_scene) -> None:
+    low = pixels((slice(10, 20), slice(10, 20)))
+    assert found(flat_scene(make_scene, low, 1.0)) == []
+    assert len(found(flat_scene(make_scene, low, 1.001))) == 1
+
+
+def test_the_limit_is_a_metre_in_feet_too(make_scene) -> None:
+    low = pixels((slice(10, 30), slice(10, 30)))
+    feet = CoordFrame(Units(FOOT, FOOT))
+    assert found(flat_scene(make_scene, low, 3.2, frame=feet)) == []
+    ((_, _, height),) = found(flat_scene(make_scene, low, 3.3, frame=feet))
+    assert height == pytest.approx(3.3 * 0.3048, abs=1e-3)
+
+
+def test_neither_noise_nor_pixels_without_terrain_count(make_scene) -> None:
+    low = pixels((slice(10, 20), slice(10, 20)))
+    noise = np.where(low.ravel(), 7, 2).astype(np.uint8)
+    assert found(flat_scene(make_scene, low, labels=noise)) == []
+    scene = flat_scene(make_scene, low)
+    scene.store.write_block(
+        "dtm", Block(0, 0, SIDE, SIDE), np.where(low, -9999, 50).astype(np.float32)
+    )
+    assert found(scene) == []
+
+
+def test_a_height_that_an_edit_sets_is_no_problem(make_scene) -> None:
+    low = pixels((slice(10, 20), slice(10, 20)))
+    scene = flat_scene(make_scene, low)
+    area = Area.rectangle(Bounds(10_000, 20_000, 15_000, 30_000))
+    edits = Edits((Edit(number=1, action=FLAT, area=area, z=50_000),), Lattice(PIXEL))
+    scene.store.put_edits(edits)
+    rule = replace(FINAL, edits=edits.key)
+    ((area_m2, bounds, _),) = found(scene, rule=rule)
+    assert (area_m2, bounds) == (50.0, [15.0, 20.0, 20.0, 30.0])
+
+
+def test_water_is_no_problem(make_scene) -> None:
+    """Returns far below the level of water are noise."""
+    scene = flat_scene(make_scene, pixels((slice(10, 20), slice(10, 20))))
+    area = Area.rectangle(Bounds(10_000, 20_000, 20_000, 30_000))
+    waters = Waters((Water(1, LAKE, area, 50_000),))
+    scene.store.put_waters(waters)
+    assert found(scene, waters=waters.key) == []
+
+
+def test_places_across_blocks_are_joined(make_scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A place on four blocks, another that touches only diagonally across a corner, and one too small in each block."""
+    low = pixels(
+        (slice(14, 19), slice(12, 20)),
+        (slice(28, 32), slice(30, 32)),
+        (slice(32, 34), slice(32, 34)),
+        (slice(2, 4), slice(13, 19)),
+    )
+    scene = flat_scene(make_scene, low)
+    whole = found(scene)
+    assert [area for area, _, _ in whole] == [40.0, 12.0, 12.0]
+    spec = spec_of(scene)
+    for side in (8, 16):
+        monkeypatch.setattr("tiler.grid.pieces.BLOCK_PIXELS", side)
+        of_blocks = {
+            (block.row, block.col): above_block(scene.store.url, above_work(spec, block))
+            for block in spec.blocks(side)
+        }
+        places = places_of(of_blocks, spec, Fraction(1))
+        assert [(p.area_m2, p.bounds, p.height_m) for p in places] == whole

@@ -1,0 +1,113 @@
+"""Places where the terrain lies far above all returns, so that it is certainly wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.core.digests import NOT_IN_DIGEST
+from tiler.core.edits import FLAT
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import NODATA, RasterSpec
+from tiler.grid.highest import NOTHING, ReturnsBlock, highest_returns
+from tiler.grid.pieces import label_block
+from tiler.grid.records import AboveRecord
+from tiler.store import TileStore, open_store
+
+Heights = npt.NDArray[np.float64]
+
+ABOVE_M = 1.0
+"""Height above the highest return of its pixel from which terrain counts as wrong."""
+MIN_PLACE_M2 = Fraction(10)
+"""Least area of a place. In smaller ones, the returns are often noise that the filter missed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AboveBlock(ReturnsBlock):
+    """Arguments of `above_block`.
+
+    Attributes
+    ----------
+    waters : str or None
+        Key in the store of bodies of water. The digest includes those that touch the block.
+    """
+
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+
+
+def above_block(store_url: str, work: AboveBlock) -> AboveRecord:
+    """Find the places in a block where the terrain lies above all returns.
+
+    This is a `tiler.schedule.task.Work`. It writes no pixels. Places are pixels that touch at
+    sides or corners. The record has those that are large enough or that touch a side of the
+    block, as they may continue in the next one.
+
+    Returns
+    -------
+    AboveRecord
+        Record of the block.
+    """
+    store = open_store(store_url)
+    above = heights_above(store, work)
+    wrong = above > ABOVE_M
+    labels, sides = label_block(_listed(wrong, min_pixels(store, work.spec)), corners=True)
+    numbers = np.arange(1, int(labels.max(initial=0)) + 1)
+    sizes = np.bincount(labels.ravel(), minlength=len(numbers) + 1)[1:]
+    largest = scipy.ndimage.maximum(above, labels, numbers) if len(numbers) else ()
+    places = []
+    for size, height, (rows, cols) in zip(
+        sizes, largest, scipy.ndimage.find_objects(labels), strict=True
+    ):
+        first = work.block.row + rows.start, work.block.col + cols.start
+        last = work.block.row + rows.stop - 1, work.block.col + cols.stop - 1
+        places.append([int(size), *first, *last, round(float(height), 3)])
+    return AboveRecord(
+        filled=0,
+        sides=sides,
+        labels=len(places),
+        wrong=int(np.count_nonzero(wrong)),
+        places=places,
+    )
+
+
+def heights_above(store: TileStore, work: AboveBlock) -> Heights:
+    """Return the height in metres of the terrain above the highest return of each pixel of a block.
+
+    Pixels without a return or without terrain have 0. So have pixels of water, whose low
+    returns are noise, and of edits that set a height.
+    """
+    spec, block = work.spec, work.block
+    returns, terrain = (
+        highest_returns(store, work, block)[..., 2],
+        store.read_block(work.terrain, block),
+    )
+    known = (returns != NOTHING) & (terrain != np.float32(NODATA))
+    waters = store.waters(work.waters, spec.block_bounds(block))
+    if waters is not None:
+        known &= ~waters.inside(spec, block)
+    key = work.rule.edits
+    edits = None if key is None else store.edits(key, spec.block_bounds(block), (FLAT,))
+    for edit in () if edits is None else edits.edits:
+        known &= ~spec.inside(block, edit.area)
+    above = terrain.astype(np.float64) - returns / COUNTS_PER_UNIT
+    return np.where(known, above * float(store.meta.frame.units.vertical), 0.0)
+
+
+def min_pixels(store: TileStore, spec: RasterSpec) -> int:
+    """Return the number of pixels of the smallest place."""
+    return math.ceil(MIN_PLACE_M2 / (spec.lattice.size * store.meta.frame.metres_xy) ** 2)
+
+
+def _listed(wrong: npt.NDArray[np.bool_], least: int) -> npt.NDArray[np.bool_]:
+    """Return the mask of the places with at least ``least`` pixels and of those at a side of the block."""
+    labels, sides = label_block(wrong, corners=True)
+    listed = np.bincount(labels.ravel()) >= least
+    listed[[label for side in sides.values() for label, _ in side]] = True
+    listed[0] = False
+    kept: npt.NDArray[np.bool_] = listed[labels]
+    return kept

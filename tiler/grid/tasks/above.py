@@ -1,0 +1,76 @@
+"""Entries in run.json about places where the terrain lies above all returns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from fractions import Fraction
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.terrain_results import AbovePlace, AboveResult
+from tiler.core.units_text import length_text, small_area_text
+from tiler.core.words import counted
+from tiler.grid import ABOVE_M, MIN_PLACE_M2
+from tiler.grid.pieces import join_pieces
+from tiler.grid.records import AboveRecord
+from tiler.runs.job import Job
+from tiler.store import Commits
+
+MAX_LISTED = 1000
+"""run.json lists at most this many places, the worst ones."""
+
+
+def report_above(job: Job, spec: RasterSpec, made: Commits) -> None:
+    """Add to run.json the places where the terrain lies above all returns, and note them."""
+    records = {}
+    for name, (_, stored) in made.items():
+        block = spec.block_named(name, BLOCK_PIXELS)
+        records[block.row, block.col] = AboveRecord.of(stored)
+    places = places_of(records, spec, job.plan.grid.resolution**2)
+    pixels = sum(record.wrong for record in records.values())
+    job.results.above_returns = AboveResult(pixels, len(places), places[:MAX_LISTED])
+    if places:
+        job.note(_note(job, pixels, places))
+
+
+def places_of(
+    records: Mapping[tuple[int, int], AboveRecord], spec: RasterSpec, pixel_m2: Fraction
+) -> list[AbovePlace]:
+    """Join the places of blocks across their sides, leave out small places, and sort by height.
+
+    Parameters
+    ----------
+    records : mapping
+        First row and column of each block -> its record.
+    spec : RasterSpec
+    pixel_m2 : Fraction
+        Area of a pixel.
+    """
+    sides = {at: record.sides for at, record in records.items()}
+    numbers = {at: record.labels for at, record in records.items()}
+    joined = join_pieces(sides, numbers, corners=True)
+    least, places = math.ceil(MIN_PLACE_M2 / pixel_m2), []
+    for pieces in joined.areas.values():
+        parts = [records[piece.row, piece.col].places[piece.label - 1] for piece in pieces]
+        n_pixels, top, left, bottom, right, heights = zip(*parts, strict=True)
+        pixels = int(sum(n_pixels))
+        if pixels < least:
+            continue
+        row, col = int(min(top)), int(min(left))
+        block = Block(row, col, int(max(bottom)) - row + 1, int(max(right)) - col + 1)
+        bounds = [edge / COUNTS_PER_UNIT for edge in spec.block_bounds(block).to_json()]
+        places.append(AbovePlace(pixels, bounds, float(pixels * pixel_m2), max(heights)))
+    return sorted(places, key=lambda place: (-place.height_m, -place.pixels, place.bounds))
+
+
+def _note(job: Job, pixels: int, places: list[AbovePlace]) -> str:
+    units, worst = job.plan.frame.units, places[0]
+    west, south, east, north = worst.bounds
+    return (
+        f"in {counted(pixels, 'pixel')} all returns lie more than {length_text(ABOVE_M, units.vertical)} below the "
+        f"terrain, in {counted(len(places), 'place')} of at least "
+        f"{small_area_text(float(MIN_PLACE_M2), units.horizontal)}: the terrain is too high there, or the returns are "
+        f"noise; worst at x {(west + east) / 2:.0f}, y {(south + north) / 2:.0f}, by "
+        f"{length_text(round(worst.height_m, 1), units.vertical)}"
+    )
