@@ -220,3 +220,21 @@ def on_summits(
     continued, n_edges = boxes.totals(around, raster.keys).T
     near: Bool = lost & (continued >= np.maximum(SHARE * n_edges, LEAST))
     return _steep(raster.keys, slots, points, near, limits, known)
+
+
+def without_thin(found: Bool, raster: CellRaster, reach: int) -> Bool:
+    """Return the found cells without thin strips, which may be the sides of buildings: bool [n].
+
+    A cell stays if it lies in the square of ``reach`` cells to all sides of a found cell, and half of this square was
+    found. Cells farther than twice the reach do not change the result.
+    """
+    if not found.any():
+        return found
+    ones = np.ones(found.size, np.int32)
+    n_found = Boxes(raster.lowest(ones, found)).totals(reach, raster.keys)[:, 1]
+    core = found & (2 * n_found >= (2 * reach + 1) ** 2)
+    if not core.any():
+        return core
+    n_core = Boxes(raster.lowest(ones, core)).totals(reach, raster.keys)[:, 1]
+    stays: Bool = found & (n_core > 0)
+    return stays

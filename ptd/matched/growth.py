@@ -10,6 +10,10 @@ cell. A cell above the surface joins in one of three cases:
   another plane.
 - It is terrain as a whole (`ptd.matched.objects`) and lies between ground cells on opposite
   sides and below the upper one. The faces of banks do not lie on a plane either.
+
+The hull passes up to 12 m below the edges of high steps, as in quarries. Roofs and decks of
+bridges are as high, but there the surroundings are lower on both sides. Such *strips* join only
+near the ground and near the surface.
 """
 
 from __future__ import annotations
@@ -22,11 +26,14 @@ from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M
 
-GROWS_M = 8.0
-"""Largest distance to which ground grows."""
-MAX_HEIGHT_M = 3.0
-"""Largest height above the surface of a cell that joins: roofs of houses on slopes may continue
-the terrain above."""
+GROWS_M, STRIP_GROWS_M = 16.0, 8.0
+"""Largest distance to which ground grows, and to which it grows onto strips."""
+MAX_HEIGHT_M, STRIP_MAX_HEIGHT_M = 12.0, 3.0
+"""Largest height above the surface of a cell that joins, and of a strip: roofs of houses on
+slopes may continue the terrain above."""
+STRIP_M, STRIP_FALL_M = 16.0, 2.0
+"""A cell belongs to a strip if within the first distance, on both sides along one of four
+directions, a cell is lower by more than the second."""
 PLANE_CELLS = 2
 """Largest distance of the ground cells of a plane, in cells along rows and along columns."""
 PLANE_SQUARE = 5
@@ -52,14 +59,36 @@ than 1, because among plants a level neighbour is found nearly everywhere."""
 Float64 = npt.NDArray[np.float64]
 
 
-def _steps(cell_m: float) -> int:
-    """Return the largest number of cells that ground grows."""
-    return round(GROWS_M / cell_m)
-
-
 def reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which heights do not change whether a cell joins."""
-    return _steps(cell_m) * max(PLANE_CELLS, BETWEEN_CELLS)
+    steps = round(GROWS_M / cell_m)
+    return steps * max(PLANE_CELLS, BETWEEN_CELLS) + round(STRIP_M / cell_m)
+
+
+@kernel
+def _falls(
+    height: Float64, there: Bool, row: int, column: int, way: tuple[int, int], reach: int
+) -> bool:
+    """Return whether a cell in a direction is lower by more than `STRIP_FALL_M`."""
+    for k in range(1, reach + 1):
+        r, c = row + k * way[0], column + k * way[1]
+        if not (0 <= r < height.shape[0] and 0 <= c < height.shape[1]):
+            return False
+        if there[r, c] and height[r, c] < height[row, column] - STRIP_FALL_M:
+            return True
+    return False
+
+
+@kernel
+def _are_strips(height: Float64, there: Bool, rows: Int64, columns: Int64, reach: int) -> Bool:
+    """Return a mask of the given cells that belong to strips."""
+    strips = np.zeros(rows.size, np.bool_)
+    for k in range(rows.size):
+        for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            strips[k] |= _falls(height, there, rows[k], columns[k], (dr, dc), reach) and _falls(
+                height, there, rows[k], columns[k], (-dr, -dc), reach
+            )
+    return strips
 
 
 @kernel
@@ -126,20 +155,21 @@ def _grow(
     near: Float64,
     rows: Int64,
     columns: Int64,
-    steps: int,
+    steps: Int64,
 ) -> Float64:
     """Return the heights of cells that joined the ground, NaN elsewhere, and add these cells to ``ground``.
 
-    All cells that join in a step do so together.
+    All cells that join in a step do so together. A cell joins in the first ``steps`` of its
+    steps.
     """
     joined_heights = np.full(height.shape, np.nan)
     waiting = np.ones(rows.size, np.bool_)
     joins = np.empty(rows.size, np.int64)
-    for _ in range(steps):
+    for step in range(steps.max() if rows.size else 0):
         n = 0
         for k in range(rows.size):
             r, c = rows[k], columns[k]
-            if not waiting[k]:
+            if not waiting[k] or step >= steps[k]:
                 continue
             level = _above_level(height, ground, r, c)
             above = 0.0
@@ -160,8 +190,9 @@ def _grow(
 
 def grown(
     height: Float64,
+    there: Bool,
     ground: Bool,
-    may_join: Bool,
+    above: Float64,
     terrain: Bool,
     sigma: Float64,
     narrowing: Float64,
@@ -177,8 +208,12 @@ def grown(
     ----------
     height : float64 [rows, columns]
         Heights of cells in metres.
-    ground, may_join : bool [rows, columns]
-        Cells that are ground, and cells that may join it; none lie within `BETWEEN_CELLS` of the raster's edges.
+    there : bool [rows, columns]
+        Cells that have a height; none lie within `BETWEEN_CELLS` of the raster's edges.
+    ground : bool [rows, columns]
+        Cells that are ground.
+    above : float64 [rows, columns]
+        Heights in metres above the surface of the cells that may join; NaN elsewhere.
     terrain : bool [rows, columns]
         Cells of surfaces that are terrain as a whole.
     sigma, narrowing : float64 [rows, columns]
@@ -186,7 +221,10 @@ def grown(
     cell_m : float
         Size of the cells in metres.
     """
-    rows, columns = np.nonzero(may_join)
+    rows, columns = np.nonzero(above < MAX_HEIGHT_M)
+    strips = _are_strips(height, there, rows, columns, round(STRIP_M / cell_m))
+    joins = ~strips | (above[rows, columns] < STRIP_MAX_HEIGHT_M)
+    rows, columns, strips = rows[joins], columns[joins], strips[joins]
+    steps = np.where(strips, round(STRIP_GROWS_M / cell_m), round(GROWS_M / cell_m))
     near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing
-    positions = rows.astype(np.int64), columns.astype(np.int64)
-    return _grow(height, ground.copy(), terrain, near, *positions, _steps(cell_m))
+    return _grow(height, ground.copy(), terrain, near, rows, columns, steps)

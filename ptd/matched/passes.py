@@ -211,17 +211,17 @@ class SurfacePass(MatchedPass):
         def ground(heights: Int32) -> surface.Surface:
             terrain = (codes & CODE == TERRAIN) & (heights != EMPTY)
             return surface.ground_surface(
-                heights, terrain, noise, scale, raster.row, raster.column, size_m
+                heights, terrain, noise, scale, raster.row, raster.column, size_m, bare
             )
 
-        fitted_surface, crowns = ground(raster.heights), (codes & CROWN) > 0
+        crowns = (codes & CROWN) > 0
+        bare = ~crowns & (codes < COVERED)
+        fitted_surface = ground(raster.heights)
         if crowns.any():
             raster = replace(
                 raster, heights=np.where(crowns, EMPTY, raster.heights).astype(np.int32)
             )
-            fitted_surface = below_canopy(
-                fitted_surface, ground(raster.heights), crowns | (codes >= COVERED), size_m
-            )
+            fitted_surface = below_canopy(fitted_surface, ground(raster.heights), ~bare, size_m)
         fitted_surface = islands.without_islands(
             fitted_surface, raster.heights, everything, scale, size_m
         )

@@ -12,6 +12,7 @@ Gaussian sums over cells are cut off at a fixed radius, so cells beyond `reach_c
 change the surface.
 """
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,9 +20,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32
-from ptd.frame import Scale
-from ptd.ground.morphology import Bool
+from ptd.cells import Int32, Xyz
+from ptd.frame import CellLattice, Scale
+from ptd.ground.morphology import Bool, CellRaster
+from ptd.ground.summits import REACH_CELLS, on_summits, without_thin
 from ptd.matched import bent_hull, growth
 from ptd.matched.bent_hull import ramp
 from ptd.matched.cells import CELL_M, EMPTY
@@ -76,6 +78,11 @@ GAP, NARROWEST, GAP_TERRAIN = (0.1, 0.55), 0.25, 0.5
 NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
 """Standard deviation of the surroundings from which noise is computed, its limit as a multiple
 of the place's noise, and the weight of the place's noise."""
+SUMMIT_M, THICK_M = 18.0, 2.5
+"""Distances along rows and columns: of the edges that decide whether a cell belongs to a ridge,
+and of the cells that must belong to it too (`ptd.ground.summits`). Thin strips are the lower
+parts of facades."""
+MILLIMETRES = Scale()
 EXTENDED_M = (1.0, 6.0)
 """Standard deviations of the surroundings whose mean continues the surface beyond its cells.
 Ground exists only within the first: farther away a single cell would give the ground below a
@@ -125,9 +132,10 @@ def reach_cells(cell_m: float) -> int:
     )
     fine = FINE_ROUNDS * (gaussian_radius(_fine_scale(cell_m)) + 1)
     extended = gaussian_radius(max(EXTENDED_M) / cell_m)
+    summits = round(SUMMIT_M / cell_m) + REACH_CELLS + 2 * _thick_cells(cell_m)
     cut_cells = replace(bent_hull.STIFF, cell_m=cell_m).cut_cells
     bent = bent_hull.reach_cells(cell_m)
-    return cut_cells + bent + 2 * about + rounds + edges + fine + extended
+    return cut_cells + bent + 2 * about + rounds + edges + summits + fine + extended
 
 
 def ground_surface(
@@ -138,6 +146,7 @@ def ground_surface(
     row: int,
     column: int,
     cell_m: float = CELL_M,
+    bare: Bool | None = None,
 ) -> Surface:
     """Fit the ground surface to the heights of cells.
 
@@ -155,6 +164,8 @@ def ground_surface(
         Row and column of the first cell on its lattice.
     cell_m : float
         Size of the cells in metres.
+    bare : bool [rows, columns], optional
+        Cells that no canopy covers, where ridges above the hulls are put back. None by default.
     """
     heights = _without_pockets(heights, replace(bent_hull.STIFF, cell_m=cell_m).cut_cells)
     there = heights != EMPTY
@@ -167,7 +178,7 @@ def ground_surface(
         return below
 
     start = bent_hull.bent_hull(cells, terrain, hull, sigma_m)
-    height, sigma, narrowing = _refined(cells, terrain, start, sigma_m)
+    height, sigma, narrowing = _refined(cells, terrain, start, sigma_m, bare)
     return _extended(cells, height, sigma, narrowing)
 
 
@@ -212,7 +223,11 @@ def with_noise(
 
 
 def _refined(
-    cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64
+    cells: RemainingCells,
+    terrain: Bool,
+    surface: Float64,
+    sigma_m: float | Float64,
+    bare: Bool | None,
 ) -> tuple[Float64, Float64, Float64]:
     """Move a surface to the mean of the cells near it.
 
@@ -229,6 +244,8 @@ def _refined(
             surface = surface + np.where(cells.there, mean, 0.0)
     sigma, narrowing, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     surface = _to_edges(cells, terrain, surface, sigma, narrowing, above, below)
+    if bare is not None:
+        surface = _with_summits(cells, surface, above, below, bare)
     std = _fine_scale(cells.cell_m)
     for _ in range(FINE_ROUNDS):
         weight = _weights(cells, surface, above, below, FINE_BESIDE)
@@ -267,9 +284,9 @@ def _to_edges(
     """Return the surface after growth to the edges of terraces and banks, changed only near cells that joined."""
     residual = cells.height - surface
     ground = cells.there & (residual < above) & (residual > -below)
-    may_join = cells.there & (residual >= above) & (residual < growth.MAX_HEIGHT_M)
+    higher = np.where(cells.there & (residual >= above), residual, np.nan)
     joined = growth.grown(
-        cells.height, ground, may_join, terrain, sigma, narrowing, cells.cell_m
+        cells.height, cells.there, ground, higher, terrain, sigma, narrowing, cells.cell_m
     )
     joins = ~np.isnan(joined)
     if not joins.any():
@@ -284,6 +301,30 @@ def _to_edges(
         mean = smoothed(weight * (cells.height - surface), std)
         surface = surface + np.where(near, mean / (smoothed(weight, std) + FEW), 0.0)
     return surface
+
+
+def _with_summits(
+    cells: RemainingCells, surface: Float64, above: Float64, below: Float64, bare: Bool
+) -> Float64:
+    """Return the surface with the height of each bare cell that belongs to a ridge or summit above it."""
+    residual = cells.height - surface
+    lost = (bare & (residual >= above))[cells.there]
+    ground = ((residual > -below) & (residual < above))[cells.there]
+    rows, columns = np.nonzero(cells.there)
+    x, y = np.rint(1000 * cells.cell_m * np.stack([columns + 0.5, rows + 0.5])).astype(np.int32)
+    points = Xyz(x, y, np.rint(1000 * cells.height[cells.there]).astype(np.int32))
+    raster = CellRaster(x, y, CellLattice.of(cells.cell_m, MILLIMETRES))
+    around = round(SUMMIT_M / cells.cell_m)
+    found = on_summits(points, lost, ground, raster, MILLIMETRES, cells.cell_m, around)
+    found = without_thin(found, raster, _thick_cells(cells.cell_m))
+    raised = surface.copy()
+    raised[rows[found], columns[found]] = cells.height[rows[found], columns[found]]
+    return raised
+
+
+def _thick_cells(cell_m: float) -> int:
+    """Return the distance in cells of the cells that must belong to a ridge, too."""
+    return max(math.floor(THICK_M / cell_m), 1)
 
 
 def _noise_and_band(

@@ -27,7 +27,7 @@ photogrammetric clouds, the DTM of `tiler run` is better
 ([benchmarks](benchmarks.md#image-matching-beside-other-programs)).
 
 The trees of the last look of `auto` were fitted to the semi-real scenes, so its figures there are too good. With each
-scene left out of the fit in turn, the mean total error is 1.83 % ([filters](filters.md)).
+scene left out of the fit in turn, the mean total error is 1.85 % ([filters](filters.md)).
 
 Other filters (`peer`) are run on photogrammetric clouds if they are installed. For laser scans see the published
 figures. They are not timed. `floor` is not a filter but a limit. It has the errors if exactly the points nearer to

@@ -10,7 +10,7 @@ import pytest
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import CellRaster
-from ptd.ground.summits import REACH_CELLS, on_summits
+from ptd.ground.summits import REACH_CELLS, on_summits, without_thin
 
 SCALE = Scale(origin=(123_500, -98_500))
 AROUND = 18
@@ -92,6 +92,17 @@ def test_rough_surfaces_do_not_come_back() -> None:
     scatter = np.random.default_rng(2).normal(0, 500, x.size) * lost
     crowns = Xyz(points.x, points.y, (points.z + scatter).astype(np.int32))
     assert put_back(crowns, lost).mean() < 0.02
+
+
+def test_thin_strips_are_left_out() -> None:
+    """Strips of 2 and 6 cells, and a few cells that touch the wide one."""
+    points = cloud(lambda x, y: 0.0 * x)
+    x, y = (np.floor(c) for c in metres(points))
+    thin, wide = (x >= 10) & (x < 12), (x >= 30) & (x < 36)
+    beside = (x == 36) & (y > 20) & (y < 25)
+    raster = CellRaster(points.x, points.y, CellLattice(1000, 1, 0, 0))
+    assert np.array_equal(without_thin(thin | wide | beside, raster, 2), wide | beside)
+    assert not without_thin(thin, raster, 2).any()
 
 
 def test_nothing_beyond_the_reach_has_a_part() -> None:

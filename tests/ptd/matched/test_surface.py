@@ -24,7 +24,11 @@ SIGMA_M = 0.05
 
 
 def of(
-    z: np.ndarray, terrain: np.ndarray | bool = False, sigma_m: float = SIGMA_M, margin: int = 8
+    z: np.ndarray,
+    terrain: np.ndarray | bool = False,
+    sigma_m: float = SIGMA_M,
+    margin: int = 8,
+    bare: bool = False,
 ) -> Surface:
     """The surface of heights in metres (NaN: no cell), without the margin of empty cells that is put around them."""
     padded = np.pad(z, margin, constant_values=np.nan)
@@ -32,7 +36,7 @@ def of(
         np.int32
     )
     whole = np.pad(np.broadcast_to(terrain, z.shape), margin)
-    found = ground_surface(heights, whole, sigma_m, MM, 0, 0)
+    found = ground_surface(heights, whole, sigma_m, MM, 0, 0, bare=np.full(whole.shape, bare))
     return Surface(
         *(v[margin : margin + z.shape[0], margin : margin + z.shape[1]] for v in found)
     )
@@ -197,11 +201,13 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
     z += np.where(rng.random(row.shape) < 0.2, rng.uniform(0.0, 4.0, row.shape), 0.0)
     heights = np.where(rng.random(row.shape) < 0.1, EMPTY, np.rint(1000 * z)).astype(np.int32)
     heights[rng.integers(0, side - 30) :, : rng.integers(8, 40)] = EMPTY
-    terrain = column > side // 2
-    whole = ground_surface(heights, terrain, 0.1, MM, -16, 8)
+    terrain, bare = column > side // 2, row > side // 3
+    whole = ground_surface(heights, terrain, 0.1, MM, -16, 8, bare=bare)
     south, west = (int(8 * n) for n in rng.integers(1, 5, 2))
     part = np.s_[south:-9, west:-17]
-    cut = ground_surface(heights[part], terrain[part], 0.1, MM, -16 + south, 8 + west)
+    cut = ground_surface(
+        heights[part], terrain[part], 0.1, MM, -16 + south, 8 + west, bare=bare[part]
+    )
     rows, columns = cut.height.shape
     inner = np.s_[reach : rows - reach, reach : columns - reach]
     assert cut.height[inner].size > 100
@@ -209,6 +215,26 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
         assert np.array_equal(
             getattr(cut, name)[inner], getattr(whole, name)[part][inner], equal_nan=True
         )
+
+
+@pytest.mark.parametrize("bare", [True, False])
+def test_a_sharp_ridge_comes_back_where_no_canopy_is(bare: bool) -> None:
+    """Slopes of 1.1 that meet at a height of 40 m. A hull passes below the crest."""
+    _, column, rng = places(120)
+    ridge = np.maximum(40.0 - 1.1 * abs(column - 60.0), 0.0)
+    found = of(ridge + SIGMA_M * rng.standard_normal(ridge.shape), bare=bare)
+    below = (ridge - found.height)[20:-20]
+    flanks = (abs(column - 60.0) > 1) & (abs(column - 60.0) < 15)
+    assert (np.mean(below[flanks[20:-20]] > 1.0) < 0.01) == bare
+
+
+def test_the_sides_of_a_hall_do_not_come_back() -> None:
+    """Facades as matching blurs them: 2 m wide, 8 m high. The roof was taken out before."""
+    row, column, rng = places(120)
+    inside = np.minimum(25.0 - abs(row - 60.0), 25.0 - abs(column - 60.0))
+    hall = np.where(inside > 2.5, np.nan, np.clip(4.0 * inside, 0.0, 8.0))
+    found = of(hall + SIGMA_M * rng.standard_normal(hall.shape), bare=True)
+    assert np.nanmax(found.height) < 1.0
 
 
 def test_edges_of_cars_lift_it_less_than_low_plants(monkeypatch: pytest.MonkeyPatch) -> None:
