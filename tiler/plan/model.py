@@ -179,15 +179,20 @@ class Plan:
     def thin_ground(self) -> bool:
         """Whether the surface is made of one ground point per cell of a quarter of a pixel's side.
 
-        The first run on a store decides it, and later runs do the same. It is true if a part of
-        a block would have more than `MAX_GROUND` points with the mean density, or if the
-        smallest part would have more in the densest place.
+        The first run on a store decides it by `exceeds_max_ground`, and later runs do the same.
         """
-        if self.grid.thin is not None:
-            return self.grid.thin
+        return self.exceeds_max_ground if self.grid.thin is None else self.grid.thin
+
+    @property
+    def exceeds_max_ground(self) -> bool:
+        """Whether a part of a block may have more than `MAX_GROUND` points.
+
+        It is true for a part with the mean density, or for the smallest part in the densest
+        place. No part has more points than the inputs.
+        """
         mean = self.inputs.density * self.grid.part_side_m(PART) ** 2
         densest = self.inputs.density_map.max_points(self.grid.part_side_m(MIN_PART))
-        return max(mean, densest) > MAX_GROUND
+        return min(max(mean, densest), self.inputs.points) > MAX_GROUND
 
     @property
     def surface_cells(self) -> int | None:
