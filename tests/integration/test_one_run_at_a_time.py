@@ -42,7 +42,8 @@ def test_a_run_that_is_killed_as_it_begins_has_settled_all_or_nothing(
     out = tmp_path / "out"
     assert ended(forked(dies_at_first_state, cloud, out)) == 9
     settled = the_store(out).settled
-    assert {"tile", "resolution", "memory", "thin", "workers"} == settled.keys()
+    expected = {"tile", "resolution", "memory", "thin", "workers", "joins_elected"}
+    assert expected == settled.keys()
     assert settled["memory"] == 900 << 20
     later = do(cloud, out, memory="2GiB", tile_size=None, resolution=None)
     assert later.summary["plan"]["tile_m"] == float(settled["tile"])

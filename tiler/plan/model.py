@@ -16,9 +16,9 @@ from tiler.plan.inputs import Inputs
 from tiler.plan.memory import (
     BASE_BYTES,
     GROUND_BYTES,
-    JOINED_BYTES,
     PlannedPass,
     breakline_bytes,
+    joined_bytes,
     nested,
 )
 from tiler.plan.method import KEEP, MethodPlan
@@ -149,14 +149,19 @@ class Plan:
     def joins(self, step: PlannedPass) -> bool:
         """Return whether a pass gets joined tiles: the largest that fit into memory and occupy all workers.
 
-        It gets them if candidates suffice for it and the user did not choose a tile size.
+        It gets them if it reads one point per cell, a candidate or an elected point, and the
+        user did not choose a tile size.
         """
-        return self.method.tile_workers > 0 and step.on_candidates and self.on_candidates
+        if self.method.tile_workers == 0:
+            return False
+        if step.pass_.elected:
+            return self.method.joins_elected
+        return step.on_candidates and self.on_candidates
 
     def tile_memory_of(self, step: PlannedPass) -> int:
         """Return the memory of a worker for which the tiles of a pass are cut, in bytes."""
         if self.joins(step):
-            return min(self.method.tile_memory, JOINED_BYTES)
+            return joined_bytes(step, self.method.tile_memory)
         return self.method.tile_memory
 
     @property
