@@ -42,12 +42,30 @@ def test_a_run_that_is_killed_as_it_begins_has_settled_all_or_nothing(
     out = tmp_path / "out"
     assert ended(forked(dies_at_first_state, cloud, out)) == 9
     settled = the_store(out).settled
-    assert {"tile", "resolution", "memory", "thin", "workers"} == settled.keys()
+    expected = {"tile", "resolution", "memory", "thin", "workers", "joins_elected"}
+    assert expected == settled.keys()
     assert settled["memory"] == 900 << 20
     later = do(cloud, out, memory="2GiB", tile_size=None, resolution=None)
     assert later.summary["plan"]["tile_m"] == float(settled["tile"])
     do(cloud, tmp_path / "alone", memory="900MiB", tile_size=None, resolution=None)
     assert output_digests(out) == output_digests(tmp_path / "alone")
+
+
+def test_a_thinned_surface_has_the_reason_that_is_true(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reasons(**changes: Any) -> list[str]:
+        notes = do(cloud, tmp_path / "out", **changes).summary["notes"]
+        return [note.split(", because ")[1] for note in notes if "one ground point" in note]
+
+    with monkeypatch.context() as patch:
+        for module in ("plan.model", "grid.stage"):
+            patch.setattr(f"tiler.{module}.MAX_GROUND", 1000)
+        (crowded,) = reasons()
+        assert crowded.startswith("more than 1,000 points may lie in a part of a block")
+    (settled,) = reasons(resolution="2")
+    assert settled.startswith("the first run on this store decided it")
+    assert not reasons(overwrite=True)
 
 
 def test_it_is_settled_under_the_lock(

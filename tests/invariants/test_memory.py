@@ -80,13 +80,16 @@ def test_a_million_points_stay_within_what_was_projected(
 
 @pytest.mark.processes
 @pytest.mark.slow
-def test_rasters_of_matched_clouds_stay_within_what_was_projected(tmp_path: Path) -> None:
+@pytest.mark.parametrize("tile", ["384", None])
+def test_rasters_of_matched_clouds_stay_within_what_was_projected(
+    tile: str | None, tmp_path: Path
+) -> None:
     """A diagonal strip: the windows' rasters hold ten times as many cells as there are points elected."""
     cloud = repeated(clouds.city(250.0, 3.0, seed=5), 250.0, 3)
     strip = abs(cloud.xyz[:, 0] - cloud.xyz[:, 1]) < 30.0
     path = clouds.write(tmp_path / "strip.laz", cloud.take(strip))
     content = measured_run(
-        path, tmp_path / "out", method="auto", kind="dim", tile_size="384", memory="1GiB"
+        path, tmp_path / "out", method="auto", kind="dim", tile_size=tile, memory="1GiB"
     )
     assert_within(content)
     peaks = {name: stage["peak_rss_bytes"] for name, stage in content["stages"].items()}

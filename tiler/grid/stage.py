@@ -47,6 +47,7 @@ from tiler.grid.tasks.water_facts import report_waters
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import Warned
 from tiler.plan import KEEP
+from tiler.plan.model import MAX_GROUND
 from tiler.runs.compiling import grid_kernels
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import Join, run_stage
@@ -226,9 +227,14 @@ def _report_terrain(
     job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]
 ) -> None:
     if job.plan.thin_ground and job.plan.config.surface_percent is None:
+        reason = "the first run on this store decided it (--overwrite decides again)"
+        if job.plan.exceeds_max_ground:
+            reason = (
+                f"more than {MAX_GROUND:,} points may lie in a part of a block and within --max-edge of it, which is "
+                "too many for one TIN"
+            )
         job.note(
-            "decided: one ground point per cell a quarter of a pixel wide makes the surface, because all ground points "
-            "of the densest place would need more memory (--memory)"
+            f"decided: one ground point per cell a quarter of a pixel wide makes the surface, because {reason}"
         )
     records = records_of(TerrainRecord, made)
     job.results.dtm = TerrainResult(

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from tiler.core.crs import crs_name, point_scale_factor
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units_text import length_option, whole_length
+from tiler.plan.memory import WIDE_TILE
 from tiler.plan.method import steps_of
 from tiler.plan.model import Plan
+from tiler.plan.projection import overlap_of
 
 MAX_RELIEF_M = 9000
 """Largest height difference that terrain can have."""
 MIN_SIDE_M = 100
 """Side in metres below which clouds may be higher than wide, such as single buildings or
 trees."""
-WIDE_TILE = 2 + 2 * math.sqrt(2)
-"""Ratio of the side of a tile to its halo at which halos double the work."""
-
 MUCH_OVERLAP = 3.0
 """Ratio of a tile's padded area to its core area, as a mean of all passes, above which a
 warning recommends larger tiles."""
@@ -59,20 +59,29 @@ def _too_high(plan: Plan) -> list[str]:
 def _much_overlap(plan: Plan) -> list[str]:
     """Warn about halos that multiply the work. A cloud of unknown kind counts as a LiDAR cloud."""
     steps = steps_of(plan.method.passes, plan.method.kind or "lidar")
-    halos = [step.halo_m for step in steps if not plan.joins(step)]
+    halos = [step.halo_m for step in steps]
+    # Joined tiles are also divided to occupy all workers, which costs work but saves time.
+    one_worker = replace(plan.method, tile_workers=min(plan.method.tile_workers, 1))
+    alone = replace(plan, method=one_worker)
     tile = float(plan.method.tile)
     work = []
-    for halo in halos:
-        padded = [min(tile + 2 * halo, side) / min(tile, side) for side in plan.sides_m]
+    for step in steps:
+        if plan.joins(step):
+            work.append(overlap_of(alone, [step]))
+            continue
+        padded = [min(tile + 2 * step.halo_m, side) / min(tile, side) for side in plan.sides_m]
         work.append(math.prod(padded))
     if sum(work) <= MUCH_OVERLAP * len(work):
         return []
+    text = (
+        f"with up to {max(halos):g} m of halo need {sum(work) / len(work):.1f} times the work"
+    )
+    if plan.config.tile_size is None:
+        memory = f"{plan.method.tile_memory / 2**20:,.0f} MiB"
+        return [f"tiles that fit into {memory} of memory, {text}; use more --memory"]
     unit = plan.frame.units.horizontal
     wider = length_option(whole_length(WIDE_TILE * max(halos), unit, math.ceil), unit)
-    return [
-        f"tiles of {tile:g} m with up to {max(halos):g} m of halo need {sum(work) / len(work):.1f} times "
-        f"the work; use --tile-size {wider} or more --memory"
-    ]
+    return [f"tiles of {tile:g} m {text}; leave out --tile-size, or use --tile-size {wider}"]
 
 
 def _stretched(plan: Plan) -> list[str]:

@@ -78,7 +78,8 @@ class Inputs:
 
     def max_points(self, side_m: float) -> float:
         """Estimate the number of points in the densest square with a side in metres."""
-        return max(self.density * side_m**2, self.density_map.max_points(side_m))
+        densest = max(self.density * side_m**2, self.density_map.max_points(side_m))
+        return min(densest, self.points)
 
 
 def filled_sources(sources: Iterable[SourceInfo]) -> list[SourceInfo]:

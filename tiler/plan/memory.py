@@ -6,6 +6,7 @@ windows (docs/decisions.md, "The plan").
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,12 +50,19 @@ or longer."""
 NEAR_PIECE_BYTES = 650
 """Further bytes per piece of a breakline in a block's window, which is a vertex of the TIN (460
 measured)."""
+WIDE_TILE = 2 + 2 * math.sqrt(2)
+"""Ratio of the side of a tile to its halo at which halos double the work."""
 JOINED_BYTES = 1 << 30
-"""Maximum memory of a worker for a joined tile, in bytes. A tile of 1.4 km of dense LiDAR with a halo of 229 m fits.
+"""Maximum memory of a worker for a joined tile of candidates, in bytes. A tile of 1.4 km of dense LiDAR with a halo of
+229 m fits.
 
 Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415 in 12), and
 smaller tiles are distributed more evenly among workers.
 """
+ELECTED_SHARE = 5 / 8
+"""Share of the memory above `BASE_BYTES` for which joined tiles of passes on elected points are
+cut by `filter_bytes`. In windows of 2 to 10 km2 the surface needs up to 410 bytes per cell, and
+`filter_bytes` assumes 260."""
 TIN_BYTES = 3 << 29
 """Maximum bytes of a TIN that blocks of the terrain share."""
 EXPORT_BYTES = 128 << 20
@@ -182,6 +190,21 @@ def filter_bytes(
         raster_cells = area_m2 / step.pass_.raster_cell_m**2
         return read * READ_BYTES + raster_cells * VERTEX_BYTES
     return read * READ_BYTES + vertices * VERTEX_BYTES
+
+
+def joined_bytes(step: PlannedPass, memory: int) -> int:
+    """Return the bytes that a joined tile of a pass may need by `filter_bytes`.
+
+    Passes on elected points have halos of up to 622 m, so they may need the bytes of a tile
+    whose area the halos double, with one point per square metre. ``memory`` is the memory of a
+    worker in bytes.
+    """
+    if not step.pass_.elected:
+        return min(memory, JOINED_BYTES)
+    window_m = (WIDE_TILE + 2) * step.halo_m
+    enough = BASE_BYTES + int((READ_BYTES + VERTEX_BYTES) * window_m**2)
+    spare = max(memory - BASE_BYTES, 0)
+    return min(BASE_BYTES + int(ELECTED_SHARE * spare), max(JOINED_BYTES, enough))
 
 
 def held_bytes(memory: int) -> int:

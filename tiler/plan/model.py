@@ -16,9 +16,9 @@ from tiler.plan.inputs import Inputs
 from tiler.plan.memory import (
     BASE_BYTES,
     GROUND_BYTES,
-    JOINED_BYTES,
     PlannedPass,
     breakline_bytes,
+    joined_bytes,
     nested,
 )
 from tiler.plan.method import KEEP, MethodPlan
@@ -149,14 +149,19 @@ class Plan:
     def joins(self, step: PlannedPass) -> bool:
         """Return whether a pass gets joined tiles: the largest that fit into memory and occupy all workers.
 
-        It gets them if candidates suffice for it and the user did not choose a tile size.
+        It gets them if it reads one point per cell, a candidate or an elected point, and the
+        user did not choose a tile size.
         """
-        return self.method.tile_workers > 0 and step.on_candidates and self.on_candidates
+        if self.method.tile_workers == 0:
+            return False
+        if step.pass_.elected:
+            return self.method.joins_elected
+        return step.on_candidates and self.on_candidates
 
     def tile_memory_of(self, step: PlannedPass) -> int:
         """Return the memory of a worker for which the tiles of a pass are cut, in bytes."""
         if self.joins(step):
-            return min(self.method.tile_memory, JOINED_BYTES)
+            return joined_bytes(step, self.method.tile_memory)
         return self.method.tile_memory
 
     @property
@@ -179,15 +184,20 @@ class Plan:
     def thin_ground(self) -> bool:
         """Whether the surface is made of one ground point per cell of a quarter of a pixel's side.
 
-        The first run on a store decides it, and later runs do the same. It is true if a part of
-        a block would have more than `MAX_GROUND` points with the mean density, or if the
-        smallest part would have more in the densest place.
+        The first run on a store decides it by `exceeds_max_ground`, and later runs do the same.
         """
-        if self.grid.thin is not None:
-            return self.grid.thin
+        return self.exceeds_max_ground if self.grid.thin is None else self.grid.thin
+
+    @property
+    def exceeds_max_ground(self) -> bool:
+        """Whether a part of a block may have more than `MAX_GROUND` points.
+
+        It is true for a part with the mean density, or for the smallest part in the densest
+        place. No part has more points than the inputs.
+        """
         mean = self.inputs.density * self.grid.part_side_m(PART) ** 2
         densest = self.inputs.density_map.max_points(self.grid.part_side_m(MIN_PART))
-        return max(mean, densest) > MAX_GROUND
+        return min(max(mean, densest), self.inputs.points) > MAX_GROUND
 
     @property
     def surface_cells(self) -> int | None:

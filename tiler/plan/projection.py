@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from tiler.plan.halos import widest_halo
 from tiler.plan.memory import (
     BASE_BYTES,
+    ELECTED_SHARE,
     EXPORT_BYTES,
     EXPORT_POINTS,
     GROUND_BYTES,
@@ -17,7 +18,7 @@ from tiler.plan.memory import (
     held_bytes,
     ingest_bytes,
 )
-from tiler.plan.method import expected_passes
+from tiler.plan.method import MAX_HALF, expected_passes
 from tiler.plan.model import PIECE_POINTS, Plan
 
 
@@ -53,7 +54,12 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
         mean_tile = filter_peak(plan, step, side, widest_halo_m(plan, step))
     densest_tile = filter_peak(plan, step, side, step.halo_m, densest=True)
     densest_bucket = filter_peak(plan, step, plan.grid.bucket_m, step.halo_m, densest=True)
-    return min(max(mean_tile, densest_tile), max(plan.tile_memory_of(step), densest_bucket))
+    peak, limit = max(mean_tile, densest_tile), plan.tile_memory_of(step)
+    if plan.joins(step) and step.pass_.elected:
+        peak, limit = (
+            BASE_BYTES + int((size - BASE_BYTES) / ELECTED_SHARE) for size in (peak, limit)
+        )
+    return min(peak, max(limit, densest_bucket))
 
 
 def filter_peak(
@@ -101,9 +107,18 @@ def _overlap(plan: Plan, step: PlannedPass) -> float:
     for side, survey_side in zip(_tile_sides_m(plan, step), plan.sides_m, strict=True):
         padded = side + 2 * step.halo_m
         if plan.joins(step):
-            padded = min(padded, survey_side)
+            # The outer tiles have no halo beyond the survey.
+            padded = min(padded - 2 * step.halo_m * side / survey_side, survey_side)
         overlap *= padded / side
     return overlap
+
+
+def _padded_m(side: float, survey_side: float, halo_m: float) -> float:
+    """Return the side of the largest window within the survey, in metres.
+
+    One of two tiles has a halo on one side only.
+    """
+    return min(side + min(2.0, survey_side / side - 1) * halo_m, survey_side)
 
 
 def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
@@ -113,9 +128,16 @@ def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
     sides = list(plan.sides_m)
     n_tiles = plan.method.n_joined_tiles(plan.inputs.points)
     while max(sides) > plan.grid.bucket_m:
-        peak = filter_peak(plan, step, math.sqrt(math.prod(sides)), step.halo_m)
-        if n_tiles <= 1 and peak <= plan.tile_memory_of(step):
+        window = [
+            _padded_m(side, survey_side, step.halo_m)
+            for side, survey_side in zip(sides, plan.sides_m, strict=True)
+        ]
+        longer = sides.index(max(sides))
+        half = _padded_m(sides[longer] / 2, plan.sides_m[longer], step.halo_m)
+        peak = filter_peak(plan, step, math.sqrt(math.prod(window)), 0.0)
+        fits = peak <= plan.tile_memory_of(step)
+        if fits and (n_tiles <= 1 or half > MAX_HALF * window[longer]):
             break
-        sides[sides.index(max(sides))] /= 2
+        sides[longer] /= 2
         n_tiles //= 2
     return sides[0], sides[1]

@@ -1,4 +1,4 @@
-"""Tiles of passes on candidates: as large as fit, as many as there are workers."""
+"""Tiles of passes on one point per cell: as large as fit, as many as there are workers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from tests.tiler.plans import changed
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 from tiler.filter.tasks.tiles import BucketPoints, _bytes, tiles_of
-from tiler.plan import Plan, make_plan
-from tiler.plan.memory import JOINED_BYTES
+from tiler.plan import Plan, PlannedPass, make_plan
+from tiler.plan.memory import BASE_BYTES, JOINED_BYTES
+from tiler.plan.projection import overlap_of
 
 pytestmark = pytest.mark.processes
 
@@ -25,17 +26,39 @@ Records = dict[Cell, BucketPoints]
 
 
 def buckets(columns: range, rows: range) -> Records:
-    return {Cell(ix, iy): BucketPoints(100_000, EACH) for ix in columns for iy in rows}
+    return {Cell(ix, iy): BucketPoints(100_000, EACH, 128**2) for ix in columns for iy in rows}
+
+
+def planned(cloud: Path, kind: str) -> Plan:
+    """Plan with buckets of 128 m."""
+    plan = make_plan(
+        [str(cloud)], RunConfig(kind=kind, in_process=True, workers=1, memory=8 << 30)
+    )
+    bucket = replace(plan.buckets, size=plan.frame.counts(Fraction(128)))
+    return changed(plan, meta=replace(plan.grid.meta, bucket=bucket), tile=Fraction(512))
 
 
 @pytest.fixture
 def plan(make_cloud: Callable[..., Path]) -> Plan:
-    """Of laser scans, with buckets of 128 m."""
-    plan = make_plan(
-        [str(make_cloud())], RunConfig(kind="als", in_process=True, workers=1, memory=8 << 30)
+    return planned(make_cloud(), "als")
+
+
+@pytest.fixture
+def matched(make_cloud: Callable[..., Path]) -> Plan:
+    return planned(make_cloud(), "dim")
+
+
+def pass_of(plan: Plan, name: str) -> PlannedPass:
+    return next(step for step in plan.method.passes if step.name == name)
+
+
+def work_of(plan: Plan, records: Records, step: PlannedPass) -> float:
+    """Ratio of the area of all windows, cut at the survey, to the area of the survey."""
+    survey = plan.buckets.hull(records)
+    windows = (
+        plan.buckets.hull(tile.cells).pad(tile.halo) for tile in tiles_of(plan, records, step)
     )
-    bucket = replace(plan.buckets, size=plan.frame.counts(Fraction(128)))
-    return changed(plan, meta=replace(plan.grid.meta, bucket=bucket), tile=Fraction(512))
+    return sum(window.intersection(survey).area() for window in windows) / survey.area()
 
 
 def test_as_many_as_workers_in_halves_of_about_half(plan: Plan) -> None:
@@ -83,3 +106,70 @@ def test_a_size_that_was_asked_for_and_passes_on_all_points_keep_the_lattice(
     assert len(list(tiles_of(plan, records, seeds))) == 1
     assert len(list(tiles_of(plan, records, survey))) == 4
     assert len(list(tiles_of(changed(plan, tile_workers=0), records, seeds))) == 4
+
+
+def test_passes_on_elected_points_join_tiles_unless_a_size_or_an_older_store_forbids_it(
+    matched: Plan,
+) -> None:
+    records, canopy = buckets(range(12), range(16)), pass_of(matched, "canopy")
+    assert len(list(tiles_of(matched, records, canopy))) == 1
+    assert len(list(tiles_of(matched, records, pass_of(matched, "cells")))) == 12
+    for before in (changed(matched, tile_workers=0), changed(matched, joins_elected=False)):
+        assert len(list(tiles_of(before, records, canopy))) == 12
+        assert work_of(before, records, canopy) > 5
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8, 64])
+@pytest.mark.parametrize(("columns", "rows"), [(12, 16), (24, 32), (48, 48)])
+def test_wide_halos_do_not_multiply_the_work_for_workers(
+    columns: int, rows: int, workers: int, matched: Plan
+) -> None:
+    """A tile is halved for another worker only if that ends the pass earlier."""
+    records, canopy = buckets(range(columns), range(rows)), pass_of(matched, "canopy")
+    plan = changed(matched, tile_workers=workers)
+    tiles = list(tiles_of(plan, records, canopy))
+    assert sorted(cell for tile in tiles for cell in tile.cells) == sorted(records)
+    # Tiles of about 2.4 halos are not halved, as their windows would keep more than four fifths.
+    assert len(tiles) >= min(workers, columns * rows // 192)
+    assert work_of(plan, records, canopy) < 4
+
+
+def test_large_surveys_are_cut_so_that_windows_fit(matched: Plan) -> None:
+    records, canopy = buckets(range(64), range(64)), pass_of(matched, "canopy")
+    for memory in (2 << 30, 4 << 30):
+        plan = changed(matched, tile_memory=memory)
+        tiles = list(tiles_of(plan, records, canopy))
+        assert len(tiles) > 4
+        assert all(
+            _bytes(plan, records, canopy, tile.cells, tile.halo) <= memory for tile in tiles
+        )
+    assert work_of(plan, records, canopy) < 3
+
+
+def test_memory_follows_the_halo(plan: Plan, matched: Plan) -> None:
+    """Passes on candidates keep to 1 GiB; a tile of 4.8 halos gets the memory of its window, as far as it is there."""
+    canopy, objects = pass_of(matched, "canopy"), pass_of(matched, "objects")
+    assert plan.tile_memory_of(pass_of(plan, "roofs")) == JOINED_BYTES
+    window_m2 = (2 + 2 + 2 * 2**0.5) ** 2 * canopy.halo_m**2
+    much = changed(matched, tile_memory=64 << 30)
+    assert much.tile_memory_of(canopy) == pytest.approx(BASE_BYTES + 260 * window_m2)
+    assert JOINED_BYTES < matched.tile_memory_of(objects) < matched.tile_memory_of(canopy)
+    for memory in (1 << 29, 5 << 28, 4 << 30):
+        assert changed(matched, tile_memory=memory).tile_memory_of(canopy) < memory
+
+
+@pytest.mark.parametrize(("memory", "workers"), [(8 << 30, 1), (8 << 30, 2), (2 << 30, 1)])
+def test_the_plan_estimates_the_work_of_joined_tiles(
+    memory: int, workers: int, matched: Plan
+) -> None:
+    records, canopy = buckets(range(24), range(24)), pass_of(matched, "canopy")
+    bounds = matched.buckets.hull(records)
+    plan = changed(
+        matched,
+        tile_memory=memory,
+        tile_workers=workers,
+        extent=bounds,
+        points=len(records) * 100_000,
+        covered_m2=len(records) * 128.0**2,
+    )
+    assert overlap_of(plan, [canopy]) == pytest.approx(work_of(plan, records, canopy), rel=0.3)

@@ -62,6 +62,22 @@ def test_the_plan_gives_the_advice(make_cloud: MakeCloud) -> None:
     assert sum("is finer than the point spacing" in text for text in warnings) == 1
 
 
+@pytest.mark.parametrize(("memory", "warned"), [(8 << 30, False), (1 << 30, True)])
+def test_little_memory_is_told_of_where_halos_multiply_the_work(
+    memory: int, warned: bool, make_cloud: MakeCloud
+) -> None:
+    """A user who did not choose the tiles need not choose them, and many workers are no reason to warn."""
+    plan = make_plan([str(make_cloud())], RunConfig(kind="dim", in_process=True))
+    extent = Bounds(0, 0, 9_000_000, 9_000_000)
+    plan = changed(plan, extent=extent, points=800_000_000, covered_m2=81e6)
+    for workers in (1, 64):
+        found = warnings_of(changed(plan, tile_memory=memory, tile_workers=workers))
+        assert len(found) == warned
+        for text in found:
+            assert text.startswith("tiles that fit into 1,024 MiB of memory, with up to 622 m")
+            assert text.endswith("times the work; use more --memory")
+
+
 @pytest.mark.parametrize(
     ("side", "tile", "times"),
     [(90, 128, None), (900, 512, None), (900, 128, "6.6"), (300, 100, "9.0")],
@@ -73,7 +89,7 @@ def test_small_tiles_are_told_of_where_there_are_several(
     plan = make_plan([str(make_cloud())], RunConfig.from_mapping(settings))
     found = warnings_of(changed(plan, extent=Bounds(0, 0, 1000 * side, 1000 * side)))
     assert [
-        f"need {times} times the work; use --tile-size 483 or more --memory" in text
+        f"need {times} times the work; leave out --tile-size, or use --tile-size 483" in text
         for text in found
     ] == ([True] if times else [])
 

@@ -56,6 +56,17 @@ def test_one_dense_place_is_enough_to_thin(
     assert 10_000 < both.max_part_points <= (4 * 52.0) ** 2
 
 
+def test_no_part_has_more_points_than_the_cloud(
+    spot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The window of a part is 330 m wide, so with the density of the cloud it would have 4 million points."""
+    for limit, thin in ((30_000, True), (40_000, False)):
+        monkeypatch.setattr("tiler.plan.model.MAX_GROUND", limit)
+        plan = planned(spot, max_edge="100")
+        assert plan.thin_ground is thin
+        assert plan.max_part_points == plan.max_bucket_points == 36_000
+
+
 def test_candidates_are_those_of_the_method(wide: Path) -> None:
     """Finer ones would only be read, never used; where buckets are not made of its cells, the usual ones are."""
     for cell, fine in (("1", 1.0), ("0.25", 0.25), ("2", 2.0), ("0.3", 0.5), ("0.7", 0.5)):

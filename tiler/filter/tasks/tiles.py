@@ -3,11 +3,10 @@
 The survey is divided in one of two ways:
 
 - The tiles are the cells of a lattice, and cells that do not fit are quartered. All passes use
-  these tiles if the user chose a tile size. Otherwise only passes that read every point or
-  elected points use them.
-- The survey is halved until each tile fits and each worker has a tile. Passes on candidates
-  (one point per fine cell) use these tiles. They are larger, because a halo of candidates costs
-  little.
+  these tiles if the user chose a tile size. Otherwise only passes that read every point use them.
+- The survey is halved until each tile fits and each worker has a tile. Passes on candidates or
+  elected points (one point per cell) use these tiles. They are larger, because their windows
+  need less memory, and because passes on elected points have halos of up to 622 m.
 
 The tiles depend on the numbers of points in the buckets. They also depend on the memory of the
 first run on the store, but not on the memory of later runs, so that the tiles stay the same.
@@ -28,6 +27,7 @@ from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
 from tiler.plan.halos import MAX_HALO_FACTOR, widest_halo
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
+from tiler.plan.method import MAX_HALF
 from tiler.plan.sizes import SPARSE_TILE_M
 
 MAX_WINDOW = MAX_EXTENT // 2
@@ -105,8 +105,9 @@ def _halved(
 ) -> Iterator[Tile]:
     """Yield the tiles of some buckets: one tile, or the tiles of both halves.
 
-    Buckets are halved if ``n_tiles`` is above 1, if the tile or its window is too wide, or if
-    the window needs too much memory.
+    Buckets are halved if the tile or its window is too wide, or if the window needs too much
+    memory. They are also halved if ``n_tiles`` is above 1 and the windows of the halves are
+    smaller (`MAX_HALF`).
     """
     halo = _halo(plan, step)
     bounds = plan.buckets.hull(cells)
@@ -117,9 +118,12 @@ def _halved(
         or _bytes(plan, records, step, cells, halo) > plan.tile_memory_of(step)
     )
     if len(cells) > 1 and (too_large or n_tiles > 1):
-        for half in _halves(records, cells, NEAR_HALF if too_large else EQUAL_HALF):
-            yield from _halved(plan, records, step, half, n_tiles // 2)
-        return
+        halves = _halves(records, cells, NEAR_HALF if too_large else EQUAL_HALF)
+        whole, *parts = (_area_m2(plan, records, part, halo) for part in (cells, *halves))
+        if too_large or max(parts) <= MAX_HALF * whole:
+            for half in halves:
+                yield from _halved(plan, records, step, half, n_tiles // 2)
+            return
     columns = [cell.ix for cell in cells]
     rows = [cell.iy for cell in cells]
     corner = Cell(min(columns), min(rows))
@@ -197,7 +201,8 @@ def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
 def _widest(
     plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int
 ) -> int:
-    memory = plan.tile_memory_of(step)
+    # Halos of elected points may use all memory, so that as few labels as possible stay uncertified.
+    memory = plan.method.tile_memory if step.pass_.elected else plan.tile_memory_of(step)
     return widest_halo(
         step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= memory
     )
@@ -214,6 +219,13 @@ def _by_centre(
         row = math.floor((cell.iy + half) * lattice.size / size)
         cells_by_centre[Cell(column, row)].append(cell)
     return cells_by_centre
+
+
+def _area_m2(plan: Plan, records: Records, cells: Sequence[Cell], halo: int) -> float:
+    """Return the area of the window of a tile in m2, without its parts beyond all buckets with points."""
+    window = plan.buckets.hull(cells).pad(halo)
+    near = plan.buckets.hull(plan.buckets.among(window, records))
+    return near.intersection(window).area() * float(plan.frame.metres_xy) ** 2
 
 
 def _bytes(
@@ -238,9 +250,7 @@ def _bytes(
     cell_m = plan.method.candidate_cell_m
     if step.pass_.raster_cell_m:
         # A raster also has cells in buckets without points.
-        area_m2 = (
-            lattice.hull(near).intersection(window).area() * float(plan.frame.metres_xy) ** 2
-        )
+        area_m2 = _area_m2(plan, records, cells, halo)
         cell_m = 0.0
     elif step.pass_.elected:
         # Without a cell, `filter_bytes` uses the known number of points instead of the largest
