@@ -11,7 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from tiler.config import RunConfig
-from tiler.core.crs import same_horizontal, split
+from tiler.core.crs import same_horizontal, same_vertical_datum, split, vertical_name
 from tiler.core.units import METRE, Units, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
 from tiler.inputs.georeference import Georeference, describe
@@ -33,7 +33,7 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     ------
     InputError
         The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others, or
-        heights have different units.
+        heights have different datums or units.
     ConfigError
         ``--crs`` or ``--units`` cannot be used.
     """
@@ -43,6 +43,7 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
         (i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points
     ]
     _check_horizontal(members)
+    _check_vertical(members)
     _note_ignored_crs(members, config.crs, given, notes)
     units = _units(members, config.units, notes)
     texts = {g.wkt for _, g in members if g.wkt is not None}
@@ -78,19 +79,30 @@ def _note_ignored_crs(
     notes: list[str],
 ) -> None:
     """Add a note if files have a CRS other than ``--crs``, which is then not used for them."""
-    declared = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
-    if text is None or not declared:
+    declared = [g for _, g in members if g.wkt is not None and g is not given]
+    if text is None:
         return
-    file_crs = split(CRS.from_wkt(declared[0][0]))[0]
-    given_crs = None
-    if given is not None and given.wkt is not None:
-        given_crs = split(CRS.from_wkt(given.wkt))[0]
-    if file_crs is None or given_crs is None or not same_horizontal(given_crs, file_crs):
+    differing = next((g for g in dict.fromkeys(declared) if _differs(g, given)), None)
+    if differing is not None and differing.wkt is not None:
         notes.append(
             f"--crs {text}: is only for files without a CRS; {len(declared)} of {len(members)} files have their own, "
-            f"{declared[0][1]}, which is used; if it is wrong, write the right one into the files first "
-            "(`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
+            f"{CRS.from_wkt(differing.wkt).name}, which is used; if it is wrong, write the right one into the files "
+            "first (`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
         )
+
+
+def _differs(own: Georeference, given: Georeference | None) -> bool:
+    """Return whether a file's CRS is not that of ``--crs``, or has other heights."""
+    if given is None:
+        return True
+    own_crs, vertical = _parts(own.wkt)
+    given_crs, heights = _parts(given.wkt)
+    if own_crs is None or given_crs is None or not same_horizontal(given_crs, own_crs):
+        return True
+    if heights is None:
+        return False
+    same_datum = vertical is not None and same_vertical_datum(vertical, heights)
+    return not same_datum or own.vertical != given.vertical
 
 
 def _settled(
@@ -122,8 +134,8 @@ def _with_heights(own: Georeference, given: Georeference | None) -> Georeference
     """Return a file's CRS, or that of ``--crs`` if it adds a vertical CRS to the same horizontal one."""
     if given is None or given.wkt is None or own.wkt is None:
         return own
-    own_crs, vertical = split(CRS.from_wkt(own.wkt))
-    given_crs, heights = split(CRS.from_wkt(given.wkt))
+    own_crs, vertical = _parts(own.wkt)
+    given_crs, heights = _parts(given.wkt)
     if vertical is not None or heights is None or own.vertical not in (None, given.vertical):
         return own
     if own_crs is None or given_crs is None or not same_horizontal(given_crs, own_crs):
@@ -136,13 +148,9 @@ def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
     if not members:
         return
     first_path, first = members[0]
-    parsed: dict[str | None, CRS | None] = {}
-    for _, member in members:
-        if member.wkt not in parsed:
-            parsed[member.wkt] = split(CRS.from_wkt(member.wkt))[0] if member.wkt else None
-    reference = parsed[first.wkt]
+    reference = _parts(first.wkt)[0]
     for path, member in members[1:]:
-        other = parsed[member.wkt]
+        other = _parts(member.wkt)[0]
         if other is reference:
             continue
         if other is None or reference is None or not same_horizontal(reference, other):
@@ -150,6 +158,24 @@ def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
                 f"{path}: its CRS is {member.name}, that of {first_path} is {first.name}; "
                 "run them apart, reproject, or give --crs for files without one"
             )
+
+
+def _check_vertical(members: Sequence[tuple[Path, Georeference]]) -> None:
+    """Raise InputError if the vertical datums of two files differ. Files without one suit any."""
+    known = [(path, g.wkt, v) for path, g in members if (v := _parts(g.wkt)[1]) is not None]
+    for path, wkt, vertical in known[1:]:
+        first_path, first_wkt, first = known[0]
+        if vertical is not first and not same_vertical_datum(first, vertical):
+            raise InputError(
+                f"{path}: its heights refer to {vertical_name(wkt)}, those of {first_path} to "
+                f"{vertical_name(first_wkt)}; run them apart, convert the heights, or correct the CRS in a file"
+            )
+
+
+@lru_cache(maxsize=64)
+def _parts(wkt: str | None) -> tuple[CRS | None, CRS | None]:
+    """Return the horizontal and the vertical part of a CRS (see `tiler.core.crs.split`)."""
+    return (None, None) if wkt is None else split(CRS.from_wkt(wkt))
 
 
 def _units(
