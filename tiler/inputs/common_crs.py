@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -46,11 +47,23 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     _check_vertical(members)
     _note_ignored_crs(members, config.crs, given, notes)
     units = _units(members, config.units, notes)
-    texts = {g.wkt for _, g in members if g.wkt is not None}
+    texts = {text for _, g in members if (text := _wkt_with(units.vertical, g)) is not None}
     # Equal definitions may have different texts. The choice does not depend on the order of the
     # files.
-    wkt = min(texts, key=lambda text: (-text.count("ID["), text), default=None)
+    wkt = min(
+        texts,
+        key=lambda text: (_parts(text)[1] is None, -text.count("ID["), text),
+        default=None,
+    )
     return CommonCrs(wkt, units, notes)
+
+
+def _wkt_with(vertical_unit: Fraction, crs: Georeference) -> str | None:
+    """Return the text of a CRS, without its vertical part if that has another unit."""
+    horizontal, vertical = _parts(crs.wkt)
+    if vertical is None or horizontal is None or crs.vertical == vertical_unit:
+        return crs.wkt
+    return horizontal.to_wkt()
 
 
 def _given(text: str | None) -> Georeference | None:
@@ -186,38 +199,53 @@ def _units(
     Raise InputError if heights of files have different units, or ConfigError if ``--units``
     cannot be used.
     """
-    horizontal = next((g.horizontal for _, g in members if g.horizontal is not None), None)
-    if horizontal is None:
-        horizontal = METRE
-        if members and text is None:
+    declared = next((g.horizontal for _, g in members if g.horizontal is not None), None)
+    if text is None:
+        if members and declared is None:
             notes.append("CRS unknown: coordinates are taken as metres")
-    declared = [(path, g.vertical) for path, g in members]
-    chosen = next((v for _, v in declared if v is not None), None)
-    if text is not None:
-        parts = [unit_named(part) for part in text.split(",")]
-        if len(parts) > 2:
-            raise ConfigError(f"--units {text}; give h or h,v, like ft or m,ft")
-        units = Units(parts[0], parts[1] if len(parts) == 2 else chosen or parts[0])
+        horizontal = declared or METRE
+        return Units(horizontal, _common_vertical(members, horizontal, notes))
+    parts = [unit_named(part) for part in text.split(",")]
+    if len(parts) > 2:
+        raise ConfigError(f"--units {text}; give h or h,v, like ft or m,ft")
+    horizontal = parts[0]
+    vertical = parts[1] if len(parts) == 2 else _common_vertical(members, horizontal, [])
+    notes.append(
+        f"--units: {unit_label(horizontal)} horizontally, {unit_label(vertical)} vertically"
+    )
+    if declared not in (None, horizontal):
         notes.append(
-            f"--units: {unit_label(units.horizontal)} horizontally, {unit_label(units.vertical)} vertically"
+            f"--units {text}: x and y are taken as {unit_label(horizontal)} although their CRS has "
+            f"{unit_label(declared)}; if this is the unit of the heights alone, write --units h,v"
         )
-        if parts[0] != horizontal and any(g.wkt for _, g in members):
+    for path, own in members:
+        if own.vertical not in (None, vertical):
             notes.append(
-                f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS has "
-                f"{unit_label(horizontal)}; if this is the unit of the heights alone, write --units h,v"
+                f"--units {text}: heights are taken as {unit_label(vertical)} although the CRS of {path} has "
+                f"{unit_label(own.vertical)}; rasters do not get its vertical CRS"
             )
-        return units
-    effective = [(path, v if v is not None else horizontal) for path, v in declared]
-    for path, unit in effective[1:]:
-        if unit != effective[0][1]:
+            break
+    return Units(horizontal, vertical)
+
+
+def _common_vertical(
+    members: Sequence[tuple[Path, Georeference]], horizontal: Fraction, notes: list[str]
+) -> Fraction:
+    """Return the unit of all heights, which is the horizontal unit in files that do not define it.
+
+    Raise InputError if heights of files have different units.
+    """
+    units = [(path, g.vertical or horizontal) for path, g in members]
+    for path, unit in units[1:]:
+        if unit != units[0][1]:
             raise InputError(
-                f"{path}: its heights are in {unit_label(unit)}, those of {effective[0][0]} in "
-                f"{unit_label(effective[0][1])}; convert them, or give the units of all with --units h,v"
+                f"{path}: its heights are in {unit_label(unit)}, those of {units[0][0]} in "
+                f"{unit_label(units[0][1])}; convert them, or give the units of all with --units h,v"
             )
-    silent = sum(v is None for _, v in declared)
+    silent = sum(g.vertical is None for _, g in members)
     if silent and any(g.wkt for _, g in members):
         notes.append(
-            f"no vertical CRS in {silent} of {len(declared)} files: heights are taken to be in "
+            f"no vertical CRS in {silent} of {len(members)} files: heights are taken to be in "
             f"{unit_label(horizontal)}, like x and y; use --units h,v if they are not"
         )
-    return Units(horizontal, effective[0][1] if effective else horizontal)
+    return units[0][1] if units else horizontal

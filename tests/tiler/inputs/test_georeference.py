@@ -9,7 +9,7 @@ import pytest
 from pyproj import CRS
 
 from tiler.config import RunConfig
-from tiler.core.crs import same_horizontal
+from tiler.core.crs import same_horizontal, vertical_name
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
 from tiler.errors import ConfigError, InputError
 from tiler.inputs.common_crs import resolve_common_crs
@@ -177,9 +177,9 @@ def test_heights_of_two_datums_are_refused_in_any_order(make_cloud: Any, name: s
             assert all(str(path) in line for path in paths)
             assert "DHHN2016 height (EPSG:7837)" in line
             assert "run them apart, convert the heights, or" in line
-    for path in paths:
-        agreed = settle(bare, path, units="m,m" if "8228" in codes[1] else None)
-        assert agreed.wkt == settle(path, units="m,m" if "8228" in codes[1] else None).wkt
+    for code, path in zip(codes, paths, strict=True):
+        agreed = settle(bare, path, units="m,ft" if code.endswith("8228") else None)
+        assert vertical_name(agreed.wkt) == vertical_name(CRS(code).to_wkt())
 
 
 def test_one_vertical_datum_written_in_several_ways_agrees(make_cloud: Any) -> None:
@@ -219,7 +219,44 @@ def test_heights_in_two_units_are_refused(make_cloud: Any) -> None:
     other = make_cloud("b.las", n=5, crs="EPSG:2991")
     with pytest.raises(InputError, match="heights are in"):
         settle(one, other)
+    with pytest.raises(InputError, match="heights are in"):
+        settle(one, other, units="m")
+    # Heights of the other file are taken to be in the horizontal unit.
+    assert settle(one, other, units="usft").units.vertical == US_SURVEY_FOOT
     assert settle(one, other, units="m,usft").units.vertical == US_SURVEY_FOOT
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_horizontal_unit_alone_does_not_settle_mixed_heights(
+    make_cloud: Any, order: int
+) -> None:
+    feet = make_cloud("a.las", n=5, crs="EPSG:25832+8228")
+    metres = make_cloud("b.las", n=5, crs="EPSG:25832+5703")
+    paths = [feet, metres][::order]
+    for units in (None, "m", "ft"):
+        with pytest.raises(InputError, match="give the units of all with --units h,v"):
+            settle(*paths, units=units)
+    for vertical, wrong, right in (("m", feet, metres), ("ft", metres, feet)):
+        agreed = settle(*paths, units=f"m,{vertical}")
+        assert agreed.units == Units(METRE, {"m": METRE, "ft": FOOT}[vertical])
+        assert vertical_name(agreed.wkt) == vertical_name(settle(right).wkt)
+        (note,) = [text for text in agreed.notes if "although" in text]
+        assert f"although the CRS of {wrong} has" in note
+
+
+def test_vertical_crs_of_another_unit_than_the_given_one_is_left_out(make_cloud: Any) -> None:
+    high = make_cloud("a.las", n=5, crs="EPSG:25832+7837")
+    bare = make_cloud("b.las", n=5, crs=None)
+    for path, crs in ((high, None), (bare, "EPSG:25832+7837")):
+        for units in ("m", "m,m"):
+            agreed = settle(path, crs=crs, units=units)
+            assert vertical_name(agreed.wkt) == "DHHN2016 height (EPSG:7837)"
+            assert not any("although" in text for text in agreed.notes)
+        agreed = settle(path, crs=crs, units="m,ft")
+        assert agreed.units == Units(METRE, FOOT)
+        assert CRS.from_wkt(agreed.wkt) == CRS("EPSG:25832")
+        (note,) = [text for text in agreed.notes if "although" in text]
+        assert f"heights are taken as foot although the CRS of {path} has metre" in note
 
 
 def keys(*entries: tuple[int, int]) -> bytes:
