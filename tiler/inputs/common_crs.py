@@ -15,6 +15,7 @@ from tiler.config import RunConfig
 from tiler.core.crs import same_horizontal, same_vertical_datum, split, vertical_name
 from tiler.core.units import METRE, Units, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
+from tiler.inputs.degrees import validate_lengths
 from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.sources import SourceInfo
 
@@ -33,13 +34,16 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     Raises
     ------
     InputError
-        The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others, or
-        heights have different datums or units.
+        The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others,
+        coordinates without a CRS are degrees, or heights have different datums or units.
     ConfigError
         ``--crs`` or ``--units`` cannot be used.
     """
     notes: list[str] = []
     given = _given(config.crs)
+    for info in infos:
+        if info.points and info.georeference.kind == "missing" and config.units is None:
+            validate_lengths(info)
     members = [
         (i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points
     ]
@@ -202,7 +206,9 @@ def _units(
     declared = next((g.horizontal for _, g in members if g.horizontal is not None), None)
     if text is None:
         if members and declared is None:
-            notes.append("CRS unknown: coordinates are taken as metres")
+            notes.append(
+                "CRS unknown: coordinates are taken as metres; use --units if they are not"
+            )
         horizontal = declared or METRE
         return Units(horizontal, _common_vertical(members, horizontal, notes))
     parts = [unit_named(part) for part in text.split(",")]

@@ -104,7 +104,9 @@ def test_missing_crs_names_the_option(make_cloud: Any) -> None:
     agreed = settle(path, crs="none")
     assert agreed.wkt is None
     assert agreed.units == Units()
-    assert agreed.notes == ["CRS unknown: coordinates are taken as metres"]
+    assert agreed.notes == [
+        "CRS unknown: coordinates are taken as metres; use --units if they are not"
+    ]
     given = settle(path, crs="EPSG:2992")
     assert given.units.horizontal == FOOT
     assert CRS.from_wkt(given.wkt).to_epsg() == 2992
