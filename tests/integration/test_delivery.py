@@ -64,6 +64,16 @@ def test_sheets_have_the_names_of_the_template_and_an_index(
     assert not [p for p in tmp_path.glob("dtm/*.tif") if "-" in p.name]
 
 
+def test_rasters_have_no_vertical_crs_of_another_unit_than_their_heights(
+    cloud: Path, tmp_path: Path
+) -> None:
+    do(cloud, tmp_path, crs="EPSG:32632+5783", units="m,ft")
+    with rasterio.open(tmp_path / "dtm.tif") as raster:
+        assert raster.units == ("foot",)
+        assert pyproj.CRS(raster.crs.to_wkt()).to_epsg() == 32632
+        assert "VERTICAL_DATUM" not in raster.tags()
+
+
 def test_classes_of_the_mask_have_names_and_colours(cloud: Path, tmp_path: Path) -> None:
     do(cloud, tmp_path, products="dtm,mask")
     assert categories(tmp_path / "mask.tif") == list(MASK_VALUES.values())

@@ -301,11 +301,6 @@ def _classify(
         else inspect_in_child(guard, source, config.salvage)
     )
     if info.georeference.kind == "missing" and config.crs is None:
-        listener(
-            Note(
-                f"{source}: has no CRS; metres are assumed; use --units or --crs if they are not"
-            )
-        )
         config = config.updated(crs="none")
     if config.workers is None and info.points < ONE_WORKER_POINTS:
         config = config.updated(workers=1)

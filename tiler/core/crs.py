@@ -51,6 +51,11 @@ def same_horizontal(one: CRS, other: CRS) -> bool:
     return code is not None and code == other.to_epsg() and len(set(factors)) == 1
 
 
+def same_vertical_datum(one: CRS, other: CRS) -> bool:
+    """Return whether heights of two CRS refer to the same datum. Their units may differ."""
+    return one.name == other.name or one.datum == other.datum
+
+
 def crs_name(wkt: str | None) -> str:
     """Return the name of a CRS, with its code if it has one, or ``none`` if there is no CRS."""
     if wkt is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +12,10 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from tiler.config import RunConfig
-from tiler.core.crs import same_horizontal, split
+from tiler.core.crs import same_horizontal, same_vertical_datum, split, vertical_name
 from tiler.core.units import METRE, Units, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
+from tiler.inputs.degrees import validate_lengths
 from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.sources import SourceInfo
 
@@ -32,24 +34,40 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     Raises
     ------
     InputError
-        The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others, or
-        heights have different units.
+        The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others,
+        coordinates without a CRS are degrees, or heights have different datums or units.
     ConfigError
         ``--crs`` or ``--units`` cannot be used.
     """
     notes: list[str] = []
     given = _given(config.crs)
+    for info in infos:
+        if info.points and info.georeference.kind == "missing" and config.units is None:
+            validate_lengths(info)
     members = [
         (i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points
     ]
     _check_horizontal(members)
+    _check_vertical(members)
     _note_ignored_crs(members, config.crs, given, notes)
     units = _units(members, config.units, notes)
-    texts = {g.wkt for _, g in members if g.wkt is not None}
+    texts = {text for _, g in members if (text := _wkt_with(units.vertical, g)) is not None}
     # Equal definitions may have different texts. The choice does not depend on the order of the
     # files.
-    wkt = min(texts, key=lambda text: (-text.count("ID["), text), default=None)
+    wkt = min(
+        texts,
+        key=lambda text: (_parts(text)[1] is None, -text.count("ID["), text),
+        default=None,
+    )
     return CommonCrs(wkt, units, notes)
+
+
+def _wkt_with(vertical_unit: Fraction, crs: Georeference) -> str | None:
+    """Return the text of a CRS, without its vertical part if that has another unit."""
+    horizontal, vertical = _parts(crs.wkt)
+    if vertical is None or horizontal is None or crs.vertical == vertical_unit:
+        return crs.wkt
+    return horizontal.to_wkt()
 
 
 def _given(text: str | None) -> Georeference | None:
@@ -78,19 +96,30 @@ def _note_ignored_crs(
     notes: list[str],
 ) -> None:
     """Add a note if files have a CRS other than ``--crs``, which is then not used for them."""
-    declared = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
-    if text is None or not declared:
+    declared = [g for _, g in members if g.wkt is not None and g is not given]
+    if text is None:
         return
-    file_crs = split(CRS.from_wkt(declared[0][0]))[0]
-    given_crs = None
-    if given is not None and given.wkt is not None:
-        given_crs = split(CRS.from_wkt(given.wkt))[0]
-    if file_crs is None or given_crs is None or not same_horizontal(given_crs, file_crs):
+    differing = next((g for g in dict.fromkeys(declared) if _differs(g, given)), None)
+    if differing is not None and differing.wkt is not None:
         notes.append(
             f"--crs {text}: is only for files without a CRS; {len(declared)} of {len(members)} files have their own, "
-            f"{declared[0][1]}, which is used; if it is wrong, write the right one into the files first "
-            "(`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
+            f"{CRS.from_wkt(differing.wkt).name}, which is used; if it is wrong, write the right one into the files "
+            "first (`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
         )
+
+
+def _differs(own: Georeference, given: Georeference | None) -> bool:
+    """Return whether a file's CRS is not that of ``--crs``, or has other heights."""
+    if given is None:
+        return True
+    own_crs, vertical = _parts(own.wkt)
+    given_crs, heights = _parts(given.wkt)
+    if own_crs is None or given_crs is None or not same_horizontal(given_crs, own_crs):
+        return True
+    if heights is None:
+        return False
+    same_datum = vertical is not None and same_vertical_datum(vertical, heights)
+    return not same_datum or own.vertical != given.vertical
 
 
 def _settled(
@@ -122,8 +151,8 @@ def _with_heights(own: Georeference, given: Georeference | None) -> Georeference
     """Return a file's CRS, or that of ``--crs`` if it adds a vertical CRS to the same horizontal one."""
     if given is None or given.wkt is None or own.wkt is None:
         return own
-    own_crs, vertical = split(CRS.from_wkt(own.wkt))
-    given_crs, heights = split(CRS.from_wkt(given.wkt))
+    own_crs, vertical = _parts(own.wkt)
+    given_crs, heights = _parts(given.wkt)
     if vertical is not None or heights is None or own.vertical not in (None, given.vertical):
         return own
     if own_crs is None or given_crs is None or not same_horizontal(given_crs, own_crs):
@@ -136,13 +165,9 @@ def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
     if not members:
         return
     first_path, first = members[0]
-    parsed: dict[str | None, CRS | None] = {}
-    for _, member in members:
-        if member.wkt not in parsed:
-            parsed[member.wkt] = split(CRS.from_wkt(member.wkt))[0] if member.wkt else None
-    reference = parsed[first.wkt]
+    reference = _parts(first.wkt)[0]
     for path, member in members[1:]:
-        other = parsed[member.wkt]
+        other = _parts(member.wkt)[0]
         if other is reference:
             continue
         if other is None or reference is None or not same_horizontal(reference, other):
@@ -150,6 +175,24 @@ def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
                 f"{path}: its CRS is {member.name}, that of {first_path} is {first.name}; "
                 "run them apart, reproject, or give --crs for files without one"
             )
+
+
+def _check_vertical(members: Sequence[tuple[Path, Georeference]]) -> None:
+    """Raise InputError if the vertical datums of two files differ. Files without one suit any."""
+    known = [(path, g.wkt, v) for path, g in members if (v := _parts(g.wkt)[1]) is not None]
+    for path, wkt, vertical in known[1:]:
+        first_path, first_wkt, first = known[0]
+        if vertical is not first and not same_vertical_datum(first, vertical):
+            raise InputError(
+                f"{path}: its heights refer to {vertical_name(wkt)}, those of {first_path} to "
+                f"{vertical_name(first_wkt)}; run them apart, convert the heights, or correct the CRS in a file"
+            )
+
+
+@lru_cache(maxsize=64)
+def _parts(wkt: str | None) -> tuple[CRS | None, CRS | None]:
+    """Return the horizontal and the vertical part of a CRS (see `tiler.core.crs.split`)."""
+    return (None, None) if wkt is None else split(CRS.from_wkt(wkt))
 
 
 def _units(
@@ -160,38 +203,55 @@ def _units(
     Raise InputError if heights of files have different units, or ConfigError if ``--units``
     cannot be used.
     """
-    horizontal = next((g.horizontal for _, g in members if g.horizontal is not None), None)
-    if horizontal is None:
-        horizontal = METRE
-        if members and text is None:
-            notes.append("CRS unknown: coordinates are taken as metres")
-    declared = [(path, g.vertical) for path, g in members]
-    chosen = next((v for _, v in declared if v is not None), None)
-    if text is not None:
-        parts = [unit_named(part) for part in text.split(",")]
-        if len(parts) > 2:
-            raise ConfigError(f"--units {text}; give h or h,v, like ft or m,ft")
-        units = Units(parts[0], parts[1] if len(parts) == 2 else chosen or parts[0])
-        notes.append(
-            f"--units: {unit_label(units.horizontal)} horizontally, {unit_label(units.vertical)} vertically"
-        )
-        if parts[0] != horizontal and any(g.wkt for _, g in members):
+    declared = next((g.horizontal for _, g in members if g.horizontal is not None), None)
+    if text is None:
+        if members and declared is None:
             notes.append(
-                f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS has "
-                f"{unit_label(horizontal)}; if this is the unit of the heights alone, write --units h,v"
+                "CRS unknown: coordinates are taken as metres; use --units if they are not"
             )
-        return units
-    effective = [(path, v if v is not None else horizontal) for path, v in declared]
-    for path, unit in effective[1:]:
-        if unit != effective[0][1]:
+        horizontal = declared or METRE
+        return Units(horizontal, _common_vertical(members, horizontal, notes))
+    parts = [unit_named(part) for part in text.split(",")]
+    if len(parts) > 2:
+        raise ConfigError(f"--units {text}; give h or h,v, like ft or m,ft")
+    horizontal = parts[0]
+    vertical = parts[1] if len(parts) == 2 else _common_vertical(members, horizontal, [])
+    notes.append(
+        f"--units: {unit_label(horizontal)} horizontally, {unit_label(vertical)} vertically"
+    )
+    if declared not in (None, horizontal):
+        notes.append(
+            f"--units {text}: x and y are taken as {unit_label(horizontal)} although their CRS has "
+            f"{unit_label(declared)}; if this is the unit of the heights alone, write --units h,v"
+        )
+    for path, own in members:
+        if own.vertical not in (None, vertical):
+            notes.append(
+                f"--units {text}: heights are taken as {unit_label(vertical)} although the CRS of {path} has "
+                f"{unit_label(own.vertical)}; rasters do not get its vertical CRS"
+            )
+            break
+    return Units(horizontal, vertical)
+
+
+def _common_vertical(
+    members: Sequence[tuple[Path, Georeference]], horizontal: Fraction, notes: list[str]
+) -> Fraction:
+    """Return the unit of all heights, which is the horizontal unit in files that do not define it.
+
+    Raise InputError if heights of files have different units.
+    """
+    units = [(path, g.vertical or horizontal) for path, g in members]
+    for path, unit in units[1:]:
+        if unit != units[0][1]:
             raise InputError(
-                f"{path}: its heights are in {unit_label(unit)}, those of {effective[0][0]} in "
-                f"{unit_label(effective[0][1])}; convert them, or give the units of all with --units h,v"
+                f"{path}: its heights are in {unit_label(unit)}, those of {units[0][0]} in "
+                f"{unit_label(units[0][1])}; convert them, or give the units of all with --units h,v"
             )
-    silent = sum(v is None for _, v in declared)
+    silent = sum(g.vertical is None for _, g in members)
     if silent and any(g.wkt for _, g in members):
         notes.append(
-            f"no vertical CRS in {silent} of {len(declared)} files: heights are taken to be in "
+            f"no vertical CRS in {silent} of {len(members)} files: heights are taken to be in "
             f"{unit_label(horizontal)}, like x and y; use --units h,v if they are not"
         )
-    return Units(horizontal, effective[0][1] if effective else horizontal)
+    return units[0][1] if units else horizontal

@@ -13,8 +13,8 @@ from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import CommonCrs, SourceInfo, inspect, inspect_in_child, is_list
-from tiler.io.locations import as_path, is_url
-from tiler.io.result_folder import COPC_SUFFIX
+from tiler.io.locations import as_path, is_url, without_query
+from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX
 from tiler.plan import machine, sizes
 from tiler.plan.density_map import DensityMap
 from tiler.plan.distant_files import LeftOut
@@ -149,15 +149,21 @@ def output_names(
     names: dict[Path, Path] = {}
     taken: dict[str, Path] = {}
     for source in sources:
-        name = Path(source.path.name)
+        path = source.path
+        if is_url(path):
+            # A query can hold a token, which must not become part of a name.
+            path = as_path(without_query(str(path)))
+        name = Path(path.name)
         for folder in folders:
             # A URL among the folders may be the source itself, whose path relative to it would
             # be empty.
-            same_kind = type(folder) is type(source.path)
-            if same_kind and folder != source.path and source.path.is_relative_to(folder):
-                name = Path(str(source.path.relative_to(folder)))
+            same_kind = type(folder) is type(path)
+            if same_kind and folder != path and path.is_relative_to(folder):
+                name = Path(str(path.relative_to(folder)))
                 break
-        stem = name.name[: -len(name.suffix)]
+        # What follows the dot of another name, like "2" in "tile.2", may tell files apart.
+        is_cloud = name.suffix.lower().partition("?")[0] in CLOUD_SUFFIXES.values()
+        stem = name.stem if is_cloud else name.name
         if source.copc or suffix == COPC_SUFFIX:
             stem = stem.removesuffix(".copc")
         name = name.with_name(f"{stem}{suffix}")

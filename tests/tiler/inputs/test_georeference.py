@@ -96,7 +96,9 @@ def test_missing_crs_names_the_option(make_cloud: Any) -> None:
     agreed = settle(path, crs="none")
     assert agreed.wkt is None
     assert agreed.units == Units()
-    assert agreed.notes == ["CRS unknown: coordinates are taken as metres"]
+    assert agreed.notes == [
+        "CRS unknown: coordinates are taken as metres; use --units if they are not"
+    ]
     given = settle(path, crs="EPSG:2992")
     assert given.units.horizontal == FOOT
     assert CRS.from_wkt(given.wkt).to_epsg() == 2992
@@ -143,14 +145,6 @@ def test_notes_say_which_settings_are_used_and_which_are_not(make_cloud: Any) ->
     (note,) = [text for text in settle(path, units="ft").notes if "although" in text]
     assert "x and y are taken as foot although their CRS has metre" in note
     assert not any("although" in text for text in settle(path, units="m,ft").notes)
-
-
-def test_heights_in_two_units_are_refused(make_cloud: Any) -> None:
-    one = make_cloud("a.las", n=5, crs="EPSG:2991+6360")
-    other = make_cloud("b.las", n=5, crs="EPSG:2991")
-    with pytest.raises(InputError, match="heights are in"):
-        settle(one, other)
-    assert settle(one, other, units="m,usft").units.vertical == US_SURVEY_FOOT
 
 
 def keys(*entries: tuple[int, int]) -> bytes:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import uuid
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,45 @@ def test_inputs_whose_results_would_have_one_name_are_refused(
     paths = [make_cloud("a/Cloud.las", n=3), make_cloud("b/cloud.laz", n=3)]
     with pytest.raises(ConfigError, match="would both become classified/"):
         make_plan([str(p) for p in paths], RunConfig(in_process=True))
+
+
+NAMES = {
+    "west": "west",
+    "east": "east",
+    ".hidden": ".hidden",
+    "tile.1": "tile.1",
+    "tile.2": "tile.2",
+    "north.las": "north",
+    "south.v2.LAZ": "south.v2",
+}
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".las", ".copc.laz"])
+def test_classified_files_lose_only_the_suffix_of_a_cloud(
+    suffix: str, make_cloud: Any, tmp_path: Path
+) -> None:
+    inputs = [str(shutil.move(make_cloud("c.las", n=3), tmp_path / name)) for name in NAMES]
+    sources = [inspect(Path(path)) for path in inputs]
+    names = output_names(inputs, sources, suffix).values()
+    assert [name.as_posix() for name in names] == [f"{stem}{suffix}" for stem in NAMES.values()]
+
+
+@pytest.mark.parametrize(
+    ("url", "name"),
+    [
+        ("http://server/a/east.laz?token=abc.def/ghi", "east.laz"),
+        ("http://server/get?token=abc.def", "get.laz"),
+        ("s3://bucket/a/east.laz?versionId=abc", "east.laz"),
+    ],
+)
+def test_classified_files_of_urls_have_no_query_in_their_names(
+    url: str, name: str, make_cloud: Any
+) -> None:
+    pytest.importorskip("upath")
+    source = replace(inspect(make_cloud("a.laz", n=3)), path=as_path(url))
+    for given in (url, url.rpartition("/a/")[0]):
+        (written,) = output_names([given], [source]).values()
+        assert written.name == name
 
 
 RUN: dict[str, Any] = {
