@@ -14,6 +14,6 @@ Exit codes:
   2    wrong usage or configuration, or refused by the plan
   3    an input cannot be read, or its CRS cannot be used
   4    processing failed
-  5    done, but files or tiles were left out, or a required check failed
+  5    done, but files, parts of files or tiles were left out, or a required check failed
   130  interrupted by Ctrl-C or SIGTERM; run the same command again to resume
 """

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from tiler.config import RunConfig, load_config, merged_pairs
+from tiler.errors import ConfigError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -76,6 +77,10 @@ def read_config(settings: Mapping[str, Any]) -> RunConfig:
     if "parameters" in given:
         # One parameter given as an option leaves the others of the file as they are.
         given["parameters"] = merged_pairs(values.get("parameters", {}), given["parameters"])
+    try:  # Errors of settings that no option replaces name the file.
+        RunConfig.parse({name: values[name] for name in values if name not in given})
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
     return RunConfig.from_mapping(values | given)
 
 

@@ -207,8 +207,7 @@ def classify(
         else:
             summary = classify_files(sources, path, chosen, both)
     notes = tuple(dict.fromkeys([*told, *summary["notes"]]))
-    partial = summary["failed_tasks"] or summary.get("quarantined")
-    return ClassifyResult(5 if partial else 0, summary, Path(path), notes)
+    return ClassifyResult(summary["exit_code"], summary, Path(path), notes)
 
 
 @dataclass(frozen=True)

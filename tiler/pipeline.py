@@ -242,7 +242,8 @@ def _finished(job: Job, plan: Plan, until: str, started: float) -> RunResult:
         )
     job.results.seconds = round(time.monotonic() - started, 3)
     remember(plan, job.record.stages)
-    job.record.exit_code = 5 if job.record.quarantined or job.record.failed else 0
+    incomplete = any(source.is_incomplete for source in plan.inputs.sources)
+    job.record.exit_code = 5 if job.record.quarantined or job.record.failed or incomplete else 0
     summary = _report(job)
     job.listener(RunFinished(job.results.seconds))
     return RunResult(

@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from cli.exit_codes import DONE, PARTIAL
 from cli.options import config_options, json_option, read_config
 from cli.output import print_facts, print_json, write_line
 from cli.session import TilerCommand, current_session, shown_progress
@@ -34,7 +33,7 @@ SETTINGS = (
     "salvage",
 )
 
-NOT_PRINTED = ("parameters", "failed_tasks", "quarantined")
+NOT_PRINTED = ("parameters", "failed_tasks", "exit_code", "quarantined")
 """Facts that are only in the JSON, or that are printed in another form."""
 
 
@@ -63,13 +62,12 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
             summary = classify_file(source[0], target, config, listener)
         else:
             summary = classify_files(source, target, config, listener)
-    quarantined = summary.get("quarantined", [])
     if as_json:
         print_json(summary)
     elif not session.quiet:
         print_facts({n: value for n, value in summary.items() if n not in NOT_PRINTED})
-        for file in quarantined:
+        for file in summary.get("quarantined", []):
             write_line(f"left out    {file['path']}: {file['error']}")
         for line in failed_lines(summary["failed_tasks"]):
             write_line(line)
-    return PARTIAL if summary["failed_tasks"] or quarantined else DONE
+    return summary["exit_code"]

@@ -21,9 +21,9 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
 
     Prints extent, CRS and units. For a cloud it also prints the number of points, the classes,
     and the density with a map, for which it reads all points. For a store it prints the state,
-    for a raster the size, nodata value and heights. For several clouds, or a folder of clouds,
-    it prints a table with one row per cloud, for which it reads only the headers and a few
-    points.
+    for a raster the size, nodata value and heights. For several clouds, a folder of clouds
+    or a virtual point cloud (.vpc), it prints a table with one row per cloud, for which it
+    reads only the headers and a few points.
     """
     from tiler.apps.info_table import COLUMNS, describe_many, is_many, rows
 

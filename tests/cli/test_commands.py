@@ -186,7 +186,14 @@ def test_classify(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
     ) -> dict[str, Any]:
         listener(Note("metres assumed"))
         assert (source, target, config) == ("a.las", "b.laz", RunConfig(keep_classes=()))
-        return {"points": 7, "parameters": {"rounds": 1}, "failed_tasks": failed}
+        code = 5 if failed else 0
+        parameters = {"rounds": 1}
+        return {
+            "points": 7,
+            "parameters": parameters,
+            "failed_tasks": failed,
+            "exit_code": code,
+        }
 
     failed: list[dict[str, Any]] = []
 

@@ -111,8 +111,24 @@ def test_a_bad_file_is_one_line(
     file.write_text(text, "utf-8", "surrogateescape")
     assert main(["config", "--config", str(file)]) == 2
     captured = capsys.readouterr().err
+    assert captured.startswith(f"tiler: error: {file}: ")
     assert error in captured
     assert captured.count("\n") == 1
+
+
+def test_an_option_replaces_a_bad_setting_of_the_file(effective: Any, tmp_path: Path) -> None:
+    file = tmp_path / "settings.toml"
+    file.write_text("workers = 1.5")
+    assert effective("--config", str(file), "--workers", "2").workers == 2
+
+
+def test_a_bad_option_does_not_name_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "settings.toml"
+    file.write_text("workers = 2")
+    assert main(["config", "--config", str(file), "--resolution", "wide"]) == 2
+    assert str(file) not in capsys.readouterr().err
 
 
 def test_template_gives_the_defaults(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,21 @@ def test_four_points_4000_km_apart(tmp_path: Path) -> None:
     assert any("the terrain model is empty" in note for note in result.summary["notes"])
     with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
         assert raster.shape == (200, 200)  # the last points lie on the outer edge
+
+
+def test_the_empty_pixels_between_clouds_are_not_counted_as_points(tmp_path: Path) -> None:
+    paths = [site(tmp_path / "a.laz", 0, 0), site(tmp_path / "b.laz", 7000, 7000)]
+    result = do(paths, tmp_path / "out", crs="none", outline="hull")
+    with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
+        n_pixels = raster.width * raster.height
+    written = result.summary["stages"]["export"]
+    assert (written["points"], written["pixels"]) == (6000, n_pixels)
+    assert n_pixels > 40_000_000
+    log = (tmp_path / "out" / "events.jsonl").read_text().splitlines()
+    events = [json.loads(line) for line in log]
+    done = [e for e in events if e["event"] == "task_done" and e["stage"] == "export"]
+    assert [e["points"] for e in done if e["key"].endswith(".tif")] == [0]
+    assert sum(e["points"] for e in done) == 6000
 
 
 def test_coarse_pixels_of_a_wide_extent(tmp_path: Path) -> None:

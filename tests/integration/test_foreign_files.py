@@ -13,11 +13,12 @@ import pytest
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, settings
 from tests.scenes.folders import content
-from tiler.errors import ConfigError, ProcessingError
+from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.export import stage as export
 from tiler.io.atomic_files import is_scratch, partial_path
 from tiler.io.locations import as_path
 from tiler.pipeline import run
+from tiler.report.html import write_report
 
 NAMES = ("dtm.tif", "run.json", "events.jsonl", "report.html", "classified/hill.laz")
 
@@ -52,6 +53,21 @@ def test_all_of_them_are_named_and_forced(cloud: Path, tmp_path: Path) -> None:
     assert json.loads((out / "run.json").read_text())["state"] == "done"
     assert (out / "notes.txt").read_bytes() == b"mine, not a run's"
     assert do(cloud, out).did_nothing, "now they are known"
+
+
+@pytest.mark.parametrize("text", ["{", "{}"])
+def test_the_remedy_for_a_damaged_run_file_works(
+    text: str, cloud: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    do(cloud, out)
+    (out / "run.json").write_text(text)
+    with pytest.raises(InputError, match="run the same command again with --force"):
+        write_report(out)
+    with pytest.raises(ConfigError, match="already exists .* or --force"):
+        do(cloud, out)
+    assert do(cloud, out, force=True).exit_code == 0
+    write_report(out)
 
 
 @pytest.mark.parametrize(

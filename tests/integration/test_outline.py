@@ -13,6 +13,7 @@ from pyogrio import raw
 
 from tests.invariants import clouds
 from tests.invariants.runs import do
+from tests.scenes.drawings import draw
 
 SIDE = 300.0
 
@@ -85,3 +86,39 @@ def test_the_hull_can_be_asked_for(tmp_path: Path) -> None:
     heights, x, y, out = make(tmp_path, "ragged", outline="hull")
     assert heights[shapely.contains_xy(shapely.box(205, 10, 235, 100), x, y)].mean() > 0.9
     assert not (out / "outline.gpkg").exists()
+
+
+@pytest.mark.parametrize("outline", ["survey", "hull"])
+@pytest.mark.parametrize("voids", ["leave", "mark", "fill"])
+def test_the_heights_in_run_json_are_counted_in_the_delivered_models(
+    voids: str, outline: str, tmp_path: Path
+) -> None:
+    settings = {"voids": voids, "outline": outline, "max_edge": "20", "products": "dtm,dsm"}
+    heights, _, _, out = make(tmp_path, "ring", **settings)
+
+    def assert_counted() -> int:
+        run = json.loads((out / "run.json").read_text())
+        for model in ("dtm", "dsm"):
+            with rasterio.open(out / f"{model}.tif") as raster:
+                n_heights = np.count_nonzero(raster.read(1) != raster.nodata)
+            assert run[model]["filled"] == n_heights, model
+        return int(run["dtm"]["filled"])
+
+    assert assert_counted() == np.count_nonzero(heights)
+    if outline == "survey":
+        hole = np.pi * 80**2  # the ring's, in pixels of 1 m
+        ring = np.pi * 140**2 - hole
+        expected = ring if voids == "leave" else ring + hole
+        assert np.count_nonzero(heights) == pytest.approx(expected, rel=0.02)
+    given = {"method": "keep", "tile_size": None, "halo": None, "memory": None, **settings}
+    cloud = tmp_path / "cloud.laz"
+    do(cloud, out, **given)
+    assert assert_counted() == np.count_nonzero(heights)
+    pond, cleared = shapely.box(140, 140, 160, 160), shapely.box(20, 140, 40, 160)
+    edits = draw(tmp_path / "edits.geojson", [(cleared, {"action": "void"})])
+    water = draw(tmp_path / "water.geojson", [(pond, {"level": 22.0})])
+    for corrected in ({"edits": edits}, {"edits": edits, "water": water}):
+        do(cloud, out, **given, **corrected)
+        # The void loses its 400 pixels; the pond gets up to 400, if it had none before.
+        n_less = 400 if voids != "leave" or "water" not in corrected else 0
+        assert assert_counted() == np.count_nonzero(heights) - n_less

@@ -52,6 +52,7 @@ class FilterSummary(TypedDict):
     tiles: int
     marked: int
     failed_tasks: list[Mapping[str, Any]]
+    exit_code: int
     files: NotRequired[int]
     quarantined: NotRequired[list[Mapping[str, str]]]
 
@@ -186,6 +187,7 @@ def classify_files(
         "notes": list(notes),
         **_facts(result.summary, config),
         "quarantined": [*result.summary["quarantined"], *failed],
+        "exit_code": 5 if failed else result.exit_code,
     }
 
 
@@ -277,6 +279,7 @@ def _facts(summary: Mapping[str, Any], config: RunConfig) -> FilterSummary:
         "tiles": summary["filter"]["tiles"],
         "marked": summary["filter"]["marked"],
         "failed_tasks": summary["failed_tasks"],
+        "exit_code": summary["exit_code"],
     }
 
 

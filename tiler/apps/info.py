@@ -13,7 +13,7 @@ from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
 from tiler.io.json_text import parse_json_object
 from tiler.io.locations import as_path, is_url, joined, state_at, storage_errors, without_query
-from tiler.io.result_folder import RUN, STORE, read_run
+from tiler.io.result_folder import AGAIN_WITHOUT_RUN, RUN, STORE, read_run
 
 if TYPE_CHECKING:
     from tiler.store import Commits, TileStore
@@ -158,7 +158,7 @@ def describe_result(folder: Path) -> dict[str, Any]:
         ) from error
     except ValueError as error:
         raise InputError(
-            f"{folder / RUN}: not valid JSON ({error}); run `tiler run` into this folder again"
+            f"{folder / RUN}: not valid JSON ({error}); {AGAIN_WITHOUT_RUN}"
         ) from error
     description: dict[str, Any] = {
         "kind": "result",

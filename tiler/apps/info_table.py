@@ -10,6 +10,7 @@ from tiler.core.crs import crs_name
 from tiler.core.units_text import short_unit
 from tiler.errors import InputError
 from tiler.inputs import SourceInfo, find_inputs, inspect_in_child
+from tiler.inputs.virtual_cloud import is_virtual
 from tiler.io.locations import is_url
 from tiler.io.result_folder import RUN
 from tiler.schedule import ChildPool
@@ -32,12 +33,12 @@ ZARR = "zarr.json"
 
 
 def is_many(paths: Sequence[str]) -> bool:
-    """Return whether paths are described in a table: several paths, or a folder or pattern of clouds."""
+    """Return whether paths are described in a table: several paths, or a folder, list or pattern of clouds."""
     if len(paths) != 1:
         return True
     path = Path(paths[0])
     if is_url(paths[0]) or path.is_file():
-        return False
+        return is_virtual(paths[0])
     if path.is_dir():
         return not ((path / RUN).is_file() or (path / ZARR).is_file())
     return any(sign in paths[0] for sign in "*?[")
@@ -75,7 +76,7 @@ class UnreadableCloud:
 
 
 def describe_many(paths: Sequence[str]) -> list[ListedCloud | UnreadableCloud]:
-    """Describe each cloud that is found in some files, folders and globs.
+    """Describe each cloud that is found in some files, folders, virtual point clouds and globs.
 
     Raises
     ------

@@ -403,14 +403,18 @@ class RunConfig:
 
         If there is a ``preset``, settings that are not given come from it.
         """
+        return cls(**cls.parse(over_preset(data)))
+
+    @classmethod
+    def parse(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Return plain values of some settings as parsed values, or raise ConfigError."""
         known = {f.name: f for f in fields(cls)}
         for name in data:
             if name not in known:
                 raise ConfigError(
                     f"unknown setting {name!r}; use the names of `tiler config --template`"
                 )
-        given = over_preset(data)
-        return cls(**{name: parse_value(known[name], value) for name, value in given.items()})
+        return {name: parse_value(known[name], value) for name, value in data.items()}
 
     def updated(self, **changes: Any) -> RunConfig:
         """Return a copy in which these fields (already parsed) are replaced."""

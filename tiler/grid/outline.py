@@ -86,19 +86,16 @@ def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
     if work.cut:
         heights[beyond] = nodata
     store.write_block(work.name, block, heights)
-    filled = int(np.count_nonzero(heights != nodata))
     lost = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
     holes = holes_of_block(
         store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area)
     )
     return OutlineRecord(
         pixels=heights.size,
-        filled=filled,
-        hidden=min(hidden, lost),
+        filled=int(np.count_nonzero(heights != nodata)),
         cut=max(lost - hidden, 0),
         water=water,
         checksum=checksum(heights),
-        added=filled + lost - int(np.count_nonzero(heights_before != nodata)),
         surveyed=holes.n_surveyed,
         voided=holes.n_voided,
         holes=holes.cells,

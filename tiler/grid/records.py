@@ -79,8 +79,8 @@ class OutlineRecord(BlockRecord):
 
     Attributes
     ----------
-    hidden, cut, added : int
-        Number of pixels that lost their height to a canopy, that lost it otherwise, and that got one from water.
+    cut : int
+        Number of pixels that lost their height other than to a canopy.
     water : list of [key, pixels]
         Key of the area of each body of water, and the number of its pixels.
     surveyed : int
@@ -93,9 +93,7 @@ class OutlineRecord(BlockRecord):
         Number (name) of each edit in the block, and count of its pixels without a height.
     """
 
-    hidden: int
     cut: int
-    added: int
     water: list[tuple[str, int]]
     surveyed: int
     voided: int

@@ -25,6 +25,7 @@ from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import BlankBlocks, blank_blocks
 from tiler.grid.records import (
+    BlockRecord,
     MaskRecord,
     OpenAreasRecord,
     OutlineRecord,
@@ -39,7 +40,7 @@ from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
-from tiler.grid.tasks.raster_table import ABOVE, required_rasters
+from tiler.grid.tasks.raster_table import ABOVE, final_raster, required_rasters
 from tiler.grid.tasks.shared_tins import join_blocks
 from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
@@ -89,12 +90,13 @@ def grid(
     advise(job, labelled, gridding.spec, gridding.made["dtm"], gridding.water_key)
     if job.plan.config.water != NO_WATER:
         report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
+    job.results.dtm = replace(job.results.dtm, filled=_delivered_heights(gridding, "dtm"))
     _report_outline(job, gridding)
     if "dtm-outlined" in gridding.made:
         report_voids(job, gridding.spec, gridding.made["dtm-outlined"])
     report_above(job, gridding.spec, gridding.made[ABOVE])
     if "dsm" in gridding.made:
-        _report_surface(job, gridding.made["dsm"])
+        _report_surface(job, gridding)
     if "mask" in gridding.made:
         _report_mask(job, gridding.spec, gridding.made["mask"])
     if "sigma" in gridding.made:
@@ -169,16 +171,17 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
             )
 
 
+def _delivered_heights(gridding: GridContext, model: str) -> int:
+    """Return the number of pixels with a height in the raster that is delivered as a model."""
+    made = gridding.made[final_raster(model, gridding.plan.config)]
+    return sum(record.filled for record in records_of(BlockRecord, made))
+
+
 def _report_outline(job: Job, gridding: GridContext) -> None:
     made = gridding.made.get("dtm-outlined")
-    if not made:
+    if not made or job.plan.config.outline != "survey":
         return
-    terrain, records = job.results.dtm, records_of(OutlineRecord, made)
-    cut = sum(record.cut for record in records)
-    gained = sum(record.added - record.hidden for record in records) - cut
-    job.results.dtm = replace(terrain, filled=terrain.filled + gained)
-    if job.plan.config.outline != "survey":
-        return
+    cut = sum(record.cut for record in records_of(OutlineRecord, made))
     usual, widest = _gaps(gridding)
     job.results.outline = OutlineResult(
         gap_m=usual, widest_gap_m=widest, cell_m=float(gridding.coarse_m), cut_pixels=cut
@@ -206,10 +209,10 @@ def _gaps(gridding: GridContext) -> tuple[float, float]:
     return usual * size, max(windows) * size
 
 
-def _report_surface(job: Job, made: Mapping[str, Any]) -> None:
-    records = records_of(SurfaceRecord, made)
+def _report_surface(job: Job, gridding: GridContext) -> None:
+    records = records_of(SurfaceRecord, gridding.made["dsm"])
     job.results.dsm = SurfaceResult(
-        filled=sum(record.filled for record in records),
+        filled=_delivered_heights(gridding, "dsm"),
         measured=sum(record.measured for record in records),
         deep=job.results.above_returns.pixels,
     )

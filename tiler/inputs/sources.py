@@ -52,6 +52,8 @@ class SourceInfo:
     version : str
         Version of LAS.
     point_format, record_length, points : int
+    stated_points : int
+        Number of points that the header states, 0 if it states none.
     compressed, copc, has_rgb, salvaged : bool
     scales : tuple of 3 float
     georeference : Georeference
@@ -107,6 +109,12 @@ class SourceInfo:
     octree_damage: str = ""
     has_crs: bool = True
     fetched: int = 0
+    stated_points: int = 0
+
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether points of a damaged file are, or may be, lost."""
+        return self.salvaged and (self.points < self.stated_points or not self.stated_points)
 
     @property
     def size(self) -> int:
@@ -128,6 +136,8 @@ class SourceInfo:
             "version": self.version,
             "point_format": self.point_format,
             "points": self.points,
+            "stated_points": self.stated_points,
+            "incomplete": self.is_incomplete,
             "compressed": self.compressed,
             "copc": self.copc,
             "salvaged": self.salvaged,
@@ -167,7 +177,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         compressed=header.laz is not None,
         copc=any(v.is_copc for v in header.vlrs),
         has_rgb=header.point_format in RGB_FORMATS,
-        salvaged=salvage and bool(header.notes),
+        salvaged=header.salvaged,
         scales=header.scales,
         georeference=file_crs,
         bounds=extent.bounds,
@@ -182,6 +192,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         octree_damage=damage,
         has_crs=has_crs,
         fetched=fetched_bytes() - bytes_before,
+        stated_points=header.stated_points,
     )
 
 

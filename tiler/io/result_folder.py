@@ -88,6 +88,12 @@ def read_run(place: str) -> dict[str, Any] | None:
     return content
 
 
+AGAIN_WITHOUT_RUN = (
+    "run the same command again with --force, which replaces the files of that run"
+)
+"""Remedy for a damaged run.json, without which a run does not know its own files."""
+
+
 def is_results(place: str) -> bool:
     """Return whether a folder or URL contains the results of a run, even if its run.json is damaged."""
     if read_run(place) is not None:

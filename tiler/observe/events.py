@@ -80,6 +80,8 @@ class StageStarted(Event):
         Number of tasks that earlier runs did.
     points, pixels : int
         Number of points that the other tasks read, and of pixels that they make; 0 if they are not counted.
+    by_pixels : bool
+        Whether pixels measure the work as well, as in a stage that writes rasters and clouds.
     """
 
     name = "stage_started"
@@ -89,6 +91,7 @@ class StageStarted(Event):
     done: int = 0
     points: int = 0
     pixels: int = 0
+    by_pixels: bool = False
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ than expected."""
 
 @dataclass
 class StageProgress:
-    """Progress of a stage, measured in points if their number is known, and in tasks if not.
+    """Progress of a stage, measured in points or pixels if their number is known, and in tasks if not.
 
     Attributes
     ----------
@@ -45,6 +45,8 @@ class StageProgress:
         Number of points that this run did.
     pixels, pixels_done : int
         Number of pixels that this run makes, and that it has made so far.
+    by_pixels : bool
+        Whether the work is measured in pixels as well.
     last_end : float
         Time of the end of the last task, or of the start of the stage, by the clock of the listener.
     """
@@ -59,6 +61,7 @@ class StageProgress:
     points_done: int = 0
     pixels: int = 0
     pixels_done: int = 0
+    by_pixels: bool = False
     last_end: float = 0.0
 
     @classmethod
@@ -73,6 +76,7 @@ class StageProgress:
             started=now,
             before=event.done,
             pixels=event.pixels,
+            by_pixels=event.by_pixels,
             last_end=now,
         )
 
@@ -84,6 +88,16 @@ class StageProgress:
         self.last_end = now
 
     @property
+    def work(self) -> int:
+        """Number of points and pixels that measure this run's work, or 0 if it is measured in tasks."""
+        return self.points + (self.pixels if self.by_pixels else 0)
+
+    @property
+    def work_done(self) -> int:
+        """Part of `work` that is done."""
+        return self.points_done + (self.pixels_done if self.by_pixels else 0)
+
+    @property
     def spent(self) -> float:
         """Time from the start of the stage to the end of its last task, in seconds."""
         return self.last_end - self.started
@@ -91,8 +105,8 @@ class StageProgress:
     @property
     def fraction(self) -> float:
         """Share of this run's work that is done, 0 to 1."""
-        if self.points > 0:
-            return min(self.points_done / self.points, 1.0)
+        if self.work > 0:
+            return min(self.work_done / self.work, 1.0)
         todo = self.tasks - self.before
         if todo == 0:
             return 1.0
@@ -106,8 +120,8 @@ class StageProgress:
         return 1 - self.before / self.tasks
 
     def rate(self, seconds: float) -> float | None:
-        """Return points per second, or tasks if points are not counted, or None before the first."""
-        done = self.points_done if self.points else self.tasks_done - self.before
+        """Return work per second, or tasks if `work` is not counted, or None before the first."""
+        done = self.work_done if self.work else self.tasks_done - self.before
         if not done or seconds <= 0:
             return None
         return done / seconds

@@ -70,8 +70,8 @@ def progress_record(
         stage = job.stage
         progress["stage"], progress["title"] = stage.key, stage.title
         progress["rate"] = _rounded(stage.rate(now - stage.started))
-        if stage.points:
-            progress["done"], progress["total"] = stage.points_done, stage.points
+        if stage.work:
+            progress["done"], progress["total"] = stage.work_done, stage.work
         else:
             progress["done"], progress["total"] = stage.tasks_done, stage.tasks
     return cast(Progress, stored(progress))

@@ -42,7 +42,12 @@ def rate_text(count: float, seconds: float, unit: str = "points") -> str:
 
 
 def stage_rate(stage: StageProgress, seconds: float) -> str:
-    """Return the rate of a stage so far: of pixels if it makes pixels, else of points."""
+    """Return the rate of a stage so far: of pixels if it makes pixels, else of points.
+
+    A stage that writes both rasters and clouds has no rate.
+    """
+    if stage.by_pixels and stage.points:
+        return ""
     if stage.pixels:
         return rate_text(stage.pixels_done, seconds, "pixels")
     return rate_text(stage.points_done, seconds)
@@ -146,6 +151,8 @@ def start_text(stage: StageProgress) -> str:
     text = "1 task" if todo == 1 else f"{todo} tasks"
     if stage.points:
         text += f", {count_text(stage.points)} points"
+    if stage.by_pixels:
+        text += f", {count_text(stage.pixels)} pixels"
     if stage.before:
         text += f" ({stage.before} of {stage.tasks} were done before)"
     return text

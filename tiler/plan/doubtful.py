@@ -32,6 +32,21 @@ def warnings_of(plan: Plan) -> list[str]:
     return [*_too_high(plan), *_stretched(plan), *_much_overlap(plan)]
 
 
+def incomplete_files(plan: Plan) -> list[str]:
+    """Warn about damaged files of which points are lost."""
+    warnings = []
+    for source in plan.inputs.sources:
+        if source.is_incomplete:
+            stated = (
+                f"{source.stated_points:,}" if source.stated_points else "an unknown number of"
+            )
+            warnings.append(
+                f"{source.path}: {source.points:,} of {stated} points could be read; "
+                "get the file again to have them all"
+            )
+    return warnings
+
+
 def _too_high(plan: Plan) -> list[str]:
     """Warn about heights that terrain cannot have."""
     units = plan.frame.units

@@ -24,7 +24,7 @@ from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.disk import sparse_raster_remedy, sparse_raster_warning
 from tiler.plan.distant_files import files_beyond_frame, outlying_files
-from tiler.plan.doubtful import warnings_of
+from tiler.plan.doubtful import incomplete_files, warnings_of
 from tiler.plan.drawings import with_user_features
 from tiler.plan.ept_nodes import EptInputs, validate_distances
 from tiler.plan.equivalents import EQUIVALENTS
@@ -164,7 +164,7 @@ def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Pla
     )
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
     text = sparse_raster_warning(plan)
-    warnings = plan.warnings if text is None else (*plan.warnings, text)
+    warnings = [*incomplete_files(plan), *plan.warnings, *filter(None, [text])]
     return replace(
         plan,
         notes=tuple(in_unit_of_crs(text, units) for text in plan.notes),

@@ -13,7 +13,15 @@ from tiler.errors import InputError, ProcessingError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.json_text import parse_json_object
 from tiler.io.locations import is_url, joined, state_at, upload_file
-from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN, local_folder, read_run
+from tiler.io.result_folder import (
+    AGAIN_WITHOUT_RUN,
+    CHECK,
+    EVALUATION,
+    REPORT,
+    RUN,
+    local_folder,
+    read_run,
+)
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import el, section
 from tiler.report.drawn import drawn
@@ -60,8 +68,9 @@ def write_report(
         OverflowError,
         IndexError,
     ) as error:
+        remedy = "run again" if read_run(str(out)) is not None else AGAIN_WITHOUT_RUN
         raise InputError(
-            f"{out / RUN}: was not written by this version of tiler ({type(error).__name__}: {error}); run again"
+            f"{out / RUN}: was not written by this version of tiler ({type(error).__name__}: {error}); {remedy}"
         ) from error
     except (RasterioError, OSError) as error:
         raise ProcessingError(
@@ -105,9 +114,7 @@ def _read_run(out: Path) -> dict[str, Any]:
             f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"
         ) from error
     except ValueError as error:
-        raise InputError(
-            f"{path}: is not valid JSON ({error}); run the same command again"
-        ) from error
+        raise InputError(f"{path}: is not valid JSON ({error}); {AGAIN_WITHOUT_RUN}") from error
 
 
 def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:

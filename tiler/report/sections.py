@@ -47,12 +47,13 @@ def state_text(run: Run) -> str:
 def _left_out(run: Run) -> str:
     """Return the number of missing files and tasks in words, or an empty text if nothing is missing."""
     files, tasks = len(run.get("quarantined", ())), len(run.get("failed_tasks", ()))
+    cut = sum(file.get("incomplete", False) for file in run.get("inputs", ()))
     parts = [
-        f"{n} {name}{'' if n == 1 else 's'}"
-        for n, name in ((files, "file"), (tasks, "task"))
-        if n
+        (files, "file", "files"),
+        (cut, "part of a file", "parts of files"),
+        (tasks, "task", "tasks"),
     ]
-    return " and ".join(parts)
+    return " and ".join(f"{n} {one if n == 1 else many}" for n, one, many in parts if n)
 
 
 def sentence(run: Run) -> str:

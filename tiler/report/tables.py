@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from tiler.core.stage_names import GRID
 from tiler.core.words import counted
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, el, facts, section, table
@@ -139,10 +140,13 @@ def timings(run: Run) -> Node:
 
 
 def _rate(stage: Mapping[str, Any]) -> str:
-    """Return the rate of pixels if a stage makes pixels, else the rate of points."""
-    if pixels := stage.get("pixels", 0):
+    """Return the rate of pixels if a stage makes pixels, else of points. A stage that writes both has none."""
+    pixels, points = stage.get("pixels", 0), stage["points"]
+    if pixels and points and not stage["stage"].startswith(GRID):
+        return ""
+    if pixels:
         return rate_text(pixels, stage["seconds"], "pixels")
-    return rate_text(stage["points"], stage["seconds"])
+    return rate_text(points, stage["seconds"])
 
 
 def _order(stage: str) -> tuple[int, str]:

@@ -71,6 +71,7 @@ def run_stage(
         done=len(done),
         points=sum(t.points for t in todo),
         pixels=sum(map(_pixels, todo)),
+        by_pixels=any(t.pixels for t in todo),
     )
     if stage.startswith(record.PLACED) and len(wanted) <= record.LISTED_TILES:
         job.record.list_tiles(
@@ -137,6 +138,8 @@ def _outcomes(
 
 def _pixels(task: Task) -> int:
     """Return the number of pixels that a task makes, or 0 if it does not make a raster."""
+    if task.pixels:
+        return task.pixels
     block = getattr(task.arguments, "block", None)
     if isinstance(block, Block):
         return block.height * block.width

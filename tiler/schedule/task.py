@@ -51,8 +51,8 @@ class Task:
         Function that a worker calls. The worker commits its result with the digest.
     arguments : dataclass
         Argument of `work`: frozen, small, with values that `digest_of` supports.
-    points : int
-        Number of points, which measures the work for progress and ETA.
+    points, pixels : int
+        Number of points, and of pixels of whole rasters. Their sum measures the work for progress and ETA.
     parts : tuple of Task
         Tasks that this task does together. The item ``parts`` of its record contains their records in the same order,
         and each is committed separately. The task is tried once. If it fails, the parts are done one by one.
@@ -64,6 +64,7 @@ class Task:
     work: Work
     arguments: Any = None
     points: int = 0
+    pixels: int = 0
     parts: tuple[Task, ...] = ()
 
     @property
@@ -130,7 +131,7 @@ class TaskLimits:
     memory_bytes : int or None
         Memory that a worker of this machine may allocate, or None for no limit.
     seconds : float
-        Time for a task of up to a million points. Larger tasks have more time in proportion.
+        Time for a task of up to a million points and pixels. Larger tasks have more time in proportion.
     prepare : callable, optional
         Function that the server of forks calls once (see `tiler.schedule.ChildProcess`).
     """
@@ -141,7 +142,7 @@ class TaskLimits:
 
     def seconds_of(self, task: Task) -> float:
         """Return the time in seconds after which the worker of a task counts as hung."""
-        return self.seconds * max(task.points / 1e6, 1.0)
+        return self.seconds * max((task.points + task.pixels) / 1e6, 1.0)
 
 
 TaskRunner = Callable[[str, Task], Outcome]

@@ -213,7 +213,7 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
     def report_partial(self, feedback: QgsProcessingFeedback) -> None:
         """Report that something is missing (exit code 5)."""
         feedback.reportError(
-            "NOT COMPLETE: files or tiles were left out (exit code 5); see the red lines and the report"
+            "NOT COMPLETE: files, parts of files or tiles were left out (exit code 5); see the red lines and the report"
         )
 
     def outputs(self) -> dict[str, Any]:

@@ -60,6 +60,7 @@ def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_tile_that_fails_is_named(cloud: Path, tmp_path: Path) -> None:
     facts = classify_file(cloud, tmp_path / "out.laz", settings())
     (failed,) = facts["failed_tasks"]
+    assert facts["exit_code"] == 5
     assert failed["error"] == "this tile fails"
     kept = laspy.read(tmp_path / "out.laz")
     west, south, east, north = failed["bounds"]

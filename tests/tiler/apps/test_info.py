@@ -129,7 +129,7 @@ def test_result_folder(tmp_path: Path) -> None:
     known = {"kind": "result", "state": "done", "counts": {"stored": 7}, "dtm": None}
     assert facts.items() >= known.items()
     (tmp_path / "run.json").write_text("{")
-    with pytest.raises(InputError, match="not valid JSON"):
+    with pytest.raises(InputError, match=r"not valid JSON .*; .* again with --force"):
         describe(str(tmp_path))
 
 

@@ -60,6 +60,25 @@ def test_the_command_takes_folders_and_many_files(
     ]
 
 
+def test_a_virtual_point_cloud_is_the_table_of_its_clouds(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ("a.laz", "b.las", "c.laz")
+    features = [{"assets": {"data": {"href": f"./clouds/{name}"}}} for name in names]
+    listed = {"type": "FeatureCollection", "features": features}
+    path = tmp_path / "all.vpc"
+    path.write_text(json.dumps(listed))
+    assert main(["info", str(path), "--json"]) == 0
+    of_list = json.loads(capsys.readouterr().out)
+    assert main(["info", str(folder), "--json"]) == 0
+    assert of_list == json.loads(capsys.readouterr().out)
+    path.write_text("{}")
+    assert main(["info", str(path)]) == 3
+    assert "is not a readable virtual point cloud" in capsys.readouterr().err
+    assert main(["info", str(tmp_path / "none.vpc")]) == 3
+    assert "no such file" in capsys.readouterr().err
+
+
 def test_one_file_a_store_and_a_result_are_no_table(folder: Path) -> None:
     (folder / "run.json").write_text("{}")
     assert not is_many([str(folder)])

@@ -21,6 +21,8 @@ from tiler.observe.events import (
     combine,
     redacting,
 )
+from tiler.observe.job_progress import JobProgress
+from tiler.observe.json_lines import progress_record
 from tiler.observe.progress import (
     PlainLines,
     bar_progress,
@@ -131,6 +133,32 @@ def test_rates_are_of_pixels_where_pixels_are_made() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("points", "counts", "rate"),
+    [(0, "", ", 1.5 M pixels/s"), (1_000_000, "1.0 M points, ", "")],
+)
+def test_a_stage_that_writes_rasters_counts_their_pixels(
+    points: int, counts: str, rate: str
+) -> None:
+    stream, clock = io.StringIO(), Clock()
+    job, listen = JobProgress(clock), PlainLines(stream, clock)
+    n_tasks = 2 if points else 1
+    begin = StageStarted("export", "write", n_tasks, 0, points, 3_000_000, by_pixels=True)
+    for listener in (job, listen):
+        listener(begin)
+    clock.now += 2
+    raster = TaskDone("export", "dtm.tif", pixels=3_000_000, seconds=2.0)
+    for listener in (job, listen):
+        listener(raster)
+    assert job.stage is not None
+    assert job.stage.fraction == 3_000_000 / (3_000_000 + points)
+    record = progress_record(job=job, now=clock.now)
+    assert (record["done"], record["total"]) == (3_000_000, 3_000_000 + points)
+    listen(StageFinished("export", 2.0))
+    tasks = "2 tasks" if points else "1 task"
+    assert stream.getvalue() == f"write: {tasks}, {counts}3.0 M pixels, done in 2.0 s{rate}\n"
+
+
 def test_a_stage_of_a_few_seconds_has_one_line() -> None:
     stream, clock = io.StringIO(), Clock()
     listen = PlainLines(stream, clock)
@@ -202,7 +230,8 @@ def test_secrets_do_not_reach_a_listener() -> None:
 
 
 def test_values_of_an_event_have_the_order_of_the_log() -> None:
-    assert list(STARTED.to_json()) == ["stage", "title", "tasks", "done", "points", "pixels"]
+    counts = ["tasks", "done", "points", "pixels", "by_pixels"]
+    assert list(STARTED.to_json()) == ["stage", "title", *counts]
     assert StageFinished("grid", 2.5).to_json() == {"stage": "grid", "seconds": 2.5}
 
 

@@ -83,5 +83,5 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
             digest,
             write,
             work,
-            context.spec.height * context.spec.width,
+            pixels=context.spec.height * context.spec.width,
         )

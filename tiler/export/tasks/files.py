@@ -110,7 +110,8 @@ def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
 
 def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:
     pixels = work.spec.height * work.spec.width
-    return Task("export", f"{work.name}.tif", digest_of(work, blocks), write_cog, work, pixels)
+    digest = digest_of(work, blocks)
+    return Task("export", f"{work.name}.tif", digest, write_cog, work, pixels=pixels)
 
 
 def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:

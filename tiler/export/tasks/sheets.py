@@ -68,7 +68,8 @@ def height_tasks(context: GridContext) -> Iterator[Task]:
         work = FindSheets(rasters=rasters, spec=context.spec, block=block, side=side, area=area)
         seen = [context.checksums(name, [key]) for name in rasters]
         pixels = block.height * block.width
-        yield Task(STAGE, key, digest_of(__version__, work, seen), find_sheets, work, pixels)
+        digest = digest_of(__version__, work, seen)
+        yield Task(STAGE, key, digest, find_sheets, work, pixels=pixels)
 
 
 def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:

@@ -96,7 +96,7 @@ def _joined(parts: Sequence[Task]) -> Task:
     first, blocks = parts[0], GridBlocks(tuple(part.arguments for part in parts))
     points = sum(part.points for part in parts)
     name = f"{first.key}+{len(parts) - 1}"
-    return Task(first.stage, name, "", grid_blocks, blocks, points, tuple(parts))
+    return Task(first.stage, name, "", grid_blocks, blocks, points, parts=tuple(parts))
 
 
 def _fitting(layout: _Layout, max_points: int) -> list[_Group]:

@@ -124,7 +124,7 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
             __version__, work, *rasters, context.label_digests(_buckets_near(context, places))
         )
         key = f"{block_names(places)[0]}a{name.label}"
-        yield Task(FINDING, key, digest, describe_body, work, n_cells)
+        yield Task(FINDING, key, digest, describe_body, work, pixels=n_cells)
 
 
 def _buckets_near(context: GridContext, places: list[Place]) -> list[Cell]:

@@ -74,6 +74,10 @@ class LasHeader:
         Format without the bit for compression.
     point_count : int
         Number of points that can be read.
+    stated_points : int
+        Number of points that the file states, 0 if it states none.
+    salvaged : bool
+        Whether the file is damaged and is read nevertheless.
     scales, offsets : tuple of 3 float
         Scales from `FINEST_SCALE` to `COARSEST_SCALE`, and finite offsets.
     mins, maxs : tuple of 3 float
@@ -122,6 +126,8 @@ class LasHeader:
     created: tuple[int, int] = (0, 0)
     gps_times: tuple[float, float] | None = None
     time_offset: int | None = None
+    stated_points: int = 0
+    salvaged: bool = False
 
     @property
     def size(self) -> int:
@@ -158,7 +164,7 @@ def _salvaged(header: LasHeader, what: str, salvage: bool) -> LasHeader:
     """Return the header with a note about its damage. Raise InputError if ``salvage`` is False."""
     if not salvage:
         refuse(header.path, what, SALVAGE)
-    return header.noted(what)
+    return replace(header.noted(what), salvaged=True)
 
 
 def read_header(path: Path, salvage: bool = False) -> LasHeader:
@@ -267,6 +273,8 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
         point_format=plain,
         record_length=length,
         point_count=count or legacy_count,
+        stated_points=count or legacy_count,
+        salvaged=unfinished,
         scales=fields[21:24],
         offsets=fields[24:27],
         mins=bounds[1::2],
