@@ -65,7 +65,7 @@ class CanopyPass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (surface.reach_cells(size_m) + canopy_reach_cells(size_m) + 3) * size_m
+        (surface.reach_cells(size_m, summits=False) + canopy_reach_cells(size_m) + 3) * size_m
         for size_m in CELL_SIZES_M
     )
 

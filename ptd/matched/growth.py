@@ -221,7 +221,7 @@ def grown(
     cell_m : float
         Size of the cells in metres.
     """
-    rows, columns = np.nonzero(above < MAX_HEIGHT_M)
+    rows, columns = (np.ascontiguousarray(i) for i in np.nonzero(above < MAX_HEIGHT_M))
     strips = _are_strips(height, there, rows, columns, round(STRIP_M / cell_m))
     joins = ~strips | (above[rows, columns] < STRIP_MAX_HEIGHT_M)
     rows, columns, strips = rows[joins], columns[joins], strips[joins]

@@ -118,8 +118,8 @@ def _fine_scale(cell_m: float) -> float:
     return max(FINE_M / cell_m, FINE_CELLS)
 
 
-def reach_cells(cell_m: float) -> int:
-    """Return the distance in cells beyond which heights do not change the surface."""
+def reach_cells(cell_m: float, *, summits: bool = True) -> int:
+    """Return the distance in cells beyond which heights do not change the surface, with or without summits."""
     about = max(slope_radius(cell_m), gaussian_radius(NOISE_M / cell_m))
     about += share_radius(bent_hull.CONTRAST_M, cell_m)
     rounds = (
@@ -132,10 +132,10 @@ def reach_cells(cell_m: float) -> int:
     )
     fine = FINE_ROUNDS * (gaussian_radius(_fine_scale(cell_m)) + 1)
     extended = gaussian_radius(max(EXTENDED_M) / cell_m)
-    summits = round(SUMMIT_M / cell_m) + REACH_CELLS + 2 * _thick_cells(cell_m)
+    ridges = round(SUMMIT_M / cell_m) + REACH_CELLS + 2 * _thick_cells(cell_m)
     cut_cells = replace(bent_hull.STIFF, cell_m=cell_m).cut_cells
     bent = bent_hull.reach_cells(cell_m)
-    return cut_cells + bent + 2 * about + rounds + edges + summits + fine + extended
+    return cut_cells + bent + 2 * about + rounds + edges + ridges * summits + fine + extended
 
 
 def ground_surface(
@@ -244,7 +244,7 @@ def _refined(
             surface = surface + np.where(cells.there, mean, 0.0)
     sigma, narrowing, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     surface = _to_edges(cells, terrain, surface, sigma, narrowing, above, below)
-    if bare is not None:
+    if bare is not None and (bare & cells.there).any():
         surface = _with_summits(cells, surface, above, below, bare)
     std = _fine_scale(cells.cell_m)
     for _ in range(FINE_ROUNDS):

@@ -389,8 +389,29 @@ def test_passes_of_another_branch_make_no_tile_smaller(
 def test_statistics_of_a_run_that_did_other_passes(
     file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(MedianPass, "name", "other")
+    monkeypatch.setattr(Census, "name", "other")
     with pytest.raises(
         ConfigError, match="has no results of the pass other; use the --kind of the run"
     ):
         filtered(file, tmp_path / "out", statistics=str(whole))
+
+
+def test_a_pass_with_another_name_is_done_again(
+    file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A later version may insert a pass, so that the number of a pass becomes that of another one."""
+    out = tmp_path / "out"
+    filtered(file, out)
+    monkeypatch.setattr(MedianPass, "name", "other")
+    again = computed(filtered(file, out))
+    number = [step.name for step in Parameters().passes].index("other")
+    assert again[f"filter{number}"] > 0
+
+
+def test_statistics_need_no_results_of_passes_that_have_none(
+    file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An earlier version may not have had the pass."""
+    monkeypatch.setattr(RisingPass, "name", "new")
+    assert type(RisingPass()).reduce is Pass.reduce
+    filtered(file, tmp_path / "out", statistics=str(whole))

@@ -116,6 +116,8 @@ def _without_known_places(state_after: State, state: State) -> State:
 def _known_state(job: Job, step: Pass, state: State) -> State:
     """Return the state after a pass as recorded in the file of ``--statistics``."""
     state_after: State | None = (job.plan.method.statistics or {}).get(step.name)
+    if state_after is None and type(step).reduce is Pass.reduce:
+        return state
     if state_after is None:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: has no results of the pass {step.name}; use the --kind "

@@ -78,6 +78,8 @@ def above_block(store_url: str, work: AboveBlock) -> AboveRecord:
 def heights_above(store: TileStore, work: AboveBlock) -> Heights:
     """Return the height in metres of the terrain above the highest return of each pixel of a block.
 
+    The terrain is that at the lowest corner of the pixel.
+
     Pixels without a return or without terrain have 0. So have pixels of water, whose low
     returns are noise, and of edits that set a height.
     """
@@ -94,8 +96,28 @@ def heights_above(store: TileStore, work: AboveBlock) -> Heights:
     edits = None if key is None else store.edits(key, spec.block_bounds(block), (FLAT,))
     for edit in () if edits is None else edits.edits:
         known &= ~spec.inside(block, edit.area)
-    above = terrain.astype(np.float64) - returns / COUNTS_PER_UNIT
+    above = terrain.astype(np.float64) - returns / COUNTS_PER_UNIT - _half_rise(terrain)
     return np.where(known, above * float(store.meta.frame.units.vertical), 0.0)
+
+
+def _half_rise(terrain: npt.NDArray[np.float32]) -> Heights:
+    """Return by how much the terrain falls from the centre of each pixel to its lowest corner.
+
+    The only return of a pixel may lie there. The larger of the two steps to the neighbours
+    counts along each axis; pixels without terrain have no step.
+    """
+    heights = np.where(terrain == np.float32(NODATA), np.nan, terrain.astype(np.float64))
+    rise = np.zeros_like(heights)
+    for axis in (0, 1):
+        step = np.abs(np.diff(heights, axis=axis))
+        before, after = ([(0, 0), (0, 0)] for _ in range(2))
+        before[axis], after[axis] = (1, 0), (0, 1)
+        larger = np.fmax(
+            np.pad(step, before, constant_values=np.nan),
+            np.pad(step, after, constant_values=np.nan),
+        )
+        rise += np.nan_to_num(larger) / 2
+    return rise
 
 
 def min_pixels(store: TileStore, spec: RasterSpec) -> int:

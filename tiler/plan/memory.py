@@ -195,7 +195,7 @@ def filter_bytes(
 def joined_bytes(step: PlannedPass, memory: int) -> int:
     """Return the bytes that a joined tile of a pass may need by `filter_bytes`.
 
-    Passes on elected points have halos of up to 622 m, so they may need the bytes of a tile
+    Passes on elected points have halos of up to 678 m, so they may need the bytes of a tile
     whose area the halos double, with one point per square metre. ``memory`` is the memory of a
     worker in bytes.
     """

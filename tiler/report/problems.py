@@ -264,7 +264,7 @@ def _joined(run: Run, places: Sequence[Problem]) -> Problem:
         return places[0]
     area = _area(run, sum(place.area_m2 or 0.0 for place in places))
     which = "small ones" if places[0].what == AT_BORDER else "more"
-    why = f"{len(places):,} {which}, {area} together, each marked on the map and listed in run.json"
+    why = f"{len(places):,} {which}, {area} together, in run.json (which lists at most {MAX_ROWS:,} of a kind)"
     return places[0]._replace(where=None, why=why)
 
 
@@ -297,6 +297,15 @@ def _link(where: Place | None) -> Content:
 
 
 def marked_places(run: Run) -> list[list[Any]]:
-    """Return kind, west, south, east and north of each problem that has a location, for the map."""
+    """Return kind, west, south, east and north of each problem that has a location, for the map.
+
+    Of more than `MAX_ROWS` problems the first of each kind are shown.
+    """
     located = [problem for problem in problems_of(run) if problem.where is not None]
-    return [[problem.what, *(problem.where or ())] for problem in located[:MAX_ROWS]]
+    own = Counter[str]()
+    ranked = []
+    for number, problem in enumerate(located):
+        ranked.append((own[problem.what], number))
+        own[problem.what] += 1
+    shown = [located[number] for _, number in sorted(ranked)[:MAX_ROWS]]
+    return [[problem.what, *(problem.where or ())] for problem in shown]

@@ -53,7 +53,8 @@ def _left_out(run: Run) -> str:
         (cut, "part of a file", "parts of files"),
         (tasks, "task", "tasks"),
     ]
-    return " and ".join(f"{n} {one if n == 1 else many}" for n, one, many in parts if n)
+    texts = [f"{n} {one if n == 1 else many}" for n, one, many in parts if n]
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 def sentence(run: Run) -> str:

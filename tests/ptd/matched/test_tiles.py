@@ -103,3 +103,10 @@ def test_the_order_of_points_and_the_frame_change_nothing() -> None:
 def test_next_to_no_points_give_no_error(n: int) -> None:
     xyz = np.array([[5.0, 5.0, 1.0], [8.0, 5.0, 1.0], [5.0, 9.0, 1.0]])[:n]
     assert len(ptd.classify(xyz.reshape(-1, 3), "auto", kind="dim").classification) == n
+
+
+def test_a_clump_that_hulls_cut_through_is_no_ground() -> None:
+    """Forty points in two cells: no cell remains for the surface."""
+    xyz = np.random.default_rng(1).uniform(0, 1, (40, 3)) * (2.0, 1.0, 0.5)
+    labels = ptd.classify(xyz, "auto", kind="dim").classification
+    assert (labels == 1).all()

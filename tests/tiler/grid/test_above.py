@@ -78,7 +78,7 @@ def test_a_place_has_its_area_its_bounds_and_its_largest_height(make_scene) -> N
     scene = flat_scene(make_scene, low)
     spec = spec_of(scene)
     dtm = np.full((SIDE, SIDE), 50.0, np.float32)
-    dtm[32, 6] = 54.5
+    dtm[30:34, 5:9] = 54.5
     scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), dtm)
     assert found(scene) == [
         (16.0, [5.0, SIDE - 34.0, 9.0, SIDE - 30.0], 7.5),
@@ -86,6 +86,20 @@ def test_a_place_has_its_area_its_bounds_and_its_largest_height(make_scene) -> N
     ]
     above = heights_above(scene.store, above_work(spec, Block(0, 0, SIDE, SIDE)))
     assert np.array_equal(above > ABOVE_M, low)
+
+
+def test_a_slope_whose_returns_lie_at_the_low_edge_of_pixels_is_right(make_scene) -> None:
+    """Pixels of 1 m on a slope of 3: the terrain is 1.4 m above the return at the lower edge."""
+    rows, cols = np.indices((SIDE, SIDE)).reshape(2, -1)
+    x = cols * 1000 + 30
+    xyz = np.stack((x, (SIDE - 1 - rows) * 1000 + 500, 50_000 + 3 * x), axis=1)
+    scene = make_scene(xyz.astype(np.int64))
+    spec = spec_of(scene)
+    scene.store.create_raster("dtm", spec.height, spec.width)
+    terrain = np.tile(50.0 + 3.0 * (np.arange(SIDE) + 0.5), (SIDE, 1)).astype(np.float32)
+    scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), terrain)
+    (record,) = records(scene).values()
+    assert record.wrong == 0
 
 
 def test_small_places_are_counted_but_not_listed(make_scene) -> None:

@@ -110,3 +110,8 @@ def test_each_command_refuses_degrees_with_one_line(
     assert_one_line(capsys.readouterr().err, str(path), "look like degrees")
     assert not (out / "dtm.tif").exists()
     assert not out.with_suffix(".laz").exists()
+
+
+def test_many_points_at_one_position_are_no_degrees(make_cloud: Any) -> None:
+    info = inspect(rectangle(make_cloud, 10.0, 20.0, 0.0, 0.0))
+    assert resolve_common_crs([info], RunConfig(crs="none")).wkt is None

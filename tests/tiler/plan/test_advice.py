@@ -74,7 +74,7 @@ def test_little_memory_is_told_of_where_halos_multiply_the_work(
         found = warnings_of(changed(plan, tile_memory=memory, tile_workers=workers))
         assert len(found) == warned
         for text in found:
-            assert text.startswith("tiles that fit into 1,024 MiB of memory, with up to 690 m")
+            assert text.startswith("tiles that fit into 1,024 MiB of memory, with up to 678 m")
             assert text.endswith("times the work; use more --memory")
 
 

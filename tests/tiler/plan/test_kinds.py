@@ -29,8 +29,8 @@ def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> 
         for kind in (None, "als", "dim")
     )
     assert (laser.method.kind, laser.method.halo_m) == ("lidar", 229.0)
-    assert (matched.method.kind, matched.method.halo_m) == ("dim", 690.0)
-    assert (unknown.method.kind, unknown.method.halo_m) == (None, 690.0)
+    assert (matched.method.kind, matched.method.halo_m) == ("dim", 678.0)
+    assert (unknown.method.kind, unknown.method.halo_m) == (None, 678.0)
     assert unknown.margin == matched.margin > laser.margin
     assert [step.name for step in matched.method.steps] == [
         "survey",
@@ -41,18 +41,18 @@ def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> 
         "surface",
     ]
     assert set(laser.method.steps) & set(matched.method.steps) == {laser.method.passes[0]}
-    assert plan_json(unknown)["halo_by_kind_m"] == {"lidar": 229.0, "dim": 690.0}
+    assert plan_json(unknown)["halo_by_kind_m"] == {"lidar": 229.0, "dim": 678.0}
     assert plan_json(laser)["halo_by_kind_m"] == {}
 
     words = {
         kind: "\n".join(plan_lines(plan)) for kind, plan in ((None, unknown), ("als", laser))
     }
     assert (
-        "229 m of halo (3.59 times the work) for a LiDAR cloud, or 690 m of halo" in words[None]
+        "229 m of halo (3.59 times the work) for a LiDAR cloud, or 678 m of halo" in words[None]
     )
     assert "some of them only for some clouds" in words[None]
     assert "(229 m are enough with --kind als)" in " ".join(words[None].split())
-    assert "690 m" not in words["als"]
+    assert "678 m" not in words["als"]
     assert "some of them only for some clouds" not in words["als"]
 
     statistics = {"survey": {"survey": {"kind": "lidar"}}}

@@ -181,7 +181,7 @@ def filter_tasks(
         bucket_digests = [[c.ix, c.iy, digests[c]] for c in near]
         elected_digests = [inputs.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c].n for c in tile.cells)
-        digest = digest_of(__version__, work, bucket_digests, elected_digests)
+        digest = digest_of(__version__, step.name, work, bucket_digests, elected_digests)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
 
 

@@ -6,7 +6,7 @@ The survey is divided in one of two ways:
   these tiles if the user chose a tile size. Otherwise only passes that read every point use them.
 - The survey is halved until each tile fits and each worker has a tile. Passes on candidates or
   elected points (one point per cell) use these tiles. They are larger, because their windows
-  need less memory, and because passes on elected points have halos of up to 622 m.
+  need less memory, and because passes on elected points have halos of up to 678 m.
 
 The tiles depend on the numbers of points in the buckets. They also depend on the memory of the
 first run on the store, but not on the memory of later runs, so that the tiles stay the same.
