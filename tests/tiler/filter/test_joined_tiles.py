@@ -62,7 +62,7 @@ def work_of(plan: Plan, records: Records, step: PlannedPass) -> float:
 
 
 def test_as_many_as_workers_in_halves_of_about_half(plan: Plan) -> None:
-    records, roofs = buckets(range(-3, 9), range(5, 13)), plan.method.passes[4]
+    records, roofs = buckets(range(-3, 9), range(5, 13)), pass_of(plan, "roofs")
     # of which eight would hold too few
     for workers, number in ((1, 1), (2, 2), (3, 4), (8, 4)):
         tiles = list(tiles_of(changed(plan, tile_workers=workers), records, roofs))
@@ -77,19 +77,19 @@ def test_parts_for_workers_are_more_equal_than_those_for_memory(
     plan: Plan, memory: int, lines: set[int]
 ) -> None:
     """Of 14 columns the line 8, divided by two most often, leaves 57 % of the points in the west."""
-    records, roofs = buckets(range(14), range(8)), plan.method.passes[4]
+    records, roofs = buckets(range(14), range(8)), pass_of(plan, "roofs")
     tiles = tiles_of(changed(plan, tile_workers=2, tile_memory=memory), records, roofs)
     assert {tile.cells[0].ix for tile in tiles} == lines
 
 
 def test_zero_is_the_roundest_line(plan: Plan) -> None:
-    records, roofs = buckets(range(-7, 8), range(4)), plan.method.passes[4]
+    records, roofs = buckets(range(-7, 8), range(4)), pass_of(plan, "roofs")
     tiles = tiles_of(changed(plan, tile_workers=1, tile_memory=2 << 28), records, roofs)
     assert 0 in {tile.cells[0].ix for tile in tiles}
 
 
 def test_windows_fit_the_memory_and_a_survey_that_grows_keeps_its_tiles(plan: Plan) -> None:
-    records, roofs = buckets(range(64), range(64)), plan.method.passes[4]
+    records, roofs = buckets(range(64), range(64)), pass_of(plan, "roofs")
     tiles = list(tiles_of(plan, records, roofs))
     assert len(tiles) == 60
     assert all(
@@ -131,7 +131,7 @@ def test_wide_halos_do_not_multiply_the_work_for_workers(
     assert sorted(cell for tile in tiles for cell in tile.cells) == sorted(records)
     # Tiles of about 2.4 halos are not halved, as their windows would keep more than four fifths.
     assert len(tiles) >= min(workers, columns * rows // 192)
-    assert work_of(plan, records, canopy) < 4
+    assert work_of(plan, records, canopy) < 4.5
 
 
 def test_large_surveys_are_cut_so_that_windows_fit(matched: Plan) -> None:
