@@ -60,8 +60,8 @@ Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415
 smaller tiles are distributed more evenly among workers.
 """
 ELECTED_SHARE = 5 / 8
-"""Share of the memory above `BASE_BYTES` for which joined tiles of passes on elected points are
-cut by `filter_bytes`. In windows of 2 to 10 km2 the surface needs up to 410 bytes per cell, and
+"""Share of the memory above `BASE_BYTES` for which tiles of passes on elected points are cut by
+`filter_bytes`. In windows of 0.5 to 10 km2 the surface needs 350 to 410 bytes per cell, and
 `filter_bytes` assumes 260."""
 TIN_BYTES = 3 << 29
 """Maximum bytes of a TIN that blocks of the terrain share."""
@@ -192,6 +192,19 @@ def filter_bytes(
     return read * READ_BYTES + vertices * VERTEX_BYTES
 
 
+def elected_bytes(memory: int) -> int:
+    """Return the bytes that a tile of a pass on elected points may need by `filter_bytes`.
+
+    ``memory`` is the memory of a worker in bytes.
+    """
+    return BASE_BYTES + int(ELECTED_SHARE * max(memory - BASE_BYTES, 0))
+
+
+def elected_peak(size: int) -> int:
+    """Return the peak bytes of a worker whose tile of elected points needs ``size`` bytes by `filter_bytes`."""
+    return BASE_BYTES + int((size - BASE_BYTES) / ELECTED_SHARE)
+
+
 def joined_bytes(step: PlannedPass, memory: int) -> int:
     """Return the bytes that a joined tile of a pass may need by `filter_bytes`.
 
@@ -203,8 +216,7 @@ def joined_bytes(step: PlannedPass, memory: int) -> int:
         return min(memory, JOINED_BYTES)
     window_m = (WIDE_TILE + 2) * step.halo_m
     enough = BASE_BYTES + int((READ_BYTES + VERTEX_BYTES) * window_m**2)
-    spare = max(memory - BASE_BYTES, 0)
-    return min(BASE_BYTES + int(ELECTED_SHARE * spare), max(JOINED_BYTES, enough))
+    return min(elected_bytes(memory), max(JOINED_BYTES, enough))
 
 
 def held_bytes(memory: int) -> int:

@@ -18,6 +18,7 @@ from tiler.plan.memory import (
     GROUND_BYTES,
     PlannedPass,
     breakline_bytes,
+    elected_bytes,
     joined_bytes,
     nested,
 )
@@ -162,6 +163,8 @@ class Plan:
         """Return the memory of a worker for which the tiles of a pass are cut, in bytes."""
         if self.joins(step):
             return joined_bytes(step, self.method.tile_memory)
+        if step.pass_.elected:
+            return elected_bytes(self.method.tile_memory)
         return self.method.tile_memory
 
     @property

@@ -8,12 +8,12 @@ from collections.abc import Iterable
 from tiler.plan.halos import widest_halo
 from tiler.plan.memory import (
     BASE_BYTES,
-    ELECTED_SHARE,
     EXPORT_BYTES,
     EXPORT_POINTS,
     GROUND_BYTES,
     PlannedPass,
     bucket_bytes,
+    elected_peak,
     filter_bytes,
     held_bytes,
     ingest_bytes,
@@ -55,10 +55,8 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     densest_tile = filter_peak(plan, step, side, step.halo_m, densest=True)
     densest_bucket = filter_peak(plan, step, plan.grid.bucket_m, step.halo_m, densest=True)
     peak, limit = max(mean_tile, densest_tile), plan.tile_memory_of(step)
-    if plan.joins(step) and step.pass_.elected:
-        peak, limit = (
-            BASE_BYTES + int((size - BASE_BYTES) / ELECTED_SHARE) for size in (peak, limit)
-        )
+    if step.pass_.elected:
+        peak, limit = elected_peak(peak), elected_peak(limit)
     return min(peak, max(limit, densest_bucket))
 
 

@@ -14,7 +14,7 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 from tiler.filter.tasks.tiles import BucketPoints, _bytes, tiles_of
 from tiler.plan import Plan, PlannedPass, make_plan
-from tiler.plan.memory import BASE_BYTES, JOINED_BYTES
+from tiler.plan.memory import BASE_BYTES, JOINED_BYTES, elected_peak
 from tiler.plan.projection import overlap_of
 
 pytestmark = pytest.mark.processes
@@ -155,7 +155,11 @@ def test_memory_follows_the_halo(plan: Plan, matched: Plan) -> None:
     assert much.tile_memory_of(canopy) == pytest.approx(BASE_BYTES + 260 * window_m2)
     assert JOINED_BYTES < matched.tile_memory_of(objects) < matched.tile_memory_of(canopy)
     for memory in (1 << 29, 5 << 28, 4 << 30):
-        assert changed(matched, tile_memory=memory).tile_memory_of(canopy) < memory
+        joined = changed(matched, tile_memory=memory)
+        of_chosen_size = changed(joined, tile_workers=0)
+        for changed_plan in (joined, of_chosen_size):
+            size = changed_plan.tile_memory_of(canopy)
+            assert BASE_BYTES < size < elected_peak(size) <= memory
 
 
 @pytest.mark.parametrize(("memory", "workers"), [(8 << 30, 1), (8 << 30, 2), (2 << 30, 1)])

@@ -176,7 +176,7 @@ def _fitting(
     A bucket belongs to the quarter with its centre.
     """
     halo = _halo(plan, step)
-    too_full = _bytes(plan, records, step, cells, halo) > plan.method.tile_memory
+    too_full = _bytes(plan, records, step, cells, halo) > plan.tile_memory_of(step)
     if len(cells) > 1 and (too_full or _too_wide(plan, cells, halo)):
         quarters = _by_centre(plan.buckets, cells, size / 2)
         root = name.split(".")[0]
