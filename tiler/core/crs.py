@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from pyproj import CRS, Proj
 from pyproj.exceptions import ProjError
@@ -53,7 +54,13 @@ def same_horizontal(one: CRS, other: CRS) -> bool:
 
 def same_vertical_datum(one: CRS, other: CRS) -> bool:
     """Return whether heights of two CRS refer to the same datum. Their units may differ."""
-    return one.name == other.name or one.datum == other.datum
+    datum = _vertical_datum(one)
+    return one.name == other.name or (datum is not None and datum == _vertical_datum(other))
+
+
+def _vertical_datum(crs: CRS) -> Any:
+    """Return the datum of a vertical CRS, or the name of its ensemble of datums, which has no datum in PROJ."""
+    return crs.datum or crs.to_json_dict().get("datum_ensemble", {}).get("name")
 
 
 def crs_name(wkt: str | None) -> str:

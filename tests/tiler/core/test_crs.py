@@ -1,4 +1,4 @@
-"""The scale of a CRS: lengths in its plane over lengths on the ground."""
+"""The scale of a CRS (lengths in its plane over lengths on the ground), and datums of heights."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import pytest
 from pyproj import CRS
 
-from tiler.core.crs import point_scale_factor
+from tiler.core.crs import point_scale_factor, same_vertical_datum
 
 DEGREES = 111_319.49
 
@@ -30,3 +30,19 @@ def test_the_scale_is_the_length_in_the_plane_over_that_on_the_ground(
     assert found == (
         None if scale is None else pytest.approx(scale, rel=0.005 if scale > 1 else 1e-6)
     )
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (5703, 6360, True),  # NAVD88 in metres and in US survey feet
+        (5703, 5773, False),
+        (5799, 5799, True),
+        (5799, 9451, False),  # ensembles of Denmark and of the British Isles
+        (5799, 10551, False),
+        (10551, 10552, False),
+    ],
+)
+def test_ensembles_of_datums_are_told_apart(one: int, other: int, same: bool) -> None:
+    assert same_vertical_datum(CRS(one), CRS(other)) is same
+    assert same_vertical_datum(CRS(other), CRS(one)) is same
