@@ -12,9 +12,7 @@ import rasterio
 
 import ptd
 from cli.main import main
-from tests.invariants.runs import do, output_digests
 from tests.scenes.village import village
-from tiler.plan import settled
 
 
 @pytest.fixture(scope="module")
@@ -35,30 +33,6 @@ def ran(cloud: Path, out: Path, *options: object) -> dict:
     arguments = ("run", cloud, "-o", out, "--crs", "EPSG:32632", "--in-process", "-q", *options)
     assert main([str(a) for a in arguments]) == 0
     return json.loads((out / "run.json").read_text())
-
-
-def test_a_store_of_an_older_version_keeps_its_tiles(
-    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Such a store does not record that passes on elected points have joined tiles."""
-    how = {"crs": "EPSG:32632", "method": "auto", "kind": "dim"}
-    how |= {"tile_size": None, "halo": None}
-
-    def tiles(folder: str) -> set[str]:
-        found = json.loads((tmp_path / folder / "run.json").read_text())["tiles"]
-        return {tile["key"] for stage in found.values() for tile in stage}
-
-    with monkeypatch.context() as patch:
-        patch.setattr(
-            "tiler.pipeline.settled",
-            lambda plan: {k: v for k, v in settled(plan).items() if k != "joins_elected"},
-        )
-        patch.setattr("tiler.plan.model.Plan.joins", lambda *_: False)
-        do(cloud, tmp_path / "older", **how)
-    assert do(cloud, tmp_path / "older", **how).did_nothing
-    do(cloud, tmp_path / "newer", **how)
-    assert tiles("newer") != tiles("older")
-    assert output_digests(tmp_path / "newer") == output_digests(tmp_path / "older")
 
 
 def test_what_is_decided_of_a_matched_cloud_is_told_and_done(

@@ -42,7 +42,7 @@ def test_a_run_that_is_killed_as_it_begins_has_settled_all_or_nothing(
     out = tmp_path / "out"
     assert ended(forked(dies_at_first_state, cloud, out)) == 9
     settled = the_store(out).settled
-    expected = {"tile", "resolution", "memory", "thin", "workers", "joins_elected"}
+    expected = {"tile", "resolution", "memory", "thin", "workers"}
     assert expected == settled.keys()
     assert settled["memory"] == 900 << 20
     later = do(cloud, out, memory="2GiB", tile_size=None, resolution=None)

@@ -28,7 +28,7 @@ VERTEX_BYTES = 200
 """Bytes per candidate that may become a vertex: its columns while it is tested, and its share of the TIN.
 
 The same number of bytes is assumed per cell of a raster. 35 bytes per cell were measured while
-large objects are found, and 180 while the surface is made.
+large objects are found. The surface needs more, see `ELECTED_SHARE`.
 """
 BUCKET_POINT_BYTES = 200
 """Bytes per point while its bucket is labelled."""

@@ -58,8 +58,6 @@ class MethodPlan:
     tile_workers : int
         Number of workers of the first run on the store, which determines the number of tiles; 0 if the user chose a
         tile size.
-    joins_elected : bool
-        Whether passes on elected points get joined tiles. Stores of older versions keep their tiles.
     """
 
     parameters: Mapping[str, Any]
@@ -70,7 +68,6 @@ class MethodPlan:
     tile: Fraction
     tile_memory: int
     tile_workers: int
-    joins_elected: bool = True
 
     @property
     def steps(self) -> tuple[PlannedPass, ...]:

@@ -155,9 +155,7 @@ class Plan:
         """
         if self.method.tile_workers == 0:
             return False
-        if step.pass_.elected:
-            return self.method.joins_elected
-        return step.on_candidates and self.on_candidates
+        return step.pass_.elected or (step.on_candidates and self.on_candidates)
 
     def tile_memory_of(self, step: PlannedPass) -> int:
         """Return the memory of a worker for which the tiles of a pass are cut, in bytes."""

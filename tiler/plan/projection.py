@@ -57,6 +57,8 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     peak, limit = max(mean_tile, densest_tile), plan.tile_memory_of(step)
     if step.pass_.elected:
         peak, limit = elected_peak(peak), elected_peak(limit)
+        if step.pass_.influence_radius_m is None:
+            limit = plan.method.tile_memory  # A wider halo may use all of it.
     return min(peak, max(limit, densest_bucket))
 
 

@@ -21,7 +21,6 @@ def settled(plan: Plan) -> dict[str, Any]:
         "memory": plan.resources.memory,
         "thin": plan.thin_ground,
         "workers": plan.method.tile_workers,
-        "joins_elected": plan.method.joins_elected,
     }
 
 
@@ -45,7 +44,6 @@ def settled_by(plan: Plan, store: TileStore) -> Plan:
         same_tiles = tile == Fraction(known["tile"])
         memory = known["memory"] if same_tiles else plan.resources.memory
         workers = int(known.get("workers", 0)) if same_tiles else plan.method.tile_workers
-        joins_elected = bool(known.get("joins_elected", False))
         thin = known["thin"]
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise StoreError(
@@ -54,13 +52,7 @@ def settled_by(plan: Plan, store: TileStore) -> Plan:
     plan = replace(
         plan,
         grid=replace(plan.grid, meta=store.meta, resolution=resolution, thin=thin),
-        method=replace(
-            plan.method,
-            tile=tile,
-            tile_memory=memory,
-            tile_workers=workers,
-            joins_elected=joins_elected,
-        ),
+        method=replace(plan.method, tile=tile, tile_memory=memory, tile_workers=workers),
     )
 
     def changed(memory: int, tile_size: Fraction | None = None, **_: Any) -> Plan:

@@ -15,7 +15,7 @@ from tiler.core.lattice import Cell
 from tiler.filter.tasks.tiles import BucketPoints, _bytes, tiles_of
 from tiler.plan import Plan, PlannedPass, make_plan
 from tiler.plan.memory import BASE_BYTES, JOINED_BYTES, elected_peak
-from tiler.plan.projection import overlap_of
+from tiler.plan.projection import overlap_of, projected_memory
 
 pytestmark = pytest.mark.processes
 
@@ -29,11 +29,10 @@ def buckets(columns: range, rows: range) -> Records:
     return {Cell(ix, iy): BucketPoints(100_000, EACH, 128**2) for ix in columns for iy in rows}
 
 
-def planned(cloud: Path, kind: str) -> Plan:
+def planned(cloud: Path, kind: str, method: str = "auto") -> Plan:
     """Plan with buckets of 128 m."""
-    plan = make_plan(
-        [str(cloud)], RunConfig(kind=kind, in_process=True, workers=1, memory=8 << 30)
-    )
+    config = RunConfig(kind=kind, method=method, in_process=True, workers=1, memory=8 << 30)
+    plan = make_plan([str(cloud)], config)
     bucket = replace(plan.buckets, size=plan.frame.counts(Fraction(128)))
     return changed(plan, meta=replace(plan.grid.meta, bucket=bucket), tile=Fraction(512))
 
@@ -108,15 +107,15 @@ def test_a_size_that_was_asked_for_and_passes_on_all_points_keep_the_lattice(
     assert len(list(tiles_of(changed(plan, tile_workers=0), records, seeds))) == 4
 
 
-def test_passes_on_elected_points_join_tiles_unless_a_size_or_an_older_store_forbids_it(
+def test_passes_on_elected_points_join_tiles_unless_the_user_chose_a_size(
     matched: Plan,
 ) -> None:
     records, canopy = buckets(range(12), range(16)), pass_of(matched, "canopy")
     assert len(list(tiles_of(matched, records, canopy))) == 1
     assert len(list(tiles_of(matched, records, pass_of(matched, "cells")))) == 12
-    for before in (changed(matched, tile_workers=0), changed(matched, joins_elected=False)):
-        assert len(list(tiles_of(before, records, canopy))) == 12
-        assert work_of(before, records, canopy) > 5
+    chosen = changed(matched, tile_workers=0)
+    assert len(list(tiles_of(chosen, records, canopy))) == 12
+    assert work_of(chosen, records, canopy) > 5
 
 
 @pytest.mark.parametrize("workers", [1, 2, 8, 64])
@@ -177,3 +176,25 @@ def test_the_plan_estimates_the_work_of_joined_tiles(
         covered_m2=len(records) * 128.0**2,
     )
     assert overlap_of(plan, [canopy]) == pytest.approx(work_of(plan, records, canopy), rel=0.3)
+
+
+@pytest.mark.parametrize("method", ["ridge2016", "chen2023"])
+def test_wider_halos_stay_within_the_projected_memory(
+    method: str, make_cloud: Callable[..., Path]
+) -> None:
+    """Published methods on photogrammetric clouds have passes on elected points with variable halos."""
+    records = buckets(range(48), range(48))
+    plan = planned(make_cloud(), "dim", method)
+    plan = changed(
+        plan,
+        extent=plan.buckets.hull(records),
+        points=len(records) * 100_000,
+        covered_m2=len(records) * 128.0**2,
+    )
+    steps = [step for step in plan.method.steps if step.pass_.elected]
+    assert any(step.pass_.influence_radius_m is None for step in steps)
+    projected = projected_memory(plan)["filter"]
+    assert projected <= plan.method.tile_memory
+    for step in steps:
+        for tile in tiles_of(plan, records, step):
+            assert _bytes(plan, records, step, tile.cells, tile.max_halo) <= projected
