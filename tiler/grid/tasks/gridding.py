@@ -239,8 +239,16 @@ class GridContext:
         corrections = self._correction_digests(raster, work.place(self.plan.buckets))
         if corrections:
             digest = digest_of(digest, corrections)
-        n_points = work.block.height * work.block.width if points is None else points
-        return Task(raster.stage, work.block.name, digest, raster.function, work, n_points)
+        size = work.block.height * work.block.width
+        return Task(
+            raster.stage,
+            work.block.name,
+            digest,
+            raster.function,
+            work,
+            points=points or 0,
+            pixels=size if points is None else 0,
+        )
 
     def _correction_digests(self, raster: RasterStep, extent: Bounds) -> list[Any]:
         digests = self.corrections.edit_digests(extent, raster.edits)
