@@ -158,11 +158,10 @@ class TerrainResult(Record):
 
 @dataclass(frozen=True, slots=True)
 class SurfaceResult(Record):
-    """Surface model: pixels with a height, pixels with returns, and pixels with returns only far below the terrain."""
+    """Surface model: pixels with a height, and pixels with returns."""
 
     filled: int
     measured: int
-    deep: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,7 +270,7 @@ class AbovePlace(Record):
         Edges in units of the CRS.
     area_m2 : float
     height_m : float
-        Largest height of the terrain above the highest return of a pixel.
+        Largest height above the highest return of a pixel of the terrain at its lowest corner.
     """
 
     pixels: int

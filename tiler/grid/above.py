@@ -13,7 +13,8 @@ import scipy
 from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.edits import FLAT
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.raster import RasterSpec
+from tiler.grid.derived import with_rim
 from tiler.grid.highest import NOTHING, ReturnsBlock, highest_returns
 from tiler.grid.pieces import label_block
 from tiler.grid.records import AboveRecord
@@ -84,11 +85,10 @@ def heights_above(store: TileStore, work: AboveBlock) -> Heights:
     returns are noise, and of edits that set a height.
     """
     spec, block = work.spec, work.block
-    returns, terrain = (
-        highest_returns(store, work, block)[..., 2],
-        store.read_block(work.terrain, block),
-    )
-    known = (returns != NOTHING) & (terrain != np.float32(NODATA))
+    returns = highest_returns(store, work, block)[..., 2]
+    wider = with_rim(store, work.terrain, spec, block)
+    terrain = wider[1:-1, 1:-1]
+    known = (returns != NOTHING) & ~np.isnan(terrain)
     waters = store.waters(work.waters, spec.block_bounds(block))
     if waters is not None:
         known &= ~waters.inside(spec, block)
@@ -96,27 +96,25 @@ def heights_above(store: TileStore, work: AboveBlock) -> Heights:
     edits = None if key is None else store.edits(key, spec.block_bounds(block), (FLAT,))
     for edit in () if edits is None else edits.edits:
         known &= ~spec.inside(block, edit.area)
-    above = terrain.astype(np.float64) - returns / COUNTS_PER_UNIT - _half_rise(terrain)
+    above = terrain - _half_rise(wider) - returns / COUNTS_PER_UNIT
     return np.where(known, above * float(store.meta.frame.units.vertical), 0.0)
 
 
-def _half_rise(terrain: npt.NDArray[np.float32]) -> Heights:
+def _half_rise(wider: Heights) -> Heights:
     """Return by how much the terrain falls from the centre of each pixel to its lowest corner.
 
     The only return of a pixel may lie there. The larger of the two steps to the neighbours
-    counts along each axis; pixels without terrain have no step.
+    counts along each axis; pixels without terrain have no step. ``wider`` has one pixel more on
+    each side than the result, and NaN where there is no terrain.
     """
-    heights = np.where(terrain == np.float32(NODATA), np.nan, terrain.astype(np.float64))
-    rise = np.zeros_like(heights)
-    for axis in (0, 1):
-        step = np.abs(np.diff(heights, axis=axis))
-        before, after = ([(0, 0), (0, 0)] for _ in range(2))
-        before[axis], after[axis] = (1, 0), (0, 1)
-        larger = np.fmax(
-            np.pad(step, before, constant_values=np.nan),
-            np.pad(step, after, constant_values=np.nan),
-        )
-        rise += np.nan_to_num(larger) / 2
+    centre = wider[1:-1, 1:-1]
+    rise = np.zeros_like(centre)
+    for before, after in (
+        (wider[:-2, 1:-1], wider[2:, 1:-1]),
+        (wider[1:-1, :-2], wider[1:-1, 2:]),
+    ):
+        step = np.fmax(np.abs(centre - before), np.abs(centre - after))
+        rise += np.nan_to_num(step) / 2
     return rise
 
 

@@ -59,7 +59,7 @@ def _read(store: TileStore, name: str, block: Block) -> Float64:
     return np.where(heights == np.float32(NODATA), np.nan, heights.astype(np.float64))
 
 
-def _with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Float64:
+def with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Float64:
     """Return the heights of a block and of one pixel on each side, NaN beyond the raster."""
     top, left = min(block.row, 1), min(block.col, 1)
     bottom = min(spec.height - block.row - block.height, 1)
@@ -81,7 +81,7 @@ def _terrain_gradients(
     # units (feet, metres).
     frame = store.meta.frame
     step = spec.lattice.size * frame.metres_xy / frame.units.vertical
-    return gradients(_with_rim(store, sources[0], spec, block), float(step))
+    return gradients(with_rim(store, sources[0], spec, block), float(step))
 
 
 def _hillshade(

@@ -214,7 +214,6 @@ def _report_surface(job: Job, gridding: GridContext) -> None:
     job.results.dsm = SurfaceResult(
         filled=_delivered_heights(gridding, "dsm"),
         measured=sum(record.measured for record in records),
-        deep=job.results.above_returns.pixels,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +15,12 @@ from tiler.core.edits import FLAT, Edit, Edits
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
-from tiler.core.units import FOOT, Units
+from tiler.core.units import FOOT, METRE, Units
 from tiler.core.water import LAKE, Water, Waters
 from tiler.grid import AboveBlock, above_block
 from tiler.grid.above import ABOVE_M, heights_above
 from tiler.grid.records import AboveRecord
-from tiler.grid.tasks.above import places_of
+from tiler.grid.tasks.above import places_of, report_above
 
 PIXEL = Fraction(1000)
 SIDE = 40
@@ -179,3 +180,42 @@ def test_places_across_blocks_are_joined(make_scene, monkeypatch: pytest.MonkeyP
         }
         places = places_of(of_blocks, spec, Fraction(1))
         assert [(p.area_m2, p.bounds, p.height_m) for p in places] == whole
+
+
+def test_blocks_do_not_change_the_height_above_a_slope(make_scene) -> None:
+    """The rise across a pixel needs its neighbours, in blocks of a single row or column as well."""
+    scene = flat_scene(make_scene, np.zeros((SIDE, SIDE), np.bool_))
+    spec, whole = spec_of(scene), Block(0, 0, SIDE, SIDE)
+    terrain = 50.0 + np.random.default_rng(3).normal(0.0, 3.0, (SIDE, SIDE))
+    scene.store.write_block("dtm", whole, terrain.astype(np.float32))
+    expected = heights_above(scene.store, above_work(spec, whole))
+    assert (expected > ABOVE_M).any()
+    for side in (1, 8, 13):
+        of_blocks = np.full((SIDE, SIDE), np.nan)
+        for block in spec.blocks(side):
+            rows = slice(block.row, block.row + block.height)
+            cols = slice(block.col, block.col + block.width)
+            of_blocks[rows, cols] = heights_above(scene.store, above_work(spec, block))
+        assert np.array_equal(of_blocks, expected)
+
+
+def test_the_note_counts_the_pixels_of_its_places(make_scene) -> None:
+    low = pixels((slice(10, 13), slice(20, 23)), (slice(20, 22), slice(5, 10)))
+    scene = flat_scene(make_scene, low)
+    notes: list[str] = []
+    plan = SimpleNamespace(
+        grid=SimpleNamespace(resolution=Fraction(1)),
+        frame=SimpleNamespace(units=Units(METRE, METRE)),
+    )
+    job = SimpleNamespace(plan=plan, results=SimpleNamespace(), note=notes.append)
+    made = {
+        block.name: ("digest", record.to_json())
+        for block, record in zip(
+            spec_of(scene).blocks(BLOCK_PIXELS), records(scene).values(), strict=True
+        )
+    }
+    report_above(job, spec_of(scene), made)
+    assert (job.results.above_returns.pixels, job.results.above_returns.number) == (19, 1)
+    (note,) = notes
+    assert note.startswith("in 10 pixels all returns lie more than 1 m below the terrain, ")
+    assert "in 1 place of at least 10 m2" in note

@@ -31,7 +31,7 @@ def report_above(job: Job, spec: RasterSpec, made: Commits) -> None:
     pixels = sum(record.wrong for record in records.values())
     job.results.above_returns = AboveResult(pixels, len(places), places[:MAX_LISTED])
     if places:
-        job.note(_note(job, pixels, places))
+        job.note(_note(job, places))
 
 
 def places_of(
@@ -64,7 +64,8 @@ def places_of(
     return sorted(places, key=lambda place: (-place.height_m, -place.pixels, place.bounds))
 
 
-def _note(job: Job, pixels: int, places: list[AbovePlace]) -> str:
+def _note(job: Job, places: list[AbovePlace]) -> str:
+    pixels = sum(place.pixels for place in places)
     units, worst = job.plan.frame.units, places[0]
     west, south, east, north = worst.bounds
     return (

@@ -93,7 +93,7 @@ def surface_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 
 
 def above_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with points. A task also reads the points just outside the block."""
+    """Yield a task for each block with points. A task also reads points and pixels just outside the block."""
     spec, choice = context.spec, _highest(raster, context)
     margin = math.ceil(choice["reach"] * spec.lattice.size)
     for block, near in _near(context, spec, margin).items():
@@ -109,7 +109,7 @@ def above_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             raster,
             work,
             context.label_digests(near),
-            context.checksums(choice["terrain"], [block.name]),
+            context.checksums(choice["terrain"], _around(block)),
             context.waters.digest(spec.block_bounds(block)),
             points=context.n_points(near),
         )
