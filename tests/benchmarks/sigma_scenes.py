@@ -15,6 +15,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import KDTree
 
 from tests.benchmarks.scorecard_scenes import (
+    SIMULATED,
     BenchScene,
     Cloud,
     real_scenes,
@@ -57,7 +58,8 @@ class Known:
 def known_scenes(data: Path) -> Iterator[Known]:
     """All scenes whose terrain is known, as far as their files are there."""
     for scene in simulated_scenes():
-        yield Known(scene.name, scene.name[:3], "simulated", scene)
+        kind = next(kind for kind, group in SIMULATED.items() if group == scene.group)
+        yield Known(scene.name, kind, "simulated", scene)
     for scene in semi_real_scenes(data):
         yield Known(scene.name, "dim", "real", scene)
     for scene in real_scenes(data):

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
+from tiler.simulate.low_points import clumps, delayed
 from tiler.simulate.objects import LOW_VEGETATION, WIRE, Floats, Objects, Rays
-from tiler.simulate.points import Box, SimulatedPoints, UInt8s, vegetation_label
+from tiler.simulate.points import Box, SimulatedPoints, UInt8s, alone, vegetation_label
 from tiler.simulate.randomness import BIAS, BLUNDERS, PULSES, generator, node_normals
 from tiler.simulate.site import Site
 from tiler.simulate.terrain import Terrain
@@ -62,9 +63,23 @@ class AlsSensor:
     low_singles_km2, low_groups_km2, high_km2 : float
         Numbers of blunders: single points 2-15 m below the ground, groups of 3 to 7 points 2-6 m below it, and
         single points 20-200 m above it.
+    low_share : float
+        Share of the points that lie alone 0.3-8 m below the ground.
+    low_clumps_km2 : float
+        Number of clumps of 8 to 30 points 1-6 m below the ground.
+    mirrors_km2 : float
+        Number of rectangles of about 12 x 40 m along streets below which the ground is seen again, mirrored or
+        moved by 3-5 m, with 15 to 60 % of the density above.
     """
 
-    BLUNDERS: ClassVar = ("low_singles_km2", "low_groups_km2", "high_km2")
+    BLUNDERS: ClassVar = (
+        "low_singles_km2",
+        "low_groups_km2",
+        "high_km2",
+        "low_share",
+        "low_clumps_km2",
+        "mirrors_km2",
+    )
     patch_m: ClassVar[float] = PATCH_M
     coloured: ClassVar[bool] = False
 
@@ -77,6 +92,9 @@ class AlsSensor:
     low_singles_km2: float = 150.0
     low_groups_km2: float = 40.0
     high_km2: float = 150.0
+    low_share: float = 0.0
+    low_clumps_km2: float = 0.0
+    mirrors_km2: float = 0.0
 
     @property
     def reach_m(self) -> float:
@@ -112,17 +130,17 @@ class AlsSensor:
             * node_normals(site.seed, BIAS, strip[ray], np.zeros(len(ray), np.int64))
         )
         z = z + bias + self.sigma_m * rng.standard_normal(len(z))
-        noise, noise_label = _blunders(
-            self, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy)
-        )
-        one = np.ones(len(noise), np.uint8)
-        return SimulatedPoints(
-            np.concatenate((np.column_stack((x, y, z)), noise)),
-            np.r_[label, noise_label],
-            np.r_[number, one],
-            np.r_[count, one],
-            np.r_[angle, np.zeros(len(noise))],
-        )
+        points = SimulatedPoints(np.column_stack((x, y, z)), label, number, count, angle)
+        if self.low_share or self.mirrors_km2:
+            rates = self.low_share, self.mirrors_km2
+            points = delayed(points, site, (ix, iy), *rates, rays, bare, ray)
+        parts = [
+            points,
+            _blunders(self, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy)),
+        ]
+        if self.low_clumps_km2:
+            parts.append(clumps(site, (ix, iy), box, self.low_clumps_km2))
+        return SimulatedPoints.joined(parts)
 
 
 Hits = list[tuple[npt.NDArray[np.intp], Floats, UInt8s, npt.NDArray[np.bool_]]]
@@ -305,8 +323,8 @@ def _numbered(
 
 def _blunders(
     sensor: AlsSensor, terrain: Terrain, box: Box, rng: np.random.Generator
-) -> tuple[Floats, UInt8s]:
-    """Return points below the ground and in the air: xyz (n, 3) in metres and labels."""
+) -> SimulatedPoints:
+    """Return points below the ground and in the air."""
     km2 = (box[2] - box[0]) * (box[3] - box[1]) / 1e6
     low, groups, high = (
         rng.poisson(rate * km2)
@@ -324,4 +342,4 @@ def _blunders(
     x, y = x + spread * rng.standard_normal(len(x)), y + spread * rng.standard_normal(len(y))
     above = above + 0.2 * spread * rng.standard_normal(len(x))
     label = np.where(above < 0, LOW_NOISE, HIGH_NOISE).astype(np.uint8)
-    return np.column_stack((x, y, terrain.height_at(x, y) + above)), label
+    return alone(np.column_stack((x, y, terrain.height_at(x, y) + above)), label)

@@ -171,6 +171,16 @@ _ALL = (
     SceneSpec("als_tide", "als", "a beach and a sea at two tides", "als water", "tide", 264, 400.0, {"density": 2.0}),
     SceneSpec("als_wet_meadow", "als", "flat land with few returns in patches, no water", "als water", "wet_meadow",
               265, 400.0, {"density": 2.0}),
+    SceneSpec("raw_suburb", "als", "a suburb, 0.02 % of the points below the ground, of every depth", "als raw",
+              "suburb", 271, 200.0, {"density": 8.0, "low_share": 2e-4}),
+    SceneSpec("raw_hills", "als", "houses, fields and wood on hills, 0.15 % of the points below the ground", "als raw",
+              "mixed", 272, 200.0, {"density": 6.0, "low_share": 1.5e-3}),
+    SceneSpec("raw_clumps", "als", "meadows and groups of trees, 20 clumps of low points", "als raw", "park", 273,
+              180.0, {"density": 8.0, "low_clumps_km2": 600.0}),
+    SceneSpec("raw_mirror", "als", "a city whose streets are mirrored 3 to 5 m below the ground in places", "als raw",
+              "city", 274, 200.0, {"density": 8.0, "mirrors_km2": 120.0}),
+    SceneSpec("raw_forest", "als", "closed wood on hills, 0.05 % of the points below the ground", "als raw", "forest",
+              275, 160.0, {"density": 6.0, "low_share": 5e-4}),
 )  # fmt: skip
 
 SCENES: dict[str, SceneSpec] = {spec.name: spec for spec in _ALL}

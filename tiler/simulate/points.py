@@ -91,6 +91,12 @@ class SimulatedPoints:
         return self.xyz, self.label, self.number, self.count, self.angle_deg, self.rgb
 
 
+def alone(xyz: Floats, label: UInt8s) -> SimulatedPoints:
+    """Return points (metres) that are the only returns of vertical pulses, without colours."""
+    one = np.ones(len(label), np.uint8)
+    return SimulatedPoints(xyz, label, one, one, np.zeros(len(label)))
+
+
 class Sensor(Protocol):
     """Sensor that surveys a site patch by patch. The patches are a lattice at (0, 0)."""
 

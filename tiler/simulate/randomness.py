@@ -11,6 +11,9 @@ UInt64s = npt.NDArray[np.uint64]
 BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR, TEXTURE = range(8)
 """Purposes of random numbers. Different purposes give different numbers."""
 
+LATE, CLUMPS, MIRRORS = range(8, 11)
+"""Further purposes, for `generator` only. `node_normals` distinguishes eight."""
+
 OFFSET = 1 << 31
 
 

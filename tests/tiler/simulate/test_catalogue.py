@@ -23,7 +23,7 @@ MEANS = [146.516, 148.778, 257.595]
 def test_names_kinds_and_sites_belong_together():
     for name, spec in SCENES.items():
         assert name == spec.name
-        assert re.fullmatch(f"{spec.kind}_[a-z_]+", name)
+        assert re.fullmatch(f"({spec.kind}|raw)_[a-z_]+", name)
         assert spec.kind in SENSORS
         assert spec.site in SITES
         assert spec.scene_class.startswith(spec.kind)
