@@ -178,7 +178,7 @@ _ALL = (
     SceneSpec("raw_clumps", "als", "meadows and groups of trees, 20 clumps of low points", "als raw", "park", 273,
               180.0, {"density": 8.0, "low_clumps_km2": 600.0}),
     SceneSpec("raw_mirror", "als", "a city whose streets are mirrored 3 to 5 m below the ground in places", "als raw",
-              "city", 274, 200.0, {"density": 8.0, "mirrors_km2": 120.0}),
+              "city", 287, 200.0, {"density": 8.0, "mirrors_km2": 60.0}),
     SceneSpec("raw_forest", "als", "closed wood on hills, 0.05 % of the points below the ground", "als raw", "forest",
               275, 160.0, {"density": 6.0, "low_share": 5e-4}),
 )  # fmt: skip

@@ -146,6 +146,7 @@ def delayed(
     street = (points.label[last] == GROUND) & ~single
     for mirror in mirrors_near(site, mirrors_km2, (x.min(), y.min(), x.max(), y.max())):
         here = np.flatnonzero(street & mirror.inside(x, y))
+        street[here] = False  # Where mirrors overlap, the first one counts.
         here = here[rng.random(len(here)) < mirror.density / (1.0 + mirror.density)]
         level = site.terrain.height_at(mirror.line.x, mirror.line.y)
         depth[here] = mirror.depth_m + mirror.rise * (height[here] - level)
