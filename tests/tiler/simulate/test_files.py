@@ -71,7 +71,11 @@ def test_the_same_settings_give_the_same_bytes_and_nothing_else_is_left(written,
 
 @pytest.mark.parametrize(
     ("kind", "sensor"),
-    [("suburb", AlsSensor(density=1.0)), ("village", DimSensor(density=4.0))],
+    [
+        ("suburb", AlsSensor(density=1.0)),
+        ("suburb", AlsSensor(low_share=0.01, low_clumps_km2=2000.0, mirrors_km2=1000.0)),
+        ("village", DimSensor(density=4.0)),
+    ],
 )
 def test_patches_depend_neither_on_their_order_nor_on_one_another(kind, sensor):
     side = 60.0
