@@ -15,14 +15,14 @@ from ptd.tin import Pixels, Tin, rasterise
 from tests.benchmarks.scorecard_scenes import BenchScene, Cloud
 from tiler.apps.evaluate import IGNORED, evaluate_labels
 
-GROUND = 2
+GROUND, LOW_NOISE = 2, 7
 
 FLOOR = "floor"
 """No filter: what lies nearer to the true terrain than one height, the best one for the scene.
 It sees the truth."""
 
 Filter = Callable[[Cloud], np.ndarray]
-"""From a cloud to what is ground, bool [n]."""
+"""From a cloud to ASPRS classes, uint8 [n], or only to what is ground, bool [n]."""
 
 
 def nearest_to_truth(cloud: Cloud) -> np.ndarray:
@@ -54,6 +54,9 @@ class Cell:
         Fractions.
     dtm_rmse_m : float or None
         Of the linear TIN of what was labelled ground, where the true terrain is known; at pixels of `Cloud.pixel_m`.
+    low_found, low_as_ground : float or None
+        Shares of the reference low points that the filter classifies as low noise and as ground. None without low
+        points, and `low_found` is None if the filter finds only ground.
     seconds : float or None
         CPU time of the fastest run.
     peak_bytes : int or None
@@ -71,6 +74,8 @@ class Cell:
     total: float | None = None
     kappa: float | None = None
     dtm_rmse_m: float | None = None
+    low_found: float | None = None
+    low_as_ground: float | None = None
     seconds: float | None = None
     peak_bytes: int | None = None
 
@@ -85,10 +90,16 @@ def measure(name: str, run: Filter, scene: BenchScene, cloud: Cloud, repeats: in
         "points": len(cloud.xyz),
     }
     try:
-        ground = run(cloud)
+        labels = run(cloud)
     except ValueError as refusal:
         return Cell(**cell, refusal=" ".join(str(refusal).split()))
-    labels = np.where(ground, GROUND, 1).astype(np.uint8)
+    low = cloud.classification == LOW_NOISE
+    found_low = None
+    if labels.dtype == np.bool_:
+        labels = np.where(labels, GROUND, 1).astype(np.uint8)
+    elif low.any():
+        found_low = float(np.mean(labels[low] == LOW_NOISE))
+    ground = labels == GROUND
     found = evaluate_labels(labels, cloud.classification, IGNORED)
     seconds, peak = [], None
     for _ in range(repeats):
@@ -107,6 +118,8 @@ def measure(name: str, run: Filter, scene: BenchScene, cloud: Cloud, repeats: in
         **cell,
         **errors,
         dtm_rmse_m=dtm_rmse_m(cloud, surface),
+        low_found=found_low,
+        low_as_ground=float(np.mean(ground[low])) if low.any() else None,
         seconds=fastest,
         peak_bytes=peak,
     )

@@ -20,6 +20,9 @@ SEMI_REAL = "semi-real image matching"
 """Surfaces of real sites, made of classified laser scans, as a simulated matcher sees them:
 their truth is complete."""
 
+RAW = "simulated als raw"
+"""Scenes with the low points that producers remove."""
+
 SIMULATED = {"als": "simulated laser scanning", "dim": "simulated image matching"}
 
 SEMI_REAL_SCENES = ("rows", "garden", "industry", "houses", "suburb", "bluff", "forest")

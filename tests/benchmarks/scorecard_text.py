@@ -7,7 +7,7 @@ from statistics import mean, median
 from typing import TYPE_CHECKING
 
 from tests.benchmarks.published import MEANS, PER_SAMPLE, RMSES
-from tests.benchmarks.scorecard_scenes import SEMI_REAL
+from tests.benchmarks.scorecard_scenes import RAW, SEMI_REAL
 
 if TYPE_CHECKING:
     from tests.benchmarks.leave_one_out import LeaveOneOut
@@ -69,6 +69,9 @@ def markdown(
     ]
     for group in dict.fromkeys(cell.group for cell in cells):
         parts += [f"## {_capital(group)}\n", _scenes([c for c in cells if c.group == group])]
+    raw = [cell for cell in cells if cell.family == RAW]
+    if raw:
+        parts += ["## Low points of raw laser scans\n", _low_points(raw)]
     parts += ["## Speed and memory\n", _speed(cells, reference)]
     for family, found in (chosen or {}).items():
         parts += [f"## `auto`, chosen on all but one: {family}\n", chosen_without(found)]
@@ -175,6 +178,26 @@ def _scenes(cells: Sequence[Cell]) -> str:
         ERRORS
         + (", RMSE of the DTM at pixels of 1 m (0.5 m: semi-real)" if known else "")
         + ".\n\n"
+    )
+    return note + table(["scene", *methods], rows)
+
+
+def _low_points(cells: Sequence[Cell]) -> str:
+    """Return what became of the low points of each scene."""
+    methods = _methods(cells)
+    rows = []
+    for scene in dict.fromkeys(cell.scene for cell in cells):
+        own = {c.method: c for c in cells if c.scene == scene}
+        shares = [
+            f"{percent(own[m].low_found)} / {percent(own[m].low_as_ground)}"
+            if m in own
+            else "-"
+            for m in methods
+        ]
+        rows.append([scene, *shares])
+    note = (
+        "Share of the points far below the ground (reference class 7) that is classified as low noise / as ground, in "
+        "percent. The others are unclassified. Filters do not read that class.\n\n"
     )
     return note + table(["scene", *methods], rows)
 

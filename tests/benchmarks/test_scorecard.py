@@ -12,8 +12,15 @@ from ptd.methods.auto.method import Auto
 from tests.benchmarks import kept, leave_one_out, measuring, scorecard
 from tests.benchmarks.kept import Kept
 from tests.benchmarks.published import PER_SAMPLE
-from tests.benchmarks.scorecard_scenes import BenchScene, Cloud, read_clouds
+from tests.benchmarks.scorecard_scenes import (
+    RAW,
+    BenchScene,
+    Cloud,
+    read_clouds,
+    simulated_scenes,
+)
 from tests.benchmarks.scorecard_text import markdown, table
+from tiler.simulate import SCENES as SIMULATOR_SCENES
 
 
 def plain() -> Cloud:
@@ -82,6 +89,38 @@ def test_two_tiny_scenes(
     assert "refused 2 of 2" in text
     assert "- `picky` on house, again: needs rgb" in text
     assert "28.21" in text  # published
+
+
+def test_low_points_of_raw_scenes_are_found_or_become_ground(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def classes(cloud: Cloud) -> np.ndarray:
+        found = np.full(len(cloud.xyz), 1, np.uint8)
+        found[:3], found[3:] = 7, np.where(np.arange(3, 3000) == 3, 1, 2)
+        return found
+
+    def only_ground(cloud: Cloud) -> np.ndarray:
+        return np.arange(len(cloud.xyz)) >= 3
+
+    filters = {
+        "both": scorecard.Entry(classes, ""),
+        "only ground": scorecard.Entry(only_ground, ""),
+    }
+    monkeypatch.setattr(scorecard, "all_filters", lambda: filters)
+    monkeypatch.setattr("os.sched_setaffinity", lambda *_: None, raising=False)
+    out = [str(tmp_path / "card.md"), "--json", str(tmp_path / "card.json"), "--repeats", "0"]
+    scorecard.main(out, [BenchScene("raw", RAW, "simulated laser scanning", plain)])
+    cells = json.loads((tmp_path / "card.json").read_text())
+    # Of five low points three are noise, one is unclassified and one is ground.
+    assert [(c["low_found"], c["low_as_ground"]) for c in cells] == [(0.6, 0.2), (None, 0.4)]
+    assert cells[0]["type_1"] == 0.0
+    assert "| raw | 60.00 / 20.00 | - / 40.00 |" in (tmp_path / "card.md").read_text()
+
+
+def test_raw_scenes_of_the_simulator_are_in_the_family_whose_low_points_count() -> None:
+    raw = [scene.name for scene in simulated_scenes() if scene.family == RAW]
+    assert raw == [name for name in SIMULATOR_SCENES if name.startswith("raw_")]
+    assert len(raw) == 5
 
 
 def test_what_was_measured_is_measured_again_only_where_its_sources_changed(

@@ -2,9 +2,10 @@
 
 A `Site` consists of ``terrain`` (a height by formula) and ``objects`` (solids, crowns, plants, wires), which ``plot``
 places on a block of land. ``sites`` contains the kinds of sites by name, and ``catalogue`` the committed scenes.
-``als`` simulates laser scanning of a site and ``dim`` image matching, both patch by patch. ``cloud`` and ``files``
-write the points, and ``demo`` writes the files of the demo. Random numbers come from a hash of the seed and the index
-of a patch or block, so results do not depend on an order. This package imports nothing of filters, stores or runs.
+``als`` simulates laser scanning of a site, with the ``low_points`` of raw scans, and ``dim`` image matching, both
+patch by patch. ``cloud`` and ``files`` write the points, and ``demo`` writes the files of the demo. Random numbers come
+from a hash of the seed and the index of a patch or block, so results do not depend on an order. This package imports
+nothing of filters, stores or runs.
 """
 
 from tiler.simulate.als import AlsSensor
