@@ -175,7 +175,7 @@ _ALL = (
               "suburb", 271, 200.0, {"density": 8.0, "low_share": 2e-4}),
     SceneSpec("raw_hills", "als", "houses, fields and wood on hills, 0.15 % of the points below the ground", "als raw",
               "mixed", 272, 200.0, {"density": 6.0, "low_share": 1.5e-3}),
-    SceneSpec("raw_clumps", "als", "meadows and groups of trees, 20 clumps of low points", "als raw", "park", 273,
+    SceneSpec("raw_clumps", "als", "meadows and groups of trees, clumps of 8 to 30 low points", "als raw", "park", 273,
               180.0, {"density": 8.0, "low_clumps_km2": 600.0}),
     SceneSpec("raw_mirror", "als", "a city whose streets are mirrored 3 to 5 m below the ground in places", "als raw",
               "city", 287, 200.0, {"density": 8.0, "mirrors_km2": 60.0}),

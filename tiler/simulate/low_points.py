@@ -23,11 +23,12 @@ CLUMP_POINTS = (8, 30)
 CLUMP_DIAMETER_M = (1.0, 2.0)
 CLUMP_DEPTH_M = (1.0, 6.0)
 CLUMP_HEIGHT_M = 0.6
-"""Number, extent and depth of the points of a clump. They fill a part of this height."""
+"""Limits of the number, diameter and depth of the points of a clump, and its height, metres."""
 
 MIRROR_LENGTH_M = (30.0, 45.0)
 MIRROR_WIDTH_M = (9.0, 14.0)
 MIRROR_DEPTH_M = (3.0, 5.0)
+"""Limits of the sides of a mirrored plane, and of its depth at the centre, metres."""
 MIRROR_DENSITY = (0.15, 0.6)
 """Density of a mirrored plane relative to that of the ground that remains above it."""
 MIRROR_SIGMA_M = (0.03, 0.08)
@@ -37,6 +38,9 @@ MIRROR_SIGMA_M = (0.03, 0.08)
 @dataclass(frozen=True)
 class Mirror:
     """Rectangle in which a share of the pulses return late, as from a plane below the ground.
+
+    A mirror image on a slope may come near the ground. Pulses that would return from less than
+    0.3 m below it are not late.
 
     Attributes
     ----------
@@ -71,10 +75,11 @@ class Mirror:
 
 
 def mirrors_near(site: Site, per_km2: float, box: Box) -> list[Mirror]:
-    """Return the mirrors that may reach into a box, ``per_km2`` on average.
+    """Return the mirrors that may reach into a box (metres).
 
-    Each belongs to a block of the site and lies along its south or west edge, where streets are.
-    So a mirror depends only on the site, the rate and its block.
+    A square kilometre has ``per_km2`` of them on average. Each belongs to a block of the site
+    and lies along its south or west edge, where streets are. So a mirror depends only on the
+    site, the rate and its block.
     """
     reach = float(np.hypot(MIRROR_LENGTH_M[1], MIRROR_WIDTH_M[1])) / 2
     west, south = (int(np.floor((edge - reach) / site.block_m)) for edge in box[:2])
