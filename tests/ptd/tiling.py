@@ -57,7 +57,7 @@ def classify_tiled(
         sees, labels_elected = _given(elected, step, codes), step.elected and not last
         given = sees if labels_elected else _given(points, step, labels)
         found, is_uncertified = np.zeros(len(given), np.uint8), np.zeros(len(given), bool)
-        made = []
+        made = [Points(np.zeros((3, 0), np.int32), np.zeros(0, np.uint8))]
         partials = []
         for core, window in _windows(points, scale, params, step, tile_m, halo_m):
             own = np.flatnonzero(inside(given, core))

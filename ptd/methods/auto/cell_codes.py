@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, Int32, lowest_per_cell
+from ptd.cells import CellIndex, Int32, Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Window
 from ptd.ground.labelling import LOW_NOISE, UNCLASSIFIED
 from ptd.passes import Model, Points, Stats, UInt8
@@ -15,6 +15,9 @@ Bool = npt.NDArray[np.bool_]
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
 """Codes of cells between passes. Cells that stay ground after `refine` have the code
 `GROUND` (`ptd.ground.labelling`). `ROOF` is also that of crowns on slopes."""
+ABOVE_NOISE = 32
+"""Bit of the codes of cells in which points below the elected one are low noise. It stays the
+same in all passes."""
 
 
 class CellCodes(Model):
@@ -65,6 +68,8 @@ class CellCodes(Model):
         else:
             slots = self._slots(x, y)
             codes, uncertified_codes = self._codes[slots], self._uncertified[slots]
+        if points.labels is not None:
+            codes |= points.labels & ABOVE_NOISE
         if self._certain.closed:
             w = self._certain
             uncertified_codes |= (x < w.west) | (y < w.south) | (x >= w.east) | (y >= w.north)
@@ -80,11 +85,59 @@ class CellCodes(Model):
 
 
 def lowest_points(points: Points, cells: CellLattice) -> tuple[Int32, Int32, Int32, UInt8]:
-    """Return x, y, z and label of the lowest point of each cell, by rows of cells.
+    """Return x, y, z and code of the lowest point of each cell, by rows of cells.
 
-    Labels are 0 before the first pass that gives labels.
+    Codes have no bit `ABOVE_NOISE`, and are 0 before the first pass that gives labels.
     """
     x, y, z = points.columns()
     index = lowest_per_cell(x, y, z, cells)
     labels = np.zeros(index.size, np.uint8) if points.labels is None else points.labels[index]
-    return x[index], y[index], z[index], labels
+    return x[index], y[index], z[index], labels & ~np.uint8(ABOVE_NOISE)
+
+
+class ElectedCells(CellCodes):
+    """Model that elects a point of each cell: the lowest that is not noise, or else the highest.
+
+    Cells whose elected point is noise have the code `OUTLIER`, and cells with noise below the elected point the bit
+    `ABOVE_NOISE`.
+
+    Parameters
+    ----------
+    points : Xyz
+        All points of a window.
+    noise : bool [n]
+        Mask of the points that are noise.
+    cells : CellLattice
+    certain : Window
+        See `CellCodes`.
+    """
+
+    def __init__(self, points: Xyz, noise: Bool, cells: CellLattice, certain: Window) -> None:
+        index = lowest_per_cell(*points, cells)
+        codes = np.zeros(index.size, np.uint8)
+        changed = np.flatnonzero(noise[index])
+        if changed.size:
+            index[changed], codes[changed] = _elected(points, noise, cells, index[changed])
+        x, y, self._z = (axis[index] for axis in points)
+        stats = {"low_noise": int(noise.sum())}
+        super().__init__(x, y, codes, cells, certain, stats)
+
+    def elect(self, bounds: Window) -> Int32:
+        """Return the elected points within bounds, by rows of cells."""
+        inside = bounds.contains(self._x, self._y)
+        return np.stack([self._x[inside], self._y[inside], self._z[inside]])
+
+
+def _elected(
+    points: Xyz, noise: Bool, cells: CellLattice, lowest: Int32
+) -> tuple[Int32, UInt8]:
+    """Return the elected points of cells whose lowest points are noise, and the codes of these cells."""
+    table = CellIndex(points.x[lowest], points.y[lowest], cells)
+    cell_of = table.find(points.x, points.y)
+    elected, codes = np.zeros(lowest.size, np.int32), np.zeros(lowest.size, np.uint8)
+    for which, sign, code in ((noise, -1, OUTLIER), (~noise, 1, ABOVE_NOISE)):
+        among = np.flatnonzero((cell_of >= 0) & which).astype(np.int32)
+        x, y, z = (axis[among] for axis in points)
+        found = among[lowest_per_cell(x, y, sign * z, cells)]
+        elected[cell_of[found]], codes[cell_of[found]] = found, code
+    return elected, codes

@@ -13,8 +13,11 @@ survey
     Decide between laser scanning and image matching by returns and penetration
     (`ptd.matched.survey`). Measure density and noise of each place
     (`ptd.ground.noise_by_place`). The thresholds follow from the density (`label_thresholds`).
+noise
+    Find low noise: points below a dense layer of others (`ptd.ground.low_noise`). Elect the
+    lowest other point of each cell.
 seeds
-    Remove low outliers. Cells that drop steeply in openings of growing radius (`objects`) are
+    Remove low outliers that no layer covers. Cells that drop steeply in openings of growing radius (`objects`) are
     objects, and all other cells are seeds.
 summits
     Put back ridges and summits that the openings cut off: smooth and steep cells, where the
@@ -87,6 +90,7 @@ from ptd.matched.survey import ReturnStatistics
 from ptd.methods.auto.label_thresholds import decided
 from ptd.methods.auto.params import AutoParameters
 from ptd.methods.auto.raster_passes import (
+    NoisePass,
     RefinePass,
     RoofPass,
     SeedPass,
@@ -110,6 +114,7 @@ class Auto(AutoParameters):
         cell = self.thin_cell_m
         return (
             SurveyPass(params=self),
+            NoisePass(self, influence_radius_m=(self.noise_reach + 1) * cell),
             SeedPass(self, influence_radius_m=(self.seed_reach + 1) * cell),
             SummitPass(self, influence_radius_m=(self.summit_reach + 1) * cell),
             DensifyPass(self),

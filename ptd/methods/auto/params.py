@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ptd.frame import Scale
-from ptd.ground import treetops
+from ptd.ground import low_noise, treetops
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
@@ -193,6 +193,11 @@ class AutoParameters:
             radius=self._cells(self.object_size_m / 2), slope=self._cells(self.reaches.residual_slope_m),
             around=self._cells(self.reaches.around_m), lack=LACK, enough=rise.enough,
         )  # fmt: skip
+
+    @property
+    def noise_reach(self) -> int:
+        """Distance in cells beyond which points do not change the elected point of a cell."""
+        return math.ceil(low_noise.REACH_M / self.thin_cell_m)
 
     @property
     def seed_reach(self) -> int:

@@ -10,6 +10,7 @@ from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.blocks import blocks
 from ptd.ground.labelling import GROUND
+from ptd.ground.low_noise import low_noise
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.outliers import low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
@@ -23,6 +24,7 @@ from ptd.methods.auto.cell_codes import (
     ROOF,
     SEED,
     CellCodes,
+    ElectedCells,
     lowest_points,
 )
 from ptd.methods.auto.objects import Lowest
@@ -32,13 +34,36 @@ from ptd.passes import Pass, Points, State, UInt8
 
 @dataclass(frozen=True)
 class LidarPass(Pass):
-    """A pass that only LiDAR clouds need."""
+    """A pass that only LiDAR clouds need, on the elected point of each cell."""
 
     kind = "lidar"
+    elected = True
 
     def applies(self, state: State) -> bool:
         """Return whether the run is LiDAR, or was not surveyed."""
         return "survey" not in state or not is_matched(state)
+
+
+@dataclass(frozen=True)
+class NoisePass(LidarPass):
+    """Pass that finds low noise among all points, and elects the lowest other point of each cell."""
+
+    params: AutoParameters
+    name: str = "noise"
+    title = "find low noise"
+    every_point = True
+    elects = True
+    elected = False
+    influence_radius_m: float | None = None
+
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> ElectedCells:
+        """Search dense layers above low points."""
+        p = self.params
+        cells, xyz = CellLattice.of(p.thin_cell_m, scale), Xyz(*points.columns())
+        noise = low_noise(xyz, scale)
+        return ElectedCells(xyz, noise, cells, window.inside(cells, p.noise_reach))
 
 
 @dataclass(frozen=True)
@@ -48,6 +73,7 @@ class SeedPass(LidarPass):
     params: AutoParameters
     name: str = "seeds"
     title = "find the first ground"
+    columns: tuple[str, ...] = ("labels",)
     influence_radius_m: float | None = None
 
     def fit(
@@ -56,8 +82,12 @@ class SeedPass(LidarPass):
         """Open the minimum raster with growing disks."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
-        x, y, z, _ = lowest_points(points, cells)
-        outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
+        x, y, z, codes = lowest_points(points, cells)
+        outlier = codes == OUTLIER
+        left = np.flatnonzero(~outlier)
+        outlier[left] = low_outliers(
+            x[left], y[left], z[left], scale, p.low_radius_m, p.low_depth_m, p.low_group
+        )
         codes = np.where(outlier, np.uint8(OUTLIER), np.uint8(SEED))
         for index, inner in blocks(x, y, cells, p.shape.reach):
             low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)

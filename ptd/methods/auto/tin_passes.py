@@ -15,7 +15,15 @@ from ptd.ground.labelling import GROUND, LabelRule, TinLabels
 from ptd.ground.morphology import Bool
 from ptd.ground.outliers import LowNoise
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
-from ptd.methods.auto.cell_codes import DENSIFIED, OUTLIER, ROOF, SEED, CellCodes, lowest_points
+from ptd.methods.auto.cell_codes import (
+    ABOVE_NOISE,
+    DENSIFIED,
+    OUTLIER,
+    ROOF,
+    SEED,
+    CellCodes,
+    lowest_points,
+)
 from ptd.methods.auto.label_thresholds import label_bands
 from ptd.methods.auto.params import REGROWTH, RING_M, AutoParameters
 from ptd.methods.auto.raster_passes import LidarPass
@@ -72,7 +80,10 @@ class LabelPass(LidarPass):
         cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
         low, ground = codes == OUTLIER, codes == GROUND
-        noise = LowNoise(x[low], y[low], z[low], cells)
+        # The elected points above noise are no noise themselves.
+        above = points.xyz[:, points.known_labels() & ABOVE_NOISE > 0] - [[0], [0], [1]]
+        highest = np.concatenate([(x[low], y[low], z[low]), above], axis=1).astype(np.int32)
+        noise = LowNoise(highest[0], highest[1], highest[2], cells)
         model = TinLabels(window.closed, {"vertices": 0}, noise)
         if p.fine_surface:
             model = FineLabels(window.closed, {"vertices": 0}, noise, scale)

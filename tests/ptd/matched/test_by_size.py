@@ -50,7 +50,8 @@ def test_sides_follow_the_density_and_both_are_made_where_they_meet() -> None:
 
 
 def test_cells_are_made_as_far_as_the_passes_after_them_see() -> None:
-    reach = sum(step.influence_radius_m or 0.0 for step in Auto().passes if step.elected)
+    matched = [step for step in Auto().passes if step.elected and step.kind == "dim"]
+    reach = sum(step.influence_radius_m or 0.0 for step in matched)
     assert isinstance(Auto().passes[-1], SurfacePass)
     assert reach <= SIZES_AROUND * PLACE_M
 

@@ -69,9 +69,9 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     assert (found[truth == 1] == 2).mean() < 0.03
     assert (found[truth == 2] == 2).mean() > 0.99
     assert found[:2].tolist() == [7, 7]
-    assert result.stats["seeds"]["low_outliers"] == 1  # both in a cell
+    assert result.stats["noise"]["low_noise"] == 2
     roofs = [f"roofs{n}" for n in ("", 2, 3, 4)]
-    before = ["survey", "seeds", "summits", "densify", "refine"]
+    before = ["survey", "noise", "seeds", "summits", "densify", "refine"]
     assert list(result.stats) == [*before, *roofs, "treetops", "label"]
 
 
@@ -246,12 +246,14 @@ def test_the_decision_reaches_the_result() -> None:
 
 
 def test_reaches_are_those_of_the_rules() -> None:
+    assert Auto().noise_reach == 4 * 3 + 5 + 2
     assert Auto().seed_reach == 2 * 18 + 2 * 9 + 5
     assert Auto().summit_reach == 18 + 3
     assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert {step.name: step.influence_radius_m for step in Auto().passes} == {
         "survey": 24.0,
+        "noise": 20.0,
         "seeds": 60.0,
         "summits": 22.0,
         "densify": None,
@@ -296,7 +298,7 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
 
     class Until:
         align_m, margin_m, candidate_cell_m = params.align_m, params.margin_m, thin_cell_m
-        passes = params.passes[:3]
+        passes = params.passes[:4]
 
     truth, _, state = classify_tiled(Points(cloud), SCALE, Until, None, kind="lidar")
     labels, marks, tiled = classify_tiled(Points(cloud), SCALE, Until, tile_m, kind="lidar")
@@ -305,7 +307,7 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
     assert tiled == state
 
     class Refine(Until):
-        passes = (*params.passes[:3], *params.passes[4:6], params.passes[9])
+        passes = (*params.passes[:4], *params.passes[5:7], params.passes[10])
 
     truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None, kind="lidar")
     labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m, kind="lidar")

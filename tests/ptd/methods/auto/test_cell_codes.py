@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
-from ptd.methods.auto.cell_codes import CellCodes, lowest_points
+from ptd.methods.auto.cell_codes import (
+    ABOVE_NOISE,
+    OUTLIER,
+    SEED,
+    CellCodes,
+    ElectedCells,
+    lowest_points,
+)
 from ptd.passes import Points
 
 SCALE = Scale(origin=(-300, 450))
@@ -56,3 +64,25 @@ def test_the_lowest_point_of_a_cell_and_its_label() -> None:
     x, y, z, labels = lowest_points(given, CELLS)
     assert [c.tolist() for c in (x, y, z, labels)] == [[310, 1350], [560, 700], [4, -2], [5, 4]]
     assert lowest_points(points((1, 2, 3)), CELLS)[3].tolist() == [0]
+
+
+def test_cells_elect_the_lowest_point_that_is_not_noise() -> None:
+    """The second cell has only noise. The bit of the first one is kept by later passes."""
+    given = points(
+        (310, 560, -9), (320, 570, -5), (330, 580, 2), (340, 590, 1), (1310, 560, -7),
+        (1320, 570, -4), (2310, 560, 3), (2320, 570, 4),
+    )  # fmt: skip
+    noise = np.array([True, True, False, False, True, True, False, False])
+    everything = Window.everything()
+    model = ElectedCells(Xyz(*given.columns()), noise, CELLS, everything)
+    elected = model.elect(everything)
+    assert elected.T.tolist() == [[340, 590, 1], [1320, 570, -4], [2310, 560, 3]]
+    codes, _ = model.label(Points(elected))
+    assert codes.tolist() == [ABOVE_NOISE, OUTLIER, 0]
+    assert model.elect(Window(0, 0, 1000, 1000)).T.tolist() == [[340, 590, 1]]
+    later = Points(elected, codes)
+    x, y, _, stripped = lowest_points(later, CELLS)
+    assert stripped.tolist() == [0, OUTLIER, 0]
+    new = np.array([SEED, OUTLIER, SEED], np.uint8)
+    kept = CellCodes(x, y, new, CELLS, everything, {}).label(later)[0]
+    assert kept.tolist() == [SEED | ABOVE_NOISE, OUTLIER, SEED]

@@ -1,0 +1,314 @@
+"""Low noise of laser scans: points below a dense, thin layer of others (multipath, mirrored facades, blunders).
+
+Ground is seen where nothing dense lies right above it, or it is seen again nearby. Neither holds for noise. The rules,
+and scenes in which they fail, are in ``docs/filters.md``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from ptd.cells import Int32, Int64, Xyz, cell_keys
+from ptd.frame import CellLattice, Scale
+from ptd.ground.blocks import BLOCK_CELLS, blocks
+from ptd.ground.layers import (
+    CELL_M,
+    EMPTY,
+    MIN_DENSITY_M2,
+    MIN_DEPTH_M,
+    MIN_POINTS,
+    MIN_SLOPE,
+    REACH_CELLS,
+    Bool,
+    Float64,
+    Layer,
+    Neighbourhood,
+    box_sums,
+    cell_figures,
+    disc_radius_m,
+    layer_above,
+    sorted_by_cell,
+)
+from ptd.kernel import kernel
+
+LEVEL_M, LEVEL_CELLS = 2.0, 3
+"""Least radius of the level of a point, which is the points as high as it, and the farthest cell
+that a level reaches."""
+SPARSE = 20.0
+"""A level is thin if its layer has at least this many times as many points per area."""
+SURE_POINTS, SHALLOW_M = 16, 2.5
+"""Least number of points of a layer, and its greatest height above a point, that prove noise at a
+thin level. No roof and no crown lies so low."""
+WIDE_M, WIDE_CELLS = 5.0, 5
+"""Radius in which a level must be thin if its layer proves nothing, and the farthest cell of it.
+The ground below a forest is seen again within it, noise is not."""
+WIDE_POINTS, WIDE_SHARE = 5, 0.005
+"""Largest number of points of a level that is thin in the wide radius, and its largest share of
+the layer's points."""
+FULL = 0.6
+"""Mean share of all points that lie in the layers above the points of a level. From it on, the
+whole level is noise. It is 0 in a pit, 0.45 below a greenhouse, 0.84 below a street."""
+LOWER = 0.4
+"""Least share of the pairs of cells around a tested cell that lie `MIN_DEPTH_M` higher."""
+MOST = 0.75
+"""Share of the points of a cell that are no noise if they are its lowest `MIN_DEPTH_M`."""
+ROUNDS = 4
+"""Number of times that the search goes on in the cells beside noise. So it enters planes of 20 m
+width from both sides."""
+REACH_M = (LEVEL_CELLS * ROUNDS + WIDE_CELLS + REACH_CELLS) * CELL_M
+"""Distance beyond which points do not decide whether a point is noise."""
+NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Rows and columns from a cell to one of each pair of cells beside it."""
+
+
+@kernel
+def _between(low: Int32, cell: int, down: int, right: int, shape: tuple[int, int]) -> float:
+    """Return the mean lowest height of a cell and its mirror image, of one if the other is empty, or NaN."""
+    rows, columns = shape
+    row, column = cell // columns, cell % columns
+    n, total = 0, 0.0
+    for side in (-1, 1):
+        j, i = row + side * down, column + side * right
+        if 0 <= j < rows and 0 <= i < columns and low[j * columns + i] != EMPTY:
+            n += 1
+            total += low[j * columns + i]
+    return total / n if n else math.nan
+
+
+@kernel
+def _is_low(low: Int32, cell: int, shape: tuple[int, int], depth: float) -> bool:
+    """Return whether a cell lies a depth below the middle of many pairs of cells around it.
+
+    Pairs take off any slope.
+    """
+    pairs = higher = 0
+    for down in range(3):
+        for right in range(-2 if down else 1, 3):
+            middle = _between(low, cell, down, right, shape)
+            pairs += not math.isnan(middle)
+            higher += middle >= low[cell] + depth
+    return higher >= LOWER * pairs
+
+
+@kernel
+def _first_cells(low: Int32, deep: Bool, shape: tuple[int, int], depth: float) -> Bool:
+    """Return the cells that are tested first: those that are low, and the lowest ones in all directions."""
+    first = np.zeros(low.size, np.bool_)
+    for cell in range(low.size):
+        if not deep[cell]:
+            continue
+        lowest = True
+        for down, right in NEIGHBOURS:
+            if _between(low, cell, down, right, shape) < low[cell]:
+                lowest = False
+                break
+        first[cell] = lowest and _is_low(low, cell, shape, depth)
+    return first
+
+
+@kernel
+def _level(
+    p: int, layer: Layer, tolerance_m: float, radius_m: float, hood: Neighbourhood, level: Int64
+) -> int:
+    """Return the number of points within a radius that are as high as a point along its layer.
+
+    Their indices are written to ``level`` as far as it has room.
+    """
+    x, y, z, starts, cells = hood.x, hood.y, hood.z, hood.starts, hood.cells
+    width, metres, metres_z = hood.width, hood.metres, hood.metres_z
+    reach, n = math.ceil(radius_m / CELL_M), 0
+    column, row = cells[p] % width, cells[p] // width
+    west, east = max(column - reach, 0), min(column + reach, width - 1)
+    for j in range(max(row - reach, 0), min(row + reach + 1, hood.height)):
+        for q in range(starts[j * width + west], starts[j * width + east + 1]):
+            dx, dy = (x[q] - x[p]) * metres, (y[q] - y[p]) * metres
+            rise = (z[q] - z[p]) * metres_z - layer.east * dx - layer.north * dy
+            if abs(rise) <= tolerance_m and dx * dx + dy * dy <= radius_m * radius_m:
+                if n < level.size:
+                    level[n] = q
+                n += 1
+    return n
+
+
+@kernel
+def _is_proof(p: int, layer: Layer, hood: Neighbourhood, level: Int64) -> bool:
+    """Return whether a layer proves that a point of a thin level is noise, or the level is thin far around."""
+    if layer.points >= SURE_POINTS and layer.depth_m < SHALLOW_M:
+        return True
+    wide = _level(p, layer, min(1.0, layer.depth_m / 4.0), WIDE_M, hood, level[:0])
+    share = WIDE_SHARE * layer.density_m2 * math.pi * WIDE_M * WIDE_M
+    return wide <= max(float(WIDE_POINTS), share)
+
+
+@kernel
+def _is_covered(level: Int64, hood: Neighbourhood, shares: Int32, work: Float64) -> bool:
+    """Return whether the layers above the points of a level hold the share `FULL` of all points on average.
+
+    ``shares`` keeps the share of each point in thousandths, -1 before it is computed.
+    """
+    lacking = round(1000 * (1.0 - FULL)) * level.size
+    for q in level:
+        if shares[q] < 0:
+            layer = layer_above(q, hood, work)
+            share = layer.density_m2 / hood.density[hood.cells[q]]
+            shares[q] = round(1000 * min(share, 1.0))
+        lacking -= 1000 - shares[q]
+        if lacking < 0:
+            return False
+    return True
+
+
+@kernel
+def _reach_beside(cell: int, hood: Neighbourhood, reached: Bool) -> None:
+    """Mark the low cells beside a cell."""
+    shape = hood.height, hood.width
+    row, column = cell // hood.width, cell % hood.width
+    for j in range(max(row - 1, 0), min(row + 2, hood.height)):
+        for i in range(max(column - 1, 0), min(column + 2, hood.width)):
+            other = j * hood.width + i
+            if other != cell and _is_low(hood.low, other, shape, MIN_DEPTH_M / hood.metres_z):
+                reached[other] = True
+
+
+@kernel
+def _is_most(heights: Int32, height: int, hood: Neighbourhood) -> bool:
+    """Return whether the share `MOST` of the points of a cell lies below or just above a height."""
+    n = 0
+    for z in heights:
+        n += z <= height + MIN_DEPTH_M / hood.metres_z
+    return heights.size >= MIN_POINTS and n > MOST * heights.size
+
+
+class _Space(NamedTuple):
+    """Arrays that the tests of a round share: shares of `_is_covered`, work of `layer_above`, points of two levels."""
+
+    shares: Int32
+    work: Float64
+    level: Int64
+    beside: Int64
+
+
+NO_NOISE, ALONE = 0, -1
+"""Results of `_noise_at`."""
+
+
+@kernel
+def _noise_at(p: int, hood: Neighbourhood, space: _Space) -> int:
+    """Return `NO_NOISE` or `ALONE` for a point, or the number of points of its level if all of it is noise."""
+    shares, work, level, beside = space
+    layer = layer_above(p, hood, work)
+    if layer.points == 0:
+        return NO_NOISE
+    density = hood.density[hood.cells[p]]
+    radius = max(LEVEL_M, 2.0 * disc_radius_m(density))
+    tolerance = min(MIN_DEPTH_M, layer.depth_m / 2.0)
+    n = n_thin = _level(p, layer, tolerance, radius, hood, level)
+    # A roof slopes, but the ground below it and beside it need not.
+    tilted = abs(layer.east) + abs(layer.north) >= MIN_SLOPE
+    flat = Layer(layer.depth_m, layer.density_m2, layer.points, 0.0, 0.0)
+    n_flat = _level(p, flat, tolerance, radius, hood, beside) if tilted else 0
+    if layer.depth_m >= SHALLOW_M:
+        n_thin = max(n, n_flat)
+    if layer.density_m2 * math.pi * radius * radius >= SPARSE * n_thin:
+        return ALONE if _is_proof(p, layer, hood, beside) else NO_NOISE
+    if layer.density_m2 < FULL / 2 * density or not _is_covered(level[:n], hood, shares, work):
+        return NO_NOISE
+    return n if _is_covered(beside[:n_flat], hood, shares, work) else NO_NOISE
+
+
+@kernel
+def _search(hood: Neighbourhood, todo: Int64, known: Bool, room: int) -> tuple[Bool, Bool]:
+    """Test the points of cells from the lowest one on, up to the first that is not noise.
+
+    ``known`` is the noise of earlier rounds, and ``room`` the largest number of points of a level or disc. Return the
+    mask of noise, and that of the cells to which the search goes on. What is found in a round does not affect other
+    tests of the round, so the order of cells does not matter.
+    """
+    noise, reached = known.copy(), np.zeros(hood.low.size, np.bool_)
+    space = _Space(
+        np.full(known.size, -1, np.int32),
+        np.empty((5, room)),
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+    )
+    for cell in todo:
+        heights = hood.z[hood.starts[cell] : hood.starts[cell + 1]]
+        highest = EMPTY
+        for k in np.argsort(heights):
+            p = hood.starts[cell] + k
+            if heights[k] > highest:
+                break
+            if known[p]:
+                continue
+            found = NO_NOISE
+            if not _is_most(heights, heights[k], hood):
+                found = _noise_at(p, hood, space)
+            if found == NO_NOISE:
+                highest = heights[k]  # Points of the same height are tested too, in any order.
+            if found == ALONE:
+                noise[p] = True
+                _reach_beside(cell, hood, reached)
+            for q in space.level[: max(found, 0)]:
+                noise[q] = True
+                reached[hood.cells[q]] = True
+    return noise, reached
+
+
+def _in_raster(points: Xyz, scale: Scale) -> Bool:
+    """Return the noise among points whose extent is small enough for rasters."""
+    x, y, z = points
+    cells = CellLattice.of(CELL_M, scale)
+    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
+    shape = cells.row(int(y.max())) - row0 + 1, cells.column(int(x.max())) - col0 + 1
+    keys = cell_keys(x, y, cells, col0, row0, shape[1])
+    figures, depth = cell_figures(keys, z, shape), scale.counts_z(MIN_DEPTH_M)
+    above = scipy.ndimage.maximum_filter(figures.high.reshape(shape), 3).ravel()
+    deep = (figures.density >= MIN_DENSITY_M2) & (figures.low <= above - depth)
+    noise, todo = np.zeros(x.size, np.bool_), _first_cells(figures.low, deep, shape, depth)
+    room = int(box_sums(figures.counts.reshape(shape), 2 * LEVEL_CELLS + 1).max())
+    for _ in range(ROUNDS):
+        if not todo.any():
+            break
+        near = 2 * max(WIDE_CELLS, LEVEL_CELLS + REACH_CELLS) + 1
+        wanted = scipy.ndimage.maximum_filter(todo.reshape(shape), near).ravel()
+        order, hood = sorted_by_cell(points, keys, wanted, figures, scale)
+        noise[order], reached = _search(hood, np.flatnonzero(todo), noise[order], room)
+        todo = reached & deep
+    return noise
+
+
+def low_noise(points: Xyz, scale: Scale) -> Bool:
+    """Find the points that lie below a dense layer of others and are no ground.
+
+    Points with less than `MIN_DENSITY_M2` around them are never noise. Points farther than `REACH_M` away do not
+    matter, nor does the order of the points.
+
+    Parameters
+    ----------
+    points : Xyz
+        Local counts of all points, in any order; fastest by rows of cells.
+    scale : Scale
+
+    Returns
+    -------
+    bool [n]
+        Mask of the noise.
+    """
+    noise = np.zeros(points.x.size, np.bool_)
+    if noise.size == 0:
+        return noise
+    cells = CellLattice.of(CELL_M, scale)
+    widest = BLOCK_CELLS * scale.counts(CELL_M)
+    if max(np.ptp(points.x.astype(np.int64)), np.ptp(points.y.astype(np.int64))) < widest:
+        return _in_raster(points, scale)
+    columns, rows = cells.cell_indices(points.x, points.y)
+    order = np.lexsort((columns, rows))
+    x, y, z = (axis[order] for axis in points)
+    for index, inner in blocks(x, y, cells, math.ceil(REACH_M / CELL_M)):
+        found = _in_raster(Xyz(x[index], y[index], z[index]), scale)
+        noise[order[index[inner]]] = found[inner]
+    return noise
