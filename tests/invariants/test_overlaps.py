@@ -26,6 +26,7 @@ from tiler.pipeline import RunResult
 SIDE_M, DENSITY = 100.0, 0.6
 """Points 1.3 m apart: pixels of 1.5 m. Counted twice, they would get pixels of 1 m."""
 DEFAULTS: dict[str, Any] = {"resolution": None, "tile_size": None, "halo": None}
+METHODS = ("auto", "classic")
 
 CUTS = st.lists(st.floats(0.1, 0.9), max_size=2).map(sorted)
 BUFFERS = st.lists(st.sampled_from([0.0, 0.3, 5.0, 15.0, 25.0, SIDE_M]), min_size=9, max_size=9)
@@ -93,16 +94,17 @@ def uncut(scene: Cloud, tmp_path_factory: pytest.TempPathFactory) -> dict[str, P
     """Results of the whole cloud by method."""
     folder = tmp_path_factory.mktemp("uncut")
     path = write(folder / "in" / "all.laz", scene)
-    for method in ("classic", "auto"):
+    for method in METHODS:
         do(path, folder / method, method=method, **DEFAULTS)
-    return {method: folder / method for method in ("classic", "auto")}
+    return {method: folder / method for method in METHODS}
 
 
-@given(columns=CUTS, rows=CUTS, buffers=BUFFERS)
-@example(columns=[0.5], rows=[0.5], buffers=[25.0] * 9)
-@example(columns=[], rows=[], buffers=[0.0] * 9)
+@given(method=st.sampled_from(METHODS), columns=CUTS, rows=CUTS, buffers=BUFFERS)
+@example(method="auto", columns=[0.5], rows=[0.5], buffers=[25.0] * 9)
+@example(method="classic", columns=[], rows=[], buffers=[0.0] * 9)
 @settings(max_examples=12)
 def test_any_tiles_with_any_buffers_are_the_uncut_cloud(
+    method: str,
     columns: list[float],
     rows: list[float],
     buffers: list[float],
@@ -111,23 +113,19 @@ def test_any_tiles_with_any_buffers_are_the_uncut_cloud(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     folder = tmp_path_factory.mktemp("tiles")
-    result = do(tiles(folder / "in", scene, columns, rows, buffers), folder / "out", **DEFAULTS)
+    paths = tiles(folder / "in", scene, columns, rows, buffers)
+    result = do(paths, folder / "out", method=method, **DEFAULTS)
     assert pixel_m(result) == 1.5
-    assert_same_place(folder / "out", uncut["classic"])
+    assert_same_place(folder / "out", uncut[method])
 
 
-@pytest.mark.parametrize("way", ["tiles", "twice"])
-def test_places_measured_by_the_default_method_are_those_of_the_uncut_cloud(
-    way: str, scene: Cloud, uncut: dict[str, Path], tmp_path: Path
+def test_the_same_file_twice_is_the_file(
+    scene: Cloud, uncut: dict[str, Path], tmp_path: Path
 ) -> None:
-    if way == "tiles":
-        paths = tiles(tmp_path / "in", scene, [0.4], [0.6], [15.0] * 4)
-    else:
-        paths = twice(tmp_path / "in", scene)
-    result = do(paths, tmp_path / "out", method="auto", **DEFAULTS)
+    result = do(twice(tmp_path / "in", scene), tmp_path / "out", method="auto", **DEFAULTS)
     assert_same_place(tmp_path / "out", uncut["auto"])
-    copies = result.summary["counts"]["duplicates_between_files"]
-    assert copies > 0.3 * len(scene) if way == "tiles" else copies
+    positions = len(np.unique(scene.xyz, axis=0))
+    assert result.summary["counts"]["duplicates_between_files"] == positions
 
 
 def test_withheld_points_and_noise_do_not_count_in_the_default_pixel(tmp_path: Path) -> None:
