@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +21,7 @@ from tests.invariants.runs import (
     do,
     output_digests,
 )
+from tests.scenes.drawings import draw
 from tiler.errors import ConfigError
 from tiler.pipeline import RunResult
 
@@ -69,6 +71,10 @@ def tiles(
     return folder
 
 
+def write_whole(folder: Path, cloud: Cloud) -> Path:
+    return write(folder / "all.laz", cloud)
+
+
 def twice(folder: Path, cloud: Cloud) -> Path:
     write(folder / "a.laz", cloud)
     write(folder / "b.laz", cloud.take(np.random.default_rng(1).permutation(len(cloud))))
@@ -93,7 +99,7 @@ def pixel_m(result: RunResult) -> float:
 def uncut(scene: Cloud, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Results of the whole cloud by method."""
     folder = tmp_path_factory.mktemp("uncut")
-    path = write(folder / "in" / "all.laz", scene)
+    path = write_whole(folder / "in", scene)
     for method in METHODS:
         do(path, folder / method, method=method, **DEFAULTS)
     return {method: folder / method for method in METHODS}
@@ -126,6 +132,19 @@ def test_the_same_file_twice_is_the_file(
     assert_same_place(tmp_path / "out", uncut["auto"])
     positions = len(np.unique(scene.xyz, axis=0))
     assert result.summary["counts"]["duplicates_between_files"] == positions
+
+
+def test_edits_change_all_points_of_a_position_alike(scene: Cloud, tmp_path: Path) -> None:
+    features = [
+        (shapely.box(5, 5, 45, 95), {"action": "ground"}),
+        (shapely.box(55, 5, 95, 95), {"action": "not_ground"}),
+    ]
+    edits = draw(tmp_path / "edits.json", features)
+    for name, write_files in {"uncut": write_whole, "twice": twice}.items():
+        do(write_files(tmp_path / name / "in", scene), tmp_path / name / "out", edits=edits)
+    assert_same_place(tmp_path / "twice" / "out", tmp_path / "uncut" / "out")
+    found = positions_with_classes(tmp_path / "twice" / "out")
+    assert len(found) == len(np.unique(found[:, :3], axis=0))
 
 
 def test_withheld_points_and_noise_do_not_count_in_the_default_pixel(tmp_path: Path) -> None:
