@@ -10,8 +10,9 @@ from tiler.core.records import BucketRecord, SpoolRecord, TileRecord
 def bucket_record(**values: Any) -> BucketRecord:
     """A bucket without points, but for the given values."""
     nothing: dict[str, Any] = {
-        "cell": [0, 0], "n": 0, "n_candidates": 0, "n_participating": 0, "duplicates": {"within": 0, "between": 0},
-        "z_participating": None, "classes": {}, "strays": [], "bounds": None, "z": None,
+        "cell": [0, 0], "n": 0, "n_candidates": 0, "n_participating": 0, "n_measured": 0,
+        "duplicates": {"within": 0, "between": 0}, "z_participating": None,
+        "classes": {}, "strays": [], "bounds": None, "z": None,
     }  # fmt: skip
     return BucketRecord(**{**nothing, **values})
 

@@ -31,8 +31,11 @@ STRAY_FLAG = 16
 UNSELECTED_FLAG = 32
 """Flag that ingest sets on points that the settings of the run do not select
 (`tiler.core.selection`)."""
+REPEATED_FLAG = 64
+"""Flag that ingest (`tiler.ingest.assemble`) sets on points at the position of another point,
+which represents them. A run sees only that point, and they get its label."""
 
-UNSEEN_FLAGS = WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG
+UNSEEN_FLAGS = WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG | REPEATED_FLAG
 """Flags of points that a run ignores, independent of its other settings."""
 
 UNCERTIFIED_BIT = 0x80

@@ -25,7 +25,8 @@ class PointBlock:
     classification : uint8, shape (n,)
         ASPRS class in the source.
     flags : uint8, shape (n,)
-        Bits of `tiler.core.classes`: withheld, synthetic, overlap, key point, stray, unselected.
+        Bits of `tiler.core.classes`: withheld, synthetic, overlap, key point, stray, unselected,
+        repeated.
     returns : uint8, shape (2, n)
         Return number and number of returns.
     rgb : uint16, shape (3, n)

@@ -141,6 +141,9 @@ class BucketRecord(Record):
         Index of the bucket.
     n, n_candidates, n_participating : int
         Number of all points, of candidates, and of points that take part in the filter.
+    n_measured : int
+        Number of positions with a point that decides the default pixel: one that is neither excluded by a flag nor
+        noise.
     duplicates : Duplicates
     z_participating : [lowest, highest], optional
         Range of heights of the points that take part, in counts. None without such points.
@@ -158,6 +161,9 @@ class BucketRecord(Record):
     n: int
     n_candidates: int
     n_participating: int
+    n_measured: int = (
+        0  # Earlier versions did not record it. Their buckets are assembled again.
+    )
     duplicates: Duplicates
     z_participating: list[int] | None
     classes: dict[str, int]

@@ -346,12 +346,16 @@ def _rows_inside(
 def _corrected(
     store: TileStore, edits: str, cell: Cell, labels: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.uint8]:
-    """Return the labels of a bucket after the edits."""
+    """Return the labels of a bucket after the edits. Points at the position of another point get its label."""
     bucket_edits = store.edits(edits, store.meta.bucket.bounds(cell), OF_POINTS)
     if bucket_edits is None:
         return labels
     points = store.read_bucket(cell, ("xyz", "classification", "flags"))
-    return bucket_edits.labels(points, labels, store.meta.frame.origin)
+    edited = bucket_edits.labels(points, labels, store.meta.frame.origin)
+    repeated, chosen = store.representatives(cell, points)
+    taking = labels[repeated] > 0
+    edited[repeated[taking]] = edited[chosen[taking]]
+    return edited
 
 
 def _with_water(

@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.passes import Pass, Points
-from tiler.core.classes import UNCERTIFIED_BIT, participates
+from tiler.core.classes import REPEATED_FLAG, UNCERTIFIED_BIT, participates
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
+from tiler.core.repeats import Rows
 from tiler.filter.work import FilterTile
 from tiler.store import BucketInfo, TileStore
 
@@ -30,17 +31,22 @@ class Bucket:
     uncertified : bool
         Whether a label of these points is uncertified. False for a bucket that was taken
         from the window, because `window` reports its uncertified labels.
+    repeats : (intp [m], intp [m]), optional
+        Rows of the points that get the label of another point at the same position, and of these other points, among
+        all points that are read. None without such points.
     """
 
     points: Points
     mask: npt.NDArray[np.bool_]
     uncertified: bool
+    repeats: tuple[Rows, Rows] | None = None
 
     @property
     def size_bytes(self) -> int:
         """Bytes of the columns of the bucket."""
         columns = (getattr(self.points, f.name) for f in dataclasses.fields(Points))
-        return int(self.mask.nbytes) + sum(int(c.nbytes) for c in columns if c is not None)
+        arrays = (self.mask, *(self.repeats or ()), *(c for c in columns if c is not None))
+        return sum(int(array.nbytes) for array in arrays)
 
 
 class TileReader:
@@ -166,10 +172,22 @@ class TileReader:
         ):
             labels = self._store.read_labels(self._labels, cell, candidates_only)
             block = dataclasses.replace(block, labels=labels)
-        mask = np.ones(len(block), np.bool_) if candidates_only else self._participating(block)
+        if candidates_only:
+            mask, repeats = np.ones(len(block), np.bool_), None
+        else:
+            mask, repeats = self._participating(block), self._repeats(cell, block)
         if not mask.all():
             block = block.take(mask)
-        return Bucket(self._as_points(block), mask, _any_uncertified(block))
+        return Bucket(self._as_points(block), mask, _any_uncertified(block), repeats)
+
+    def _repeats(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows] | None:
+        """Return `Bucket.repeats` of a bucket: its repeated points that would take part otherwise."""
+        if block.flags is None or not (block.flags & REPEATED_FLAG).any():
+            return None
+        repeated, chosen = self._store.representatives(cell, block)
+        flags = block.flags & ~np.uint8(REPEATED_FLAG)
+        taking = self._participating(dataclasses.replace(block, flags=flags))[repeated]
+        return repeated[taking], chosen[taking]
 
     def _elected(self, bounds: Bounds) -> PointBlock:
         if self._work.elected_in is None:

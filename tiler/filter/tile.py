@@ -129,7 +129,7 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
     """Return the labels of the points of a bucket, and whether a label around the bucket was uncertified.
 
     Uncertified labels have bit 7. Points that do not take part in filtering are not passed to
-    the model.
+    the model. Points at the position of another point get its label.
     """
     bucket = reader.bucket(cell)
     points_around, near_uncertified = reader.points_around(cell)
@@ -140,6 +140,9 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
         labels, uncertified = model.label(points)
         bits = uncertified[:n].astype(np.uint8) * np.uint8(UNCERTIFIED_BIT)
         bucket_labels[bucket.mask] = labels[:n] | bits
+        if bucket.repeats is not None:
+            repeated, chosen = bucket.repeats
+            bucket_labels[repeated] = bucket_labels[chosen]
     return bucket_labels, near_uncertified
 
 

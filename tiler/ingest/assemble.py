@@ -9,11 +9,12 @@ from functools import reduce
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG, participates
+from tiler.core.classes import NOISE, REPEATED_FLAG, STRAY_FLAG, WITHHELD_FLAG, participates
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT, PointBlock
 from tiler.core.records import AssembledRecord, BucketRecord
+from tiler.core.repeats import preference
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
 from tiler.store import open_store
@@ -28,12 +29,15 @@ class BucketOrder:
     order : intp, shape (n,)
         Indices of the points: candidates in the order of their fine cells, then the others by fine cell, z, x, y.
     n_candidates : int
+    repeated : bool, shape (n,)
+        Mask of the points at the position of another point, which represents them (`tiler.core.repeats`).
     duplicates_within, duplicates_between : int
         Number of points that repeat the position of a point of the same source, and of another source.
     """
 
     order: npt.NDArray[np.intp]
     n_candidates: int
+    repeated: npt.NDArray[np.bool_]
     duplicates_within: int
     duplicates_between: int
 
@@ -104,8 +108,11 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> AssembledRecord:
             block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
         participating = _participating(block, work.keep_classes, work.skip_flags)
         ordering = bucket_order(block, participating, meta.frame, meta.bucket, meta.fine, cell)
+        records.append(_record(work, cell, block, participating, strays, ordering, meta.frame))
+        if ordering.repeated.any() and block.flags is not None:
+            flags = block.flags | (ordering.repeated * np.uint8(REPEATED_FLAG))
+            block = replace(block, flags=flags)
         store.write_bucket(cell, block.take(ordering.order), ordering.n_candidates)
-        records.append(_record(cell, block, participating, strays, ordering, meta.frame))
     return AssembledRecord(records)
 
 
@@ -119,6 +126,22 @@ def _participating(
     return participates(block.classification, block.flags, keep, skip_flags)
 
 
+def _measured(
+    block: PointBlock, participating: npt.NDArray[np.bool_], skip_flags: int
+) -> npt.NDArray[np.bool_]:
+    """Return the mask of the points on a surface: those that take part, and others without a flag that are not noise.
+
+    Water and bridges are not filtered by default, but their points belong to the density of the cloud.
+    """
+    if block.classification is None or block.flags is None:
+        raise ValueError("fragments of the spool must have classes and flags")
+    used = (block.flags & (skip_flags | WITHHELD_FLAG)) == 0
+    measured: npt.NDArray[np.bool_] = participating | (
+        used & ~np.isin(block.classification, NOISE)
+    )
+    return measured
+
+
 def bucket_order(
     block: PointBlock,
     participating: npt.NDArray[np.bool_],
@@ -130,19 +153,21 @@ def bucket_order(
     """Find the order in which a bucket stores its points.
 
     The candidate of a fine cell is the lowest participating point, or the one with the smallest
-    x, then y, of equally low points. The result depends only on the points and not on their
-    order.
+    x, then y, of equally low points. Of points at the same position, the one that represents
+    them is first. The result depends only on the points and not on their order.
     """
     origin = block.origin if block.origin is not None else np.arange(len(block), dtype=np.int64)
     keys, fine_of = _sort_keys(block.xyz, frame, bucket, fine, cell)
-    # A stable sort would take three times as long. So `_by_origin` sorts equal points.
+    # A stable sort would take three times as long. So `_ties_sorted` sorts equal points.
     order = np.lexsort(keys[::-1]) if len(keys) > 1 else np.argsort(keys[0])
     is_repeat = np.ones(len(order), dtype=np.bool_)
     is_repeat[:1] = False
     for key in keys:
         is_repeat[1:] &= key[order[1:]] == key[order[:-1]]
-    order = _by_origin(order, is_repeat, origin)
-    within, between = _duplicates(order, is_repeat, origin)
+    within, between = _duplicates(order, is_repeat, origin >> SOURCE_SHIFT)
+    order = _ties_sorted(order, is_repeat, replace(block, origin=origin), participating)
+    repeated = np.zeros(len(order), dtype=np.bool_)
+    repeated[order[is_repeat]] = True
     ranked = order[participating[order]]
     cells = fine_of[ranked]
     first = np.ones(len(ranked), dtype=np.bool_)
@@ -151,7 +176,7 @@ def bucket_order(
     rest = np.ones(len(order), dtype=np.bool_)
     rest[chosen] = False
     return BucketOrder(
-        np.concatenate((chosen, order[rest[order]])), len(chosen), within, between
+        np.concatenate((chosen, order[rest[order]])), len(chosen), repeated, within, between
     )
 
 
@@ -191,39 +216,55 @@ def _sort_keys(
     return [key], fine_of
 
 
-def _by_origin(
-    order: npt.NDArray[np.intp], is_repeat: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
+def _ties_sorted(
+    order: npt.NDArray[np.intp],
+    is_repeat: npt.NDArray[np.bool_],
+    block: PointBlock,
+    participating: npt.NDArray[np.bool_],
 ) -> npt.NDArray[np.intp]:
-    """Return the order with equal points sorted by source and row.
+    """Return the order with points at the same position sorted by `preference`.
 
     ``is_repeat`` is a mask, in the order, of the points that equal the point before them.
     """
     if not is_repeat.any():
         return order
-    runs = np.cumsum(~is_repeat)
-    tied = is_repeat.copy()
-    tied[:-1] |= is_repeat[1:]
-    tied_positions = np.flatnonzero(tied)
-    sorted_places = tied_positions[
-        np.lexsort((origin[order[tied_positions]], runs[tied_positions]))
-    ]
+    tied, runs = _ties(is_repeat)
+    points = order[tied]
+    ties = block.take(points)
+    keys = (runs, *preference(ties, participating[points]))
     result = order.copy()
-    result[tied_positions] = order[sorted_places]
+    result[tied] = points[np.lexsort(keys[::-1])]
     return result
 
 
 def _duplicates(
-    order: npt.NDArray[np.intp], is_repeat: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
+    order: npt.NDArray[np.intp],
+    is_repeat: npt.NDArray[np.bool_],
+    sources: npt.NDArray[np.int64],
 ) -> tuple[int, int]:
     """Count the points that repeat a point of the same source, and of another source."""
-    sources = (origin >> SOURCE_SHIFT)[order]
-    other = np.zeros(len(order), dtype=np.bool_)
-    other[1:] = sources[1:] != sources[:-1]
-    between = int(np.count_nonzero(is_repeat & other))
+    if not is_repeat.any():
+        return 0, 0
+    tied, runs = _ties(is_repeat)
+    sources_of_ties = sources[order[tied]]
+    by_source = np.lexsort((sources_of_ties, runs))
+    same_run = np.diff(runs) == 0  # Runs ascend, so the sort does not change them.
+    between = int(np.count_nonzero(same_run & (np.diff(sources_of_ties[by_source]) != 0)))
     return int(np.count_nonzero(is_repeat)) - between, between
 
 
+def _ties(
+    is_repeat: npt.NDArray[np.bool_],
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the positions in an order of the points with an equal one next to them, and a number per run of these."""
+    tied = is_repeat.copy()
+    tied[:-1] |= is_repeat[1:]
+    positions = np.flatnonzero(tied)
+    return positions, np.cumsum(~is_repeat[positions])
+
+
 def _record(
+    work: AssembleBuckets,
     cell: Cell,
     block: PointBlock,
     participating: npt.NDArray[np.bool_],
@@ -237,11 +278,13 @@ def _record(
         counts = np.bincount(block.classification).tolist()
         classes = {str(number): count for number, count in enumerate(counts) if count}
     bounds, z_range = extent(block.take(~strays) if strays.any() else block, frame)
+    measured = _measured(block, participating, work.skip_flags) & ~found.repeated
     return BucketRecord(
         cell=[cell.ix, cell.iy],
         n=len(block),
         n_candidates=found.n_candidates,
         n_participating=int(np.count_nonzero(participating)),
+        n_measured=int(np.count_nonzero(measured)),
         duplicates={"within": found.duplicates_within, "between": found.duplicates_between},
         z_participating=[int(z.min()), int(z.max())] if z.size else None,
         classes=classes,

@@ -29,7 +29,7 @@ from tiler.ingest.tasks.points import (
 from tiler.inputs import FAR
 from tiler.io.locations import is_url
 from tiler.observe.events import TaskFailed, Warned
-from tiler.plan import KEEP, Plan, bounds_of, sparse_raster_remedy
+from tiler.plan import KEEP, Plan, bounds_of, settled_by_points, sparse_raster_remedy
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
@@ -257,6 +257,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
         kept_out=job.results.counts.stored - taking,
         buckets=len(assembled.records),
     )
+    _settle_grid(job, assembled, complete=len(commits) == len(tasks))
     _report_unfiltered(job, assembled)
     _report_strays(job, sources, assembled)
     if within or between:
@@ -264,6 +265,21 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
             f"duplicate points are filtered once: {between:,} between files, {within:,} within a file"
         )
     return assembled
+
+
+def _settle_grid(job: Job, assembled: IngestResult, complete: bool) -> None:
+    """Decide the default pixel from the points, and report it if it is not that of the plan."""
+    records = assembled.records
+    n_dropped = sum(
+        n for reason, n in job.results.counts.dropped.items() if reason != OUTSIDE_AREA
+    )
+    n_points = sum(record.n for record in records.values()) + n_dropped
+    measured = {cell: record.n_measured for cell, record in records.items()}
+    before = job.plan.notes
+    job.plan = settled_by_points(job.plan, job.store, measured, n_points, complete)
+    for text in job.plan.notes:
+        if text not in before:
+            job.note(text)
 
 
 def _report_unfiltered(job: Job, assembled: IngestResult) -> None:

@@ -25,6 +25,8 @@ MADE = (CLASSIFIED, OUTDATED)
 """Folders in OUT into which a run writes clouds."""
 
 Tell = Callable[[str], None]
+FileNumber = tuple[int, int]
+"""Numbers of a device and of a file on it, which are the same for all hard links to the file."""
 Wanted = Callable[[EptDataset], Touches | None]
 Listed = Callable[[EptDataset, dict[Path, int]], None]
 
@@ -73,7 +75,7 @@ def find_inputs(
     """
     if not paths:
         raise ConfigError("no input; give LAS or LAZ files, folders, globs or .vpc files")
-    clouds: dict[Path, Path] = {}
+    clouds: dict[Path | FileNumber, Path] = {}
     reported: list[str] = []
 
     def report(text: str) -> None:
@@ -83,7 +85,7 @@ def find_inputs(
     for text in chain.from_iterable(_globbed_lists(str(path)) for path in paths):
         if _is_there_as_list(text):
             for path in _listed(text, wanted, listed, in_process):
-                clouds.setdefault(_real(path), path)
+                clouds.setdefault(_identity(path), path)
             continue
         root, candidates = _expanded(text, report)
         reads_results = (
@@ -91,7 +93,7 @@ def find_inputs(
         )
         made = _Made(root, root / CLASSIFIED if reads_results else None, out, report)
         for path in made.without(candidates):
-            known = clouds.setdefault(_real(path), path)
+            known = clouds.setdefault(_identity(path), path)
             if known is not path:
                 report(f"{path}: named twice (as {known}), read once")
     if not clouds:
@@ -138,11 +140,18 @@ def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list
     return list(counts)
 
 
-def _real(path: Path) -> Path:
-    """Return the path of a file with all links resolved."""
-    # `Path.resolve` fails for circular links. They must not fail here, because reading reports
-    # them.
-    return path if is_url(path) else Path(os.path.realpath(path))
+def _identity(path: Path) -> Path | FileNumber:
+    """Return what all links to a file have in common: its path, or its number if it has hard links."""
+    if is_url(path):
+        return path
+    try:
+        status = os.stat(path)
+    except OSError:  # Reading reports files that are missing, and circular links.
+        return Path(os.path.realpath(path))
+    # Some network drives number no file, or several alike, but these have no hard links either.
+    if status.st_nlink > 1 and status.st_ino:
+        return status.st_dev, status.st_ino
+    return Path(os.path.realpath(path))
 
 
 def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:

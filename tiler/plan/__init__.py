@@ -16,7 +16,7 @@ from tiler.plan.model import PIECE_POINTS, Plan
 from tiler.plan.plan_text import plan_json, plan_lines
 from tiler.plan.projection import projected_memory
 from tiler.plan.rates import remember, stage_seconds
-from tiler.plan.settled import settled, settled_by
+from tiler.plan.settled import settled, settled_by, settled_by_points
 from tiler.plan.sizes import bounds_of
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "remember",
     "settled",
     "settled_by",
+    "settled_by_points",
     "sparse_raster_remedy",
     "stage_seconds",
 ]

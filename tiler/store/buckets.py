@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from tiler.core import repeats
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
+from tiler.core.repeats import Rows
 from tiler.errors import StoreError
 from tiler.store import arrays, index, layout, points
 from tiler.store.index import Bucket, BucketIndex, BucketInfo
@@ -87,6 +89,14 @@ class BucketStore(points.ColumnStore):
         return self._read_points(
             points.parts_of(bucket, count_of(bucket, candidates_only)), columns
         )
+
+    def representatives(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows]:
+        """Return rows of repeated points of a bucket and the row of the point that represents each.
+
+        ``block`` is what `read_bucket` returned for all points of the bucket, with their flags.
+        """
+        n_candidates = count_of(self._bucket(cell), True)
+        return repeats.representatives(block, n_candidates, self.meta.fine, self.meta.frame)
 
     def buckets(self) -> dict[Cell, BucketInfo]:
         """Return the published buckets, row by row from the south-west."""

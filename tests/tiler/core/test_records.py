@@ -23,8 +23,8 @@ def test_a_record_survives_the_store() -> None:
 
 def test_keys_have_the_order_of_the_fields() -> None:
     assert list(bucket_record().to_json()) == [
-        "cell", "n", "n_candidates", "n_participating", "duplicates", "z_participating", "classes", "strays", "bounds",
-        "z",
+        "cell", "n", "n_candidates", "n_participating", "n_measured", "duplicates", "z_participating", "classes",
+        "strays", "bounds", "z",
     ]  # fmt: skip
 
 

@@ -139,6 +139,7 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
                 "n": 4,
                 "n_candidates": 1,
                 "n_participating": 2,
+                "n_measured": 1,
                 "duplicates": {"within": 0, "between": 1},
                 "z_participating": [5, 5],
                 "classes": {"1": 2, "2": 1, "7": 1},

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -201,6 +202,15 @@ def test_a_file_named_twice_is_read_once_and_noted(make_cloud: Any, tmp_path: Pa
         == 1
     )
     assert any("named twice" in n for n in notes)
+
+
+def test_a_hard_link_is_the_same_file(make_cloud: Any, tmp_path: Path) -> None:
+    path = make_cloud("once.las", n=3)
+    (tmp_path / "same.las").hardlink_to(path)
+    copy = shutil.copy(path, tmp_path / "twin.las")
+    notes: list[str] = []
+    assert find_inputs([str(tmp_path)], note=notes.append) == [path, Path(copy)]
+    assert notes == [f"{tmp_path / 'same.las'}: named twice (as {path}), read once"]
 
 
 def test_no_input_is_an_error(tmp_path: Path) -> None:

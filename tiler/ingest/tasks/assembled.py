@@ -7,6 +7,7 @@ from functools import cached_property, reduce
 
 from tiler.core.classes import (
     OVERLAP_FLAG,
+    REPEATED_FLAG,
     STRAY_FLAG,
     SYNTHETIC_FLAG,
     UNSELECTED_FLAG,
@@ -22,7 +23,7 @@ def skip_flags(plan: Plan) -> int:
     """Return the bits of flags that exclude a point from filtering."""
     synthetic = SYNTHETIC_FLAG if plan.config.skip_synthetic else 0
     overlap = OVERLAP_FLAG if plan.config.skip_overlap else 0
-    return WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG | synthetic | overlap
+    return WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG | REPEATED_FLAG | synthetic | overlap
 
 
 @dataclass(frozen=True)
