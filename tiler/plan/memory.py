@@ -101,6 +101,11 @@ class PlannedPass:
         return type(self.pass_).applies is not Pass.applies
 
     @property
+    def fits_surfaces(self) -> bool:
+        """Whether the pass uses elected points of photogrammetric clouds, whose surfaces need more memory."""
+        return self.pass_.elected and self.kind == "dim"
+
+    @property
     def on_candidates(self) -> bool:
         """Whether the pass uses only one candidate per cell and makes no raster of its window."""
         return not (self.pass_.every_point or self.pass_.elected or self.pass_.raster_cell_m)
@@ -208,11 +213,11 @@ def elected_peak(size: int) -> int:
 def joined_bytes(step: PlannedPass, memory: int) -> int:
     """Return the bytes that a joined tile of a pass may need by `filter_bytes`.
 
-    Passes on elected points have halos of up to 678 m, so they may need the bytes of a tile
+    Passes that fit surfaces have halos of up to 678 m, so they may need the bytes of a tile
     whose area the halos double, with one point per square metre. ``memory`` is the memory of a
     worker in bytes.
     """
-    if not step.pass_.elected:
+    if not step.fits_surfaces:
         return min(memory, JOINED_BYTES)
     window_m = (WIDE_TILE + 2) * step.halo_m
     enough = BASE_BYTES + int((READ_BYTES + VERTEX_BYTES) * window_m**2)

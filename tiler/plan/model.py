@@ -161,7 +161,7 @@ class Plan:
         """Return the memory of a worker for which the tiles of a pass are cut, in bytes."""
         if self.joins(step):
             return joined_bytes(step, self.method.tile_memory)
-        if step.pass_.elected:
+        if step.fits_surfaces:
             return elected_bytes(self.method.tile_memory)
         return self.method.tile_memory
 

@@ -55,7 +55,7 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     densest_tile = filter_peak(plan, step, side, step.halo_m, densest=True)
     densest_bucket = filter_peak(plan, step, plan.grid.bucket_m, step.halo_m, densest=True)
     peak, limit = max(mean_tile, densest_tile), plan.tile_memory_of(step)
-    if step.pass_.elected:
+    if step.fits_surfaces:
         peak, limit = elected_peak(peak), elected_peak(limit)
         if step.pass_.influence_radius_m is None:
             limit = plan.method.tile_memory  # A wider halo may use all of it.

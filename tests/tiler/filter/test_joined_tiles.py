@@ -101,9 +101,10 @@ def test_windows_fit_the_memory_and_a_survey_that_grows_keeps_its_tiles(plan: Pl
 def test_a_size_that_was_asked_for_and_passes_on_all_points_keep_the_lattice(
     plan: Plan,
 ) -> None:
-    records, (survey, seeds, *_) = buckets(range(8), range(8)), plan.method.passes
+    records, (survey, noise, seeds, *_) = buckets(range(8), range(8)), plan.method.passes
     assert len(list(tiles_of(plan, records, seeds))) == 1
     assert len(list(tiles_of(plan, records, survey))) == 4
+    assert len(list(tiles_of(plan, records, noise))) == 4
     assert len(list(tiles_of(changed(plan, tile_workers=0), records, seeds))) == 4
 
 

@@ -202,7 +202,7 @@ def _widest(
     plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int
 ) -> int:
     # Halos of elected points may use all memory, so that as few labels as possible stay uncertified.
-    memory = plan.method.tile_memory if step.pass_.elected else plan.tile_memory_of(step)
+    memory = plan.method.tile_memory if step.fits_surfaces else plan.tile_memory_of(step)
     return widest_halo(
         step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= memory
     )
