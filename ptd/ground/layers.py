@@ -274,16 +274,17 @@ def _lowest_layer(
         return nothing
     rises, first = work[4, :above], 0
     _sort(rises)
-    while (
-        first + MIN_POINTS <= above
-        and rises[first + MIN_POINTS - 1] - rises[first] > THICKNESS_M
-    ):
-        first += 1
-    if first + MIN_POINTS > above:
-        return nothing
-    plane = _plane(work, rises[first], n, metres, metres_z)
-    high = plane.height >= max(MIN_DEPTH_M, MIN_RMS * plane.rms)
-    return plane if high and plane.rms <= MAX_RMS_M and _surrounds(plane.octants) else nothing
+    while first + MIN_POINTS <= above:
+        if rises[first + MIN_POINTS - 1] - rises[first] > THICKNESS_M:
+            first += 1
+            continue
+        plane = _plane(work, rises[first], n, metres, metres_z)
+        high = plane.height >= max(MIN_DEPTH_M, MIN_RMS * plane.rms)
+        if high and plane.rms <= MAX_RMS_M and _surrounds(plane.octants):
+            return plane
+        # These may be the other points of a clump, with the layer above them.
+        first += np.searchsorted(rises[first:], rises[first] + THICKNESS_M, "right")
+    return nothing
 
 
 @kernel
