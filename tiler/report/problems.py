@@ -70,6 +70,28 @@ def place_of(bounds: Sequence[float] | None) -> Place | None:
     return west, south, east, north
 
 
+def unmet(run: Run) -> list[Mapping[str, Any]]:
+    """Return the requirements of the last check of this terrain that are not met."""
+    check = run.get("check", {})
+    # A check that is older than the terrain measured another terrain.
+    judged = () if check.get("older") else check.get("requirements", ())
+    return [requirement for requirement in judged if not requirement["met"]]
+
+
+def _requirements(run: Run) -> Iterator[Problem]:
+    for requirement in unmet(run):
+        name, limit, value = (requirement[key] for key in ("name", "limit", "value"))
+        unit = f" {requirement.get('unit', '')}".rstrip()
+        result = "was not measured" if value is None else f"is {value:.4g}{unit}"
+        why = f"{name} {result}; the limit is {limit:g}{unit}"
+        yield Problem(
+            "requirement not met",
+            None,
+            why,
+            "see Accuracy; run tiler check again after a change",
+        )
+
+
 def _warnings(run: Run) -> Iterator[Problem]:
     for text in run["plan"].get("warnings", ()):
         yield Problem("setting or input", None, text)
@@ -221,6 +243,7 @@ def _healed(run: Run) -> Iterator[Problem]:
 
 
 SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
+    _requirements,
     _files,
     _tasks,
     _above,
