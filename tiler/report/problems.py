@@ -148,6 +148,12 @@ def _area(run: Run, square_metres: float) -> str:
     return small_area_text(square_metres, _unit(run, "horizontal"))
 
 
+def _implausible(run: Run) -> Iterator[Problem]:
+    for result in run.get("implausible", ()):
+        where = place_of(result["bounds"])
+        yield Problem(result["what"], where, result["why"], result["remedy"])
+
+
 def _above(run: Run) -> Iterator[Problem]:
     """Yield the places where the terrain is certainly wrong, because it lies above all returns."""
     for place in run.get("above_returns", {}).get("worst", ()):
@@ -246,6 +252,7 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _requirements,
     _files,
     _tasks,
+    _implausible,
     _above,
     _warnings,
     _objects,

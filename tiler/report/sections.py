@@ -188,7 +188,8 @@ def noted(run: Run) -> list[str]:
 def warned(run: Run) -> list[str]:
     """Return warnings about the settings and the data."""
     doubts = [*run.get("canopy_doubts", ()), *run.get("water_doubts", ())]
-    texts = [doubt["text"] for doubt in doubts]
+    texts = [result["why"] for result in run.get("implausible", ())]
+    texts += [doubt["text"] for doubt in doubts]
     return [
         *run["plan"].get("warnings", ()),
         *run.get("doubts", ()),
