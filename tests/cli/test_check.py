@@ -93,7 +93,7 @@ def test_check_of_a_result_folder_writes_its_check_and_its_page(
     assert check["requirements"][0]["met"] is False
     page = results.read(out / "report.html")
     assert "Finished, but 1 requirement is not met" in page.texts[""]
-    assert "mean is 0.05 m; the limit is 0.04 m" in page.texts["problems"]
+    assert "measured mean = 0.05 m; the limit is 0.04 m" in page.texts["problems"]
     assert "RMSEV = 5.0 cm with 32 checkpoints" in page.texts["accuracy"]
     assert len(page.data["checkpoints"]) == 32
     # If a DTM is given, the result is only printed.

@@ -82,8 +82,12 @@ def _requirements(run: Run) -> Iterator[Problem]:
     for requirement in unmet(run):
         name, limit, value = (requirement[key] for key in ("name", "limit", "value"))
         unit = f" {requirement.get('unit', '')}".rstrip()
-        result = "was not measured" if value is None else f"is {value:.4g}{unit}"
-        why = f"{name} {result}; the limit is {limit:g}{unit}"
+        result = (
+            f"did not measure {name}"
+            if value is None
+            else f"measured {name} = {value:.4g}{unit}"
+        )
+        why = f"the check {result}; the limit is {limit:g}{unit}"
         yield Problem(
             "requirement not met",
             None,

@@ -239,7 +239,7 @@ def test_requirement_not_met_is_the_first_problem_and_turns_the_state(tmp_path: 
     check = {"requirements": [results.UNMET, {**results.UNMET, "name": "max", "met": True}]}
     (out / "check.json").write_text(json.dumps(check))
     page = results.read(write_report(out))
-    row = "requirement not met - rmse is 0.059 m; the limit is 0.05 m see Accuracy"
+    row = "requirement not met - the check measured rmse = 0.059 m; the limit is 0.05 m see Accuracy"
     assert row in page.texts["problems"].split("file left out")[0]
     assert page.texts["problems"].count("requirement not met") == 1
     assert "Finished, but incomplete, and 1 requirement is not met" in page.texts[""]
@@ -258,7 +258,7 @@ def test_requirement_that_was_not_measured_is_not_met(tmp_path: Path) -> None:
     points = {"name": "nmad", "limit": 1.5, "value": None, "unit": "m", "met": False}
     (out / "check.json").write_text(json.dumps({"requirements": [points]}))
     page = results.read(write_report(out))
-    assert "nmad was not measured; the limit is 1.5 m" in page.texts["problems"]
+    assert "the check did not measure nmad; the limit is 1.5 m" in page.texts["problems"]
     assert ("p", "class", "state bad") in page.attributes
 
 
