@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sqlite3
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from pyproj import CRS
@@ -13,7 +17,11 @@ from pyproj.exceptions import ProjError
 from shapely.errors import ShapelyError
 
 from tiler.errors import InputError
+from tiler.io.atomic_files import SCRATCH_PREFIX
+from tiler.io.journals import SUFFIXES as JOURNAL_SUFFIXES
+from tiler.io.journals import journals_of
 from tiler.io.json_text import excerpt, member, parse_json_object
+from tiler.io.locations import states_at
 from tiler.redaction import printable
 
 SIGNATURES = {
@@ -25,6 +33,8 @@ SIGNATURES = {
 }
 """Suffixes of the formats that are read, and the first bytes of their files. GeoJSON is checked
 as a whole."""
+MAX_COPIES = 10
+"""Number of attempts to copy a file that another program is changing."""
 
 
 def check_file(path: Path, wanted: str) -> list[bool] | None:
@@ -98,6 +108,51 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
 
 
 @contextmanager
+def unchanged(path: Path) -> Iterator[Path]:
+    """Yield the path at which GDAL can read a file without changing it: its own, or that of a copy.
+
+    SQLite writes the journal of a crashed program into a GeoPackage that is only read. An open as ``immutable`` would
+    ignore what is committed in ``-wal``. So a GeoPackage with journals is copied with them.
+    """
+    if not journals_of(path):
+        yield path
+        return
+    with TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder:
+        copy = Path(folder, path.name)
+        try:
+            _copy_with_journals(path, copy)
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be copied to {folder} ({error.strerror}); close it in the program that has it open"
+            ) from error
+        with reading(path), closing(sqlite3.connect(copy)) as database:
+            # This writes committed changes into the copy, and removes those of an unfinished transaction.
+            database.execute("PRAGMA journal_mode = delete")
+        yield copy
+
+
+def _copy_with_journals(path: Path, copy: Path) -> None:
+    """Copy a GeoPackage and its journals as they were at one moment.
+
+    Raise InputError if a program keeps writing to them.
+    """
+    source = os.path.realpath(path)
+    suffixes = ("", *JOURNAL_SUFFIXES)
+    states = None
+    for _ in range(MAX_COPIES):
+        before, states = states, states_at([f"{source}{suffix}" for suffix in suffixes])
+        if states == before:
+            return
+        for suffix, state in zip(suffixes, states, strict=True):
+            Path(f"{copy}{suffix}").unlink(missing_ok=True)
+            if state is not None:
+                # If the program removes its journal now, the states will differ.
+                with suppress(FileNotFoundError):
+                    shutil.copyfile(f"{source}{suffix}", f"{copy}{suffix}")
+    raise InputError(f"{path}: a program keeps writing to it; close it there, then run again")
+
+
+@contextmanager
 def reading(path: Path) -> Iterator[list[str]]:
     """Convert errors of libraries to an InputError, and yield a list that receives their warnings."""
     reported: list[str] = []
@@ -107,7 +162,7 @@ def reading(path: Path) -> Iterator[list[str]]:
             yield reported
     # pyogrio raises RuntimeErrors. Names and texts that are not UTF-8 raise
     # UnicodeDecodeErrors.
-    except (RuntimeError, ValueError, OverflowError, ShapelyError) as error:
+    except (RuntimeError, ValueError, OverflowError, ShapelyError, sqlite3.Error) as error:
         raise InputError(
             f"{path}: cannot be read ({_short(error)}); get the file again"
         ) from error

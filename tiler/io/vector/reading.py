@@ -17,7 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
-from tiler.io.vector.opening import check_file, reading
+from tiler.io.vector.opening import check_file, reading, unchanged
 from tiler.io.vector.reprojection import in_crs
 from tiler.redaction import printable
 
@@ -141,24 +141,27 @@ def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features
     features: list[Feature] = []
     systems: list[str | None] = []
     notes: list[str] = []
-    for name in _layers(path, kind, every_layer):
-        with reading(path) as warned:
-            pyogrio.set_gdal_config_options({"OGR_GEOMETRY_ACCEPT_UNCLOSED_RING": "YES"})
-            meta, _, shapes, columns = raw.read(path, layer=name)
-            titles = [str(title).lower() for title in meta["fields"]]
-            rows: Iterable[tuple[Any, ...]] = [()] * len(shapes)
-            if columns:
-                rows = zip(*(column.tolist() for column in columns), strict=True)
-            attributes = [dict(zip(titles, row, strict=True)) for row in rows]
-            records = list(zip(shapes, attributes, strict=True))
-        notes += [f"{path}: {printable(name)}: {text}" for text in warned]
-        empty = sum(shape is None for shape in shapes)
-        if empty:
-            # GDAL does not distinguish missing and damaged geometries.
-            left = f"{empty} features without a geometry, or with a damaged one, are left out"
-            notes.append(f"{path}: {printable(name)}: {left}")
-        features += _features(f"{path}: {printable(name)}", records, kind, present, name)
-        systems.append(meta["crs"])
+    with unchanged(path) as source:
+        for name in _layers(path, source, kind, every_layer):
+            with reading(path) as warned:
+                pyogrio.set_gdal_config_options({"OGR_GEOMETRY_ACCEPT_UNCLOSED_RING": "YES"})
+                meta, _, shapes, columns = raw.read(source, layer=name)
+                titles = [str(title).lower() for title in meta["fields"]]
+                rows: Iterable[tuple[Any, ...]] = [()] * len(shapes)
+                if columns:
+                    rows = zip(*(column.tolist() for column in columns), strict=True)
+                attributes = [dict(zip(titles, row, strict=True)) for row in rows]
+                records = list(zip(shapes, attributes, strict=True))
+            notes += [f"{path}: {printable(name)}: {text}" for text in warned]
+            empty = sum(shape is None for shape in shapes)
+            if empty:
+                # GDAL does not distinguish missing and damaged geometries.
+                left = (
+                    f"{empty} features without a geometry, or with a damaged one, are left out"
+                )
+                notes.append(f"{path}: {printable(name)}: {left}")
+            features += _features(f"{path}: {printable(name)}", records, kind, present, name)
+            systems.append(meta["crs"])
     if len(set(systems)) > 1:
         raise InputError(
             f"{path}: its layers of {kind.name} have different CRS; write them with the same CRS"
@@ -168,12 +171,12 @@ def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features
     return Features(tuple(features), systems[0], tuple(notes))
 
 
-def _layers(path: Path, kind: Kind, every: bool) -> list[str]:
-    """Return the names of the layers that may contain geometries of a kind."""
+def _layers(path: Path, source: Path, kind: Kind, every: bool) -> list[str]:
+    """Return the names of the layers of ``source``, a copy of ``path``, that may contain geometries of a kind."""
     import pyogrio
 
     with reading(path):
-        listed = [(str(name), str(shape)) for name, shape in pyogrio.list_layers(path)]
+        listed = [(str(name), str(shape)) for name, shape in pyogrio.list_layers(source)]
     names = [name for name, shape in listed if kind.takes_layer(name, shape)]
     if not names or (len(names) > 1 and not every):
         listing = ", ".join(f"{printable(name)} ({shape})" for name, shape in listed) or "none"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import json
 import sqlite3
 import subprocess
@@ -15,6 +16,7 @@ import pyproj
 import pytest
 import shapely
 
+from tests.scenes import journals
 from tests.tiler.io.vector.files import collection, write
 from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import InputError
@@ -232,6 +234,58 @@ def test_written_features_are_read_back_and_have_the_same_bytes(tmp_path: Path) 
 
 
 @pytest.mark.processes
+def files(folder: Path) -> dict[str, tuple[bytes, int]]:
+    return {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
+
+
+def test_saved_edits_in_a_journal_are_read_and_no_file_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SQLite would write the journal of a crashed program into the file, and remove the journal."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(scratch))
+    path = write(tmp_path / "a.gpkg", [TRIANGLE], "Polygon", columns={"action": ["void"]})
+    with contextlib.closing(journals.opened_in_gis(path)):
+        left = journals.crashed(path, tmp_path / "crashed")
+        link = tmp_path / "link.gpkg"
+        link.symlink_to(left)
+        before = files(left.parent)
+        for name in (left, link, path):
+            features = read_features(name, POLYGONS).features
+            assert [f.attributes["action"] for f in features] == ["void", "void"]
+            assert features[1].place == f"{name}: l0, feature 2"
+        assert files(left.parent) == before
+    assert set(before) == {"a.gpkg", "a.gpkg-wal"}
+    assert not list(scratch.iterdir())
+
+
+def test_unfinished_changes_are_not_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.gpkg", [TRIANGLE], "Polygon")
+    with contextlib.closing(journals.in_transaction(path)):
+        left = journals.crashed(path, tmp_path / "crashed")
+        before = files(left.parent)
+        assert set(before) == {"a.gpkg", "a.gpkg-journal"}
+        for name in (left, path):
+            assert len(read_features(name, POLYGONS).features) == 1
+        assert files(left.parent) == before
+
+
+def test_a_file_that_keeps_changing_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "a.gpkg", [TRIANGLE], "Polygon")
+    with contextlib.closing(journals.opened_in_gis(path)):
+        states = itertools.count()
+        monkeypatch.setattr(
+            "tiler.io.vector.opening.states_at", lambda places: [next(states) for _ in places]
+        )
+        with pytest.raises(
+            InputError, match=r"a\.gpkg: a program keeps writing to it; close it"
+        ):
+            read_features(path, POLYGONS)
+
+
 def test_two_gdals_in_one_process(tmp_path: Path) -> None:
     """rasterio and pyogrio each bring a GDAL and a PROJ; both orders of import give equal results without a warning."""
     write(tmp_path / "a.gpkg", [shapely.Point(500_000, 5_400_000)], "Point")
