@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+import shapely
 
 from tests.invariants import clouds
 from tests.invariants.runs import do
+from tests.scenes.drawings import draw
+from tests.scenes.journals import n_features, opened_in_gis
+from tiler.errors import ConfigError
 
 BOTH = "dtm,slope"
 PLAIN = {"dtm.tif", "outline.gpkg", "classified/hill.laz", "classified.vpc", "stac.json"}
@@ -124,3 +129,64 @@ def test_a_folder_that_is_input_and_out_reads_only_what_the_user_put_there(
     assert again.did_nothing
     parent = do(tmp_path, tmp_path / "whole")
     assert [Path(entry["path"]).name for entry in parent.summary["inputs"]] == ["a.laz"]
+
+
+@pytest.mark.parametrize("products", ["dtm,contours", "dtm"])
+def test_edits_in_a_geopackage_that_is_open_are_never_lost(
+    products: str, cloud: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    do(cloud, out, products="dtm,contours")
+    contours, made = out / "contours.gpkg", n_features(out / "contours.gpkg")
+    with closing(opened_in_gis(contours)) as database:
+        before = (out / "run.json").read_bytes(), contours.read_bytes()
+        with pytest.raises(ConfigError, match=r"contours\.gpkg-wal: its GeoPackage is open"):
+            do(cloud, out, products=products, resolution="2", overwrite=True, force=True)
+        assert ((out / "run.json").read_bytes(), contours.read_bytes()) == before
+        assert database.execute("SELECT count(*) FROM contours").fetchone() == (made + 1,)
+    assert do(cloud, out, products=products, resolution="2").exit_code == 0
+    assert n_features(out / "outdated" / "contours.gpkg") == made + 1
+
+
+@pytest.mark.parametrize(("sheets", "raster"), [({}, "dtm.tif"), ({"sheets": "40"}, "dtm.vrt")])
+def test_sidecars_stay_with_the_same_bytes_and_go_with_others(
+    sheets: dict[str, str], raster: str, cloud: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    do(cloud, out, **sheets)
+    overviews, style = out / f"{raster}.ovr", out / f"{raster.split('.')[0]}.qml"
+    overviews.write_text("overviews")
+    style.write_text("style")
+    (out / raster).unlink()
+    do(cloud, out, **sheets, overwrite=True)
+    assert overviews.is_file()
+    mosaic = (out / raster).read_bytes()
+    # The edit changes pixels but no extent, so a VRT keeps its bytes.
+    edits = draw(
+        tmp_path / "e.json", [(shapely.box(20, 20, 30, 30), {"action": "flat", "z": 9})]
+    )
+    do(cloud, out, **sheets, edits=edits)
+    assert ((out / raster).read_bytes() == mosaic) == bool(sheets)
+    assert not overviews.exists()
+    assert (out / "outdated" / overviews.name).read_text() == "overviews"
+    assert style.is_file()
+
+
+def test_sidecars_go_after_an_interruption(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run that replaced the raster was killed before it moved them."""
+    out = tmp_path / "out"
+    do(cloud, out)
+    (out / "dtm.tif.ovr").write_text("overviews")
+
+    def killed(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tiler.export.stage.archive_sidecars", killed)
+        with pytest.raises(KeyboardInterrupt):
+            do(cloud, out, resolution="2", overwrite=True)
+    assert (out / "dtm.tif.ovr").is_file()
+    do(cloud, out, resolution="2")
+    assert (out / "outdated" / "dtm.tif.ovr").is_file()

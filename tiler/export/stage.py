@@ -34,7 +34,11 @@ from tiler.export.tasks.files import (
     legend_tasks,
     mosaic_tasks,
 )
-from tiler.export.tasks.outdated import archive_outdated, invalidate_changed_outputs
+from tiler.export.tasks.outdated import (
+    archive_outdated,
+    archive_sidecars,
+    invalidate_changed_outputs,
+)
 from tiler.export.tasks.sheets import cut
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.tasks.corrections import Corrections
@@ -88,20 +92,21 @@ def export(
         job.results.sheets = len(gridding.sheets)
     tasks = _file_tasks(job, gridding, sources, spooled, labelled, corrections)
     basis, paths = _basis(gridding), _paths(gridding, tasks, out)
+    earlier = dict(job.results.digests)
     archive_outdated(job, paths, basis)
     # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
     _make_folders([*tasks.cogs, *tasks.drawn], out)
     with _crs_code(job) as crs_code:  # A thread searches for the code while the workers write.
-        made = _write(job, "export", [*tasks.cogs, *tasks.drawn, *tasks.clouds], out)
+        made = _write(job, "export", [*tasks.cogs, *tasks.drawn, *tasks.clouds], out, earlier)
     job.store.drop_records()
     _report_files(job, tasks, made)
     mosaics = tasks.mosaics
     if mosaics or job.store.committed("mosaic"):
         mosaics = [*mosaics, *index_tasks(tasks.cogs, made, out)]
-        made |= _write(job, "mosaic", mosaics, out)
+        made |= _write(job, "mosaic", mosaics, out, earlier)
     catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code()))
     _make_folders(catalogue, out)
-    made |= _write(job, STAGE, catalogue, out)
+    made |= _write(job, STAGE, catalogue, out, earlier)
     _record_files(job, paths, basis)
     _validate_outputs_exist(job)
     products = [*tasks.cogs, *tasks.drawn, *mosaics, *catalogue]
@@ -286,8 +291,13 @@ def _files(tasks: list[Task]) -> dict[str, str]:
     }
 
 
-def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
-    """Write the files that are missing or were changed, and return the commits of all files that were written."""
+def _write(
+    job: Job, stage: str, tasks: list[Task], out: str, earlier: Mapping[str, str]
+) -> Commits:
+    """Write the files that are missing or were changed, and return the commits of all files that were written.
+
+    ``earlier`` has the digests of the files before this run. If the run that wrote a file was killed, it has none.
+    """
     files = _files(tasks)
     invalidate_changed_outputs(job, stage, files)
     written = run_stage(job, stage, tasks, writes_out=True)
@@ -299,6 +309,8 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
         if record.digest is not None:
             digests[path] = record.digest
         notes |= dict.fromkeys(record.notes or ())
+    replaced = [path for path, digest in digests.items() if digest != earlier.get(path)]
+    archive_sidecars(job, replaced)
     job.results.outputs, job.results.digests = sizes, digests
     for text in notes:
         job.note(text)

@@ -17,6 +17,7 @@ from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
 from tiler.core.words import listed
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
+from tiler.io.journals import validate_closed
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
 from tiler.io.result_folder import (
@@ -35,6 +36,7 @@ from tiler.io.result_folder import (
     STORE,
     VIRTUAL,
     WATER,
+    earlier_outputs,
     foreign_files,
     local_folder,
     mosaic_file,
@@ -99,7 +101,7 @@ def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path
 
 
 def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
-    """Raise ConfigError if a run would overwrite its inputs, or files that no run in OUT wrote."""
+    """Raise ConfigError if a run would overwrite inputs, files that no run in OUT wrote, or an open GeoPackage."""
     out = local_folder(products)
     file_names = _targets(plan)
     locations = [joined(products, name) for name in file_names]
@@ -107,6 +109,7 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
         locations += [joined(folder, name) for name in (RUN, EVENTS, REPORT)]
     reads: list[str | Path] = [*paths, *other_inputs(plan.config)]
     check_targets([Target("-o", location) for location in locations], reads)
+    validate_closed(products, {*file_names, *earlier_outputs(out, products)})
     if plan.config.force:
         return
     sheet_prefixes = {}

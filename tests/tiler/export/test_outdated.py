@@ -10,7 +10,7 @@ import pytest
 
 from tiler.errors import ConfigError
 from tiler.export.tasks import outdated
-from tiler.export.tasks.outdated import archive, archive_outdated
+from tiler.export.tasks.outdated import archive, archive_outdated, archive_sidecars
 from tiler.ingest.tasks.fingerprints import FileContent
 from tiler.runs.results import Results
 
@@ -142,8 +142,53 @@ def test_a_damaged_file_that_is_not_made_again_is_moved(
 
 
 def test_files_are_moved_together_and_replace_none(tmp_path: Path) -> None:
+    job = job_in(tmp_path, {})
     for number, folder in enumerate(["outdated", "outdated/2", "outdated/3"]):
         write(tmp_path, "dtm.tif", f"only_{number}.tif")
-        assert archive(str(tmp_path), ["dtm.tif", f"only_{number}.tif"]) == folder
+        assert archive(job, ["dtm.tif", f"only_{number}.tif"]) == folder
         assert (tmp_path / folder / f"only_{number}.tif").exists()
     assert len(files(tmp_path)) == 6
+
+
+def test_sidecars_go_with_their_raster_and_styles_stay(tmp_path: Path) -> None:
+    derived = [
+        "slope.tif.ovr",
+        "slope.tif.aux.xml",
+        "slope.tif.msk",
+        "slope.tif.msk.ovr",
+        "slope.aux",
+    ]
+    kept = {"slope.qml", "slope.qmd", "slope.tif.txt", "mask.tif", "mask.tif.aux.xml"}
+    write(tmp_path, "slope.tif", *derived, *kept)
+    earlier = {"slope.tif": "before", "mask.tif": "now", "mask.tif.aux.xml": "now"}
+    written = ("mask.tif", "mask.tif.aux.xml")
+    archive_outdated(job_in(tmp_path, earlier, written), by_key(*written), "now")
+    assert files(tmp_path) == {f"outdated/{name}" for name in ("slope.tif", *derived)} | kept
+
+
+def test_sidecars_of_a_mosaic_go_if_its_sheets_are_replaced(tmp_path: Path) -> None:
+    """The VRT has the same bytes as before."""
+    write(tmp_path, "dtm.vrt.ovr", "slope.vrt.ovr", "dtm/a.tif.aux.xml", "mask.tif.aux.xml")
+    job = job_in(tmp_path, {"mask.tif.aux.xml": "now"})
+    archive_sidecars(job, ["dtm/a.tif", "mask.tif"])
+    moved = {"outdated/dtm.vrt.ovr", "outdated/dtm/a.tif.aux.xml"}
+    assert files(tmp_path) == moved | {"slope.vrt.ovr", "mask.tif.aux.xml"}
+    (note,) = job.notes
+    assert note.startswith("dtm.vrt.ovr, dtm/a.tif.aux.xml: made by another program from files")
+    archive_sidecars(job, ["dtm/a.tif", "mask.tif"])
+    assert job.notes == [note]
+
+
+@pytest.mark.parametrize("suffix", ["-wal", "-journal"])
+@pytest.mark.parametrize("written", [("contours.gpkg",), ()])
+def test_an_open_geopackage_is_refused_before_anything_moves(
+    written: tuple[str, ...], suffix: str, tmp_path: Path
+) -> None:
+    write(tmp_path, "slope.tif", "contours.gpkg", f"contours.gpkg{suffix}")
+    job = job_in(tmp_path, {"slope.tif": "before", "contours.gpkg": "before"})
+    before = files(tmp_path)
+    with pytest.raises(ConfigError, match=f"contours.gpkg{suffix}: its GeoPackage is open"):
+        archive_outdated(job, by_key(*written), "now")
+    with pytest.raises(ConfigError, match=f"contours.gpkg{suffix}: its GeoPackage is open"):
+        archive(job, ["slope.tif", "contours.gpkg"])
+    assert files(tmp_path) == before

@@ -23,13 +23,21 @@ from tiler.core.words import listed
 from tiler.errors import ConfigError, write_error
 from tiler.export.records import FileRecord
 from tiler.ingest.tasks.fingerprints import file_digests
+from tiler.io.journals import validate_closed
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
-from tiler.io.result_folder import OUTDATED, below
+from tiler.io.result_folder import OUTDATED, below, mosaic_file
 from tiler.runs.job import Job
 
 STAGE = "verify"
 WRITING = ("export", "mosaic", "catalogue")
 """Stages whose tasks write files of OUT."""
+SIDECARS = (".ovr", ".aux.xml", ".msk", ".msk.ovr")
+"""Suffixes, after the name of a raster, of the overviews, statistics and masks that GDAL derives from it.
+
+Styles and metadata of QGIS (``.qml``, ``.qmd``) are a user's work, and stay.
+"""
+ERDAS_OVERVIEWS = ".aux"
+"""Suffix, in place of that of a raster, of its overviews in the format of Erdas Imagine, which QGIS offers."""
 NAMED = 5
 """Number of files that a note lists. Further files are counted."""
 
@@ -50,7 +58,7 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     Raises
     ------
     ConfigError
-        A file that this run writes already exists, and was not written by an earlier run.
+        A file that this run writes already exists, and was not written by an earlier run. Or a GeoPackage is open.
     ProcessingError
         A file cannot be moved.
     """
@@ -58,6 +66,8 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     # After a repair of the store the export runs again, and ``outputs`` lists files that this
     # run has checked already.
     earlier = {**job.results.earlier_outputs, **dict.fromkeys(job.results.outputs, basis)}
+    # The plan checked this as well, but the run may have taken hours since.
+    validate_closed(job.products, wanted | earlier.keys())
     if not job.plan.config.force:
         _validate_own_files(job, [path for path in wanted if path not in earlier])
     there = {p: of for p, of in earlier.items() if p not in wanted and _inside(job.products, p)}
@@ -68,12 +78,10 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     kept = {
         path: size for path, size in sizes.items() if size is not None and path not in stale
     }
-    aside = archive(job.products, stale)
+    aside = archive(job, stale)
     for path in _damaged(job, kept) if job.plan.config.verify else ():
         del kept[path]
-        text = (
-            f"{path}: changed since a run wrote it; moved to {archive(job.products, [path])}/"
-        )
+        text = f"{path}: changed since a run wrote it; moved to {archive(job, [path])}/"
         job.note(f"{text}, and not made again, as --products does not list it")
     _archive_changed(job, written)
     job.results.outputs = kept
@@ -96,7 +104,7 @@ def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
     known = {key for stage in WRITING for key in job.store.committed(stage)}
     changed = sorted(_damaged(job, {path for key, path in written.items() if key not in known}))
     if changed:
-        job.note(_changed_text(changed, archive(job.products, changed)))
+        job.note(_changed_text(changed, archive(job, changed)))
 
 
 def _changed_text(paths: Sequence[str], location: str) -> str:
@@ -140,15 +148,44 @@ def _inside(out: str, path: str) -> bool:
     return whole.resolve().is_relative_to(Path(out).resolve()) and not whole.is_dir()
 
 
-def archive(out: str, paths: Sequence[str]) -> str:
-    """Move files of OUT into one folder in which none of their names exists, and return its path in OUT."""
-    folder, number = OUTDATED, 1
+def archive(job: Job, paths: Sequence[str]) -> str:
+    """Move files of OUT and their sidecars into one folder in which none of their names exists.
+
+    Return the path of the folder in OUT. Raise ConfigError if one of them is an open GeoPackage.
+    """
+    out, folder, number = job.products, OUTDATED, 1
+    validate_closed(out, paths)
+    paths = list(dict.fromkeys([*paths, *_sidecars(job, paths)]))
     while _taken(out, [joined(out, folder, path) for path in paths]):
         number += 1
         folder = f"{OUTDATED}/{number}"
     for path in paths:
         _move(out, path, joined(out, folder, path))
     return folder
+
+
+def archive_sidecars(job: Job, replaced: Collection[str]) -> None:
+    """Move the sidecars of files that now have other bytes, since a GIS would show the earlier data."""
+    # The VRT of a product keeps its bytes if only the pixels of the sheets change.
+    mosaics = {mosaic_file(os.path.dirname(path)) for path in replaced if "/" in path}
+    sidecars = _sidecars(job, sorted({*replaced, *mosaics}))
+    if sidecars:
+        job.note(
+            f"{listed(sidecars, NAMED)}: made by another program from files that this run replaced; moved to "
+            f"{archive(job, sidecars)}/"
+        )
+
+
+def _sidecars(job: Job, paths: Collection[str]) -> list[str]:
+    """Return the files next to outputs that other programs derived from them. Objects at a URL have none."""
+    if is_url(job.products):
+        return []
+    outputs = {*job.results.outputs, *job.results.earlier_outputs}
+    sidecars = [f"{path}{suffix}" for path in paths for suffix in SIDECARS]
+    sidecars += [f"{os.path.splitext(path)[0]}{ERDAS_OVERVIEWS}" for path in paths]
+    return [
+        s for s in sidecars if s not in outputs and os.path.lexists(joined(job.products, s))
+    ]
 
 
 def _taken(out: str, places: list[str]) -> bool:
@@ -208,4 +245,4 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     job.invalidate(stage, [*gone, *changed])
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)
-        job.note(_changed_text(paths, archive(job.products, paths)))
+        job.note(_changed_text(paths, archive(job, paths)))

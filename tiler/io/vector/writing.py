@@ -14,8 +14,9 @@ import shapely
 from pyproj import CRS
 
 from tiler.core.crs import split
-from tiler.errors import write_error
+from tiler.errors import ProcessingError, write_error
 from tiler.io.atomic_files import atomic_path, cause_of
+from tiler.io.journals import journals_of, open_text
 
 WHEN = "2000-01-01T00:00:00.000Z"
 """Fixed time in place of the time of writing, which would change the bytes of each layer."""
@@ -94,7 +95,7 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
     Raises
     ------
     ProcessingError
-        The file system refuses a write (see `tiler.errors.write_error`).
+        The file system refuses a write (see `tiler.errors.write_error`), or a program has the present file open.
     """
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError
@@ -109,6 +110,8 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
                 yield GeoPackage(partial, _horizontal(crs))
             except (DataLayerError, DataSourceError, FeatureError) as error:
                 raise write_error(str(path), cause_of(partial, error), path.parent) from error
+            if journals := journals_of(path):
+                raise ProcessingError(open_text(journals))
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": keep})
 

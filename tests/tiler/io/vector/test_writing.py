@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import resource
 import signal
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 
+from tests.scenes.journals import n_features, opened_in_gis
 from tiler.errors import ProcessingError
 from tiler.io.vector.writing import geopackage
 
@@ -33,3 +35,17 @@ def test_a_file_that_may_not_grow_is_reported_as_such(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_was_opened_meanwhile_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "x.gpkg"
+    with geopackage(path, "EPSG:32632") as file:
+        file.add("a", "Point", [shapely.Point(0, 0)], {"n": np.arange(1)})
+    with (
+        closing(opened_in_gis(path)),
+        pytest.raises(ProcessingError, match=r"^x\.gpkg-wal: its GeoPackage is open"),
+        geopackage(path, "EPSG:32632") as file,
+    ):
+        file.add("a", "Point", [shapely.Point(1, 1)], {"n": np.arange(1)})
+    assert n_features(path) == 2
+    assert list(tmp_path.iterdir()) == [path]
