@@ -16,18 +16,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tiler.apps.check import PointOptions, measure, parse_requirements
+from tiler.apps.check import PointOptions, measure, parse_requirements, terrain_in
 from tiler.apps.check.results import CheckSummary
 from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
 from tiler.io.locations import as_path
+from tiler.io.result_folder import CHECK, is_results, local_folder
 from tiler.observe.events import Event, Listener, Note, Warned, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.observe.notebook_bar import NotebookBar, in_notebook
 from tiler.observe.progress import open_progress
 from tiler.pipeline import run as run_job
+from tiler.report.accuracy import write_measured
+from tiler.report.html import write_report_at
 from tiler.report.notebook import check_markup, classified_markup
 from tiler.runs.job import RunResult
 from tiler.store import TileStore
@@ -221,10 +224,13 @@ class CheckResult:
     summary : mapping
         Output of ``tiler check --json``: ``accuracy`` by checkpoints, ``seams``, ``strips``, ``requirements``,
         ``figures``. Each of the first three exists only if it was measured.
+    report : str or None
+        Path or URL of the updated report, if the DTM was given as the OUT folder of a run.
     """
 
     exit_code: int
     summary: CheckSummary = field(repr=False)
+    report: str | None = None
 
     @property
     def met(self) -> bool:
@@ -252,7 +258,7 @@ def check(
     Parameters
     ----------
     dtm : path or URL
-        Raster of heights.
+        Raster of heights, or the OUT folder of a run. Its check.json and report.html are then written as well.
     points : path, optional
         Checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON, GeoPackage and others.
     points_crs : str, optional
@@ -286,8 +292,10 @@ def check(
     >>> result.met, result.summary["accuracy"]["nva"]["points"]
     (True, 3)
     """
-    report = measure(
-        as_path(_text("dtm", dtm)),
+    place = _text("dtm", dtm)
+    is_out = is_results(place)
+    summary = measure(
+        as_path(terrain_in(place) if is_out else place),
         None if points is None else Path(_text("points", points)),
         PointOptions(
             points_crs,
@@ -299,8 +307,12 @@ def check(
         parse_requirements(_texts("require", require)),
         None if figures is None else Path(_text("figures", figures)),
     )
-    met = all(requirement["met"] for requirement in report["requirements"])
-    return CheckResult(0 if met else 5, report)
+    report = None
+    if is_out:
+        write_measured(local_folder(place), CHECK, summary)
+        report = write_report_at(place)
+    met = all(requirement["met"] for requirement in summary["requirements"])
+    return CheckResult(0 if met else 5, summary, report)
 
 
 def open_store(path: PathLike) -> TileStore:

@@ -85,6 +85,9 @@ def command(dtm: str, as_json: bool, **options: Any) -> int:
     non-vegetated checkpoints (NVA) including the error of the checkpoints themselves. A
     statement of accuracy needs at least 30 of these checkpoints. The RMSE of vegetated
     checkpoints (VVA) is reported, but has no limit.
+
+    DTM is a raster, or the OUT folder of a run. For OUT, the results are also written to
+    OUT/check.json and replace those of the last check, and OUT/report.html is updated.
     """
     from tiler.api import check
 
@@ -93,6 +96,8 @@ def command(dtm: str, as_json: bool, **options: Any) -> int:
         print_json(result.summary)
     else:
         _print_report(result.summary)
+        if result.report is not None:
+            write_line(f"report  {result.report}")
     return result.exit_code
 
 
@@ -103,10 +108,8 @@ def _print_report(report: Mapping[str, Any]) -> None:
         _print_seams(report["seams"])
     if "strips" in report:
         _print_strips(report["strips"])
-    from tiler.apps.check import METRICS
-
     for requirement in report["requirements"]:
-        unit = " m" if METRICS[requirement["name"]].is_length else ""
+        unit = f" {requirement['unit']}".rstrip()
         value = (
             "not measured"
             if requirement["value"] is None

@@ -13,10 +13,10 @@ from cli.session import TilerCommand
 def command(out: str) -> None:
     """Update OUT/report.html with the latest measurements.
 
-    Every run writes the report. Update it after an interruption and after measurements: it
-    shows the content of OUT/check.json and OUT/evaluate.json (`tiler check ... --json >
-    OUT/check.json`, `tiler evaluate ... --json > OUT/evaluate.json`). The report is one file
-    that loads no other files, so you can send or print it. If OUT is a URL, the report is
+    Every run and `tiler check OUT` write the report. Update it after an interruption and after
+    other measurements: it shows the content of OUT/check.json and OUT/evaluate.json (`tiler
+    evaluate ... --json > OUT/evaluate.json`). The report is one file that loads no other files,
+    so you can send or print it. If OUT is a URL, the report is
     written in the local folder of the same name and copied to OUT. The two JSON files belong in
     that local folder, too.
     """

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ptd.cells import Int32, Int64, Xyz, cell_keys
+from ptd.cells import Int32, Int64, Xyz, cell_keys, is_lower
 from ptd.frame import CellLattice, Scale
 from ptd.ground.blocks import BLOCK_CELLS, blocks
 from ptd.ground.layers import (
@@ -20,7 +20,6 @@ from ptd.ground.layers import (
     EMPTY,
     MIN_DENSITY_M2,
     MIN_DEPTH_M,
-    MIN_POINTS,
     MIN_SLOPE,
     REACH_CELLS,
     Bool,
@@ -40,22 +39,23 @@ LEVEL_M, LEVEL_CELLS = 2.0, 3
 that a level reaches."""
 SPARSE = 20.0
 """A level is thin if its layer has at least this many times as many points per area."""
-SURE_POINTS, SHALLOW_M = 16, 2.5
+SURE_POINTS, SHALLOW_M = 18, 2.5
 """Least number of points of a layer, and its greatest height above a point, that prove noise at a
 thin level. No roof and no crown lies so low."""
 WIDE_M, WIDE_CELLS = 5.0, 5
-"""Radius in which a level must be thin if its layer proves nothing, and the farthest cell of it.
-The ground below a forest is seen again within it, noise is not."""
+"""Radius of a wide level, and the farthest cell of it. The ground below a forest, a roof or a bridge
+is seen again within it, noise is not."""
 WIDE_POINTS, WIDE_SHARE = 5, 0.005
 """Largest number of points of a level that is thin in the wide radius, and its largest share of
 the layer's points."""
-FULL = 0.6
-"""Mean share of all points that lie in the layers above the points of a level. From it on, the
-whole level is noise. It is 0 in a pit, 0.45 below a greenhouse, 0.84 below a street."""
+FULL = 0.5
+"""Mean share of all points that lie in the layers above the points of a wide level. From it on, the
+level is noise. It is 0.2 below the edge of a bridge, as the ground goes on beside it, 0.45 below a
+greenhouse, and 0.84 below a street."""
+FEW = 200
+"""Number of points up to which each point of a level is looked at, for the sake of time."""
 LOWER = 0.4
 """Least share of the pairs of cells around a tested cell that lie `MIN_DEPTH_M` higher."""
-MOST = 0.75
-"""Share of the points of a cell that are no noise if they are its lowest `MIN_DEPTH_M`."""
 ROUNDS = 4
 """Number of times that the search goes on in the cells beside noise. So it enters planes of 20 m
 width from both sides."""
@@ -148,15 +148,25 @@ def _is_proof(p: int, layer: Layer, hood: Neighbourhood, level: Int64) -> bool:
 def _is_covered(level: Int64, hood: Neighbourhood, shares: Int32, work: Float64) -> bool:
     """Return whether the layers above the points of a level hold the share `FULL` of all points on average.
 
-    ``shares`` keeps the share of each point in thousandths, -1 before it is computed.
+    On levels of more than `FEW` points, the lowest point of each cell stands for all of its points. ``shares`` keeps
+    the share of each point in thousandths, -1 before it is computed.
     """
-    lacking = round(1000 * (1.0 - FULL)) * level.size
-    for q in level:
-        if shares[q] < 0:
-            layer = layer_above(q, hood, work)
-            share = layer.density_m2 / hood.density[hood.cells[q]]
-            shares[q] = round(1000 * min(share, 1.0))
-        lacking -= 1000 - shares[q]
+    lacking, last = round(1000 * (1.0 - FULL)) * level.size, 0
+    for first in range(level.size):
+        if first < last:
+            continue
+        lowest, last = level[first], first + 1
+        while level.size > FEW and last < level.size:
+            if hood.cells[level[last]] != hood.cells[lowest]:
+                break
+            if is_lower(hood.x, hood.y, hood.z, level[last], lowest):
+                lowest = level[last]
+            last += 1
+        if shares[lowest] < 0:
+            layer = layer_above(lowest, hood, work)
+            share = layer.density_m2 / hood.density[hood.cells[lowest]]
+            shares[lowest] = round(1000 * min(share, 1.0))
+        lacking -= (1000 - shares[lowest]) * (last - first)
         if lacking < 0:
             return False
     return True
@@ -174,22 +184,13 @@ def _reach_beside(cell: int, hood: Neighbourhood, reached: Bool) -> None:
                 reached[other] = True
 
 
-@kernel
-def _is_most(heights: Int32, height: int, hood: Neighbourhood) -> bool:
-    """Return whether the share `MOST` of the points of a cell lies below or just above a height."""
-    n = 0
-    for z in heights:
-        n += z <= height + MIN_DEPTH_M / hood.metres_z
-    return heights.size >= MIN_POINTS and n > MOST * heights.size
-
-
 class _Space(NamedTuple):
     """Arrays that the tests of a round share: shares of `_is_covered`, work of `layer_above`, points of two levels."""
 
     shares: Int32
     work: Float64
     level: Int64
-    beside: Int64
+    wide: Int64
 
 
 NO_NOISE, ALONE = 0, -1
@@ -199,7 +200,7 @@ NO_NOISE, ALONE = 0, -1
 @kernel
 def _noise_at(p: int, hood: Neighbourhood, space: _Space) -> int:
     """Return `NO_NOISE` or `ALONE` for a point, or the number of points of its level if all of it is noise."""
-    shares, work, level, beside = space
+    shares, work, level, wide = space
     layer = layer_above(p, hood, work)
     if layer.points == 0:
         return NO_NOISE
@@ -210,14 +211,17 @@ def _noise_at(p: int, hood: Neighbourhood, space: _Space) -> int:
     # A roof slopes, but the ground below it and beside it need not.
     tilted = abs(layer.east) + abs(layer.north) >= MIN_SLOPE
     flat = Layer(layer.depth_m, layer.density_m2, layer.points, 0.0, 0.0)
-    n_flat = _level(p, flat, tolerance, radius, hood, beside) if tilted else 0
-    if layer.depth_m >= SHALLOW_M:
-        n_thin = max(n, n_flat)
+    if layer.depth_m >= SHALLOW_M and tilted:
+        n_thin = max(n, _level(p, flat, tolerance, radius, hood, wide[:0]))
     if layer.density_m2 * math.pi * radius * radius >= SPARSE * n_thin:
-        return ALONE if _is_proof(p, layer, hood, beside) else NO_NOISE
-    if layer.density_m2 < FULL / 2 * density or not _is_covered(level[:n], hood, shares, work):
+        return ALONE if _is_proof(p, layer, hood, wide) else NO_NOISE
+    if layer.density_m2 < FULL / 2 * density:
         return NO_NOISE
-    return n if _is_covered(beside[:n_flat], hood, shares, work) else NO_NOISE
+    n_wide = _level(p, layer, tolerance, WIDE_M, hood, wide)
+    if not _is_covered(wide[:n_wide], hood, shares, work):
+        return NO_NOISE
+    n_wide = _level(p, flat, tolerance, WIDE_M, hood, wide) if tilted else 0
+    return n if _is_covered(wide[:n_wide], hood, shares, work) else NO_NOISE
 
 
 @kernel
@@ -244,9 +248,7 @@ def _search(hood: Neighbourhood, todo: Int64, known: Bool, room: int) -> tuple[B
                 break
             if known[p]:
                 continue
-            found = NO_NOISE
-            if not _is_most(heights, heights[k], hood):
-                found = _noise_at(p, hood, space)
+            found = _noise_at(p, hood, space)
             if found == NO_NOISE:
                 highest = heights[k]  # Points of the same height are tested too, in any order.
             if found == ALONE:
@@ -269,11 +271,11 @@ def _in_raster(points: Xyz, scale: Scale) -> Bool:
     above = scipy.ndimage.maximum_filter(figures.high.reshape(shape), 3).ravel()
     deep = (figures.density >= MIN_DENSITY_M2) & (figures.low <= above - depth)
     noise, todo = np.zeros(x.size, np.bool_), _first_cells(figures.low, deep, shape, depth)
-    room = int(box_sums(figures.counts.reshape(shape), 2 * LEVEL_CELLS + 1).max())
+    room = int(box_sums(figures.counts.reshape(shape), 2 * WIDE_CELLS + 1).max())
     for _ in range(ROUNDS):
         if not todo.any():
             break
-        near = 2 * max(WIDE_CELLS, LEVEL_CELLS + REACH_CELLS) + 1
+        near = 2 * (WIDE_CELLS + REACH_CELLS) + 1
         wanted = scipy.ndimage.maximum_filter(todo.reshape(shape), near).ravel()
         order, hood = sorted_by_cell(points, keys, wanted, figures, scale)
         noise[order], reached = _search(hood, np.flatnonzero(todo), noise[order], room)

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, find_slot
-from ptd.frame import CellLattice, Scale
-from ptd.kernel import kernel
+from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, find_slot, quotient
+from ptd.frame import CellGrid, CellLattice, Scale
+from ptd.kernel import as_int64, kernel
+
+Bool = npt.NDArray[np.bool_]
 
 MIN_NEIGHBOURS = 3
 """Least number of points far away in height around an outlier: two are not enough evidence."""
@@ -39,7 +41,7 @@ class _Search(NamedTuple):
 @kernel
 def _outliers(
     points: Xyz, table: CellTable, cells: tuple[Int64, Int64], reach: int, search: _Search
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Search cells ring by ring for the neighbours of each point, so that ordinary ground needs only a few points."""
     x, y, z = points
     point_columns, point_rows = cells
@@ -78,7 +80,7 @@ def _outliers(
 
 def low_outliers(
     x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Find points that, with at most ``group - 1`` others, lie alone at the bottom of a hole.
 
     A point is a low outlier if at most ``group`` points within ``radius_m``, itself included, are not more than
@@ -107,7 +109,7 @@ def low_outliers(
 
 def isolated_in_height(
     x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Find points whose smallest height difference to their neighbours is too large (Chen 2023, 2.1 b).
 
     A point is isolated if at least three other points lie within ``radius_m``, and none of those there is within
@@ -139,7 +141,7 @@ def _search(
     depth_m: float,
     group: int,
     both: bool,
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     index = CellIndex(x, y, CellLattice.of(1.0, scale))
     search = _Search(scale.counts(radius_m), scale.counts_z(depth_m), group, both)
     return _outliers(
@@ -154,6 +156,26 @@ def search_margin(radius_m: float, group: int, cell_m: float) -> int:
         if group
         else 0
     )
+
+
+@kernel
+def _at_most(
+    points: Xyz, among: Bool, grid: CellGrid, table: CellTable, heights: Int32
+) -> Bool:
+    """Return a mask of the points of ``among`` that are at most as high as the height of their cell."""
+    x, y, z = points
+    p, q, ox, oy, col0, row0 = grid
+    slots, keys, _starts, _order, width, height = table
+    out, inverse, highest = np.zeros(z.size, np.bool_), 1.0 / p, heights.max()
+    for i in range(z.size):
+        # Most points are higher than all outliers.
+        if not among[i] or z[i] > highest:
+            continue
+        column = quotient((as_int64(x[i]) + ox) * q, p, inverse) - col0
+        row = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row0
+        slot = find_slot(slots, keys, width, height, column, row)
+        out[i] = slot >= 0 and z[i] <= heights[slot]
+    return out
 
 
 class LowNoise:
@@ -174,17 +196,10 @@ class LowNoise:
                 z[self._index.table.order], self._index.table.starts[:-1]
             )
 
-    def holds(
-        self, x: Int32, y: Int32, z: Int32, among: npt.NDArray[np.bool_] | None = None
-    ) -> npt.NDArray[np.bool_]:
+    def holds(self, x: Int32, y: Int32, z: Int32, among: Bool | None = None) -> Bool:
         """Return a mask of the low-noise points, restricted to the points in ``among`` if it is given: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
-        # Most points are higher than all outliers.
-        is_low: npt.NDArray[np.bool_] = z <= self._heights.max()
-        if among is not None:
-            is_low &= among
-        low = np.flatnonzero(is_low)
-        cell = self._index.find(x[low], y[low])
-        is_low[low] = (cell >= 0) & (z[low] <= self._heights[cell])
-        return is_low
+        index, among = self._index, np.ones(z.size, np.bool_) if among is None else among
+        grid = index.cells.grid(index.col0, index.row0)
+        return _at_most(Xyz(x, y, z), among, grid, index.table, self._heights)

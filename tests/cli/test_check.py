@@ -10,6 +10,7 @@ import pytest
 
 from cli.main import main
 from tests.tiler.apps.check.rasters import tilted, write_surface
+from tests.tiler.report import results
 
 
 @pytest.fixture
@@ -68,6 +69,38 @@ def test_a_requirement_that_fails_ends_with_5(
     assert [r["met"] for r in report["requirements"]] == [True, False]
     assert report["accuracy"]["nva"]["rmse"] == pytest.approx(0.05, abs=1e-4)
     assert [Path(path).name for path in report["figures"]] == ["histogram.svg", "map.svg"]
+
+
+def test_check_of_a_result_folder_writes_its_check_and_its_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = results.write(folder / "out", results.run(outputs={}))
+    points = [
+        "--points",
+        str(folder / "points.csv"),
+        "--tile-size",
+        "10",
+        "--require",
+        "mean=4cm",
+    ]
+    assert main(["check", str(out), *points]) == 3
+    assert "contains no DTM; finish its run" in capsys.readouterr().err
+    assert not (out / "check.json").exists()
+    write_surface(out / "dtm.tif", tilted)
+    assert main(["check", str(out), *points]) == 5
+    assert capsys.readouterr().out.splitlines()[-1] == f"report  {out / 'report.html'}"
+    check = json.loads((out / "check.json").read_text())
+    assert check["requirements"][0]["met"] is False
+    page = results.read(out / "report.html")
+    assert "Finished, but 1 requirement is not met" in page.texts[""]
+    assert "measured mean = 0.05 m; the limit is 0.04 m" in page.texts["problems"]
+    assert "RMSEV = 5.0 cm with 32 checkpoints" in page.texts["accuracy"]
+    assert len(page.data["checkpoints"]) == 32
+    # If a DTM is given, the result is only printed.
+    (out / "check.json").unlink()
+    assert main(["check", str(out / "dtm.tif"), *points, "--json"]) == 5
+    assert json.loads(capsys.readouterr().out)["requirements"] == check["requirements"]
+    assert not (out / "check.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,10 @@ def test_every_command_takes_urls(
         tiler.check(dtm, tmp_path / "points.csv").summary["accuracy"]["nva"] for dtm in dtms
     ]
     assert accuracies[0] == accuracies[1]
+    checked = tiler.check(out, tmp_path / "points.csv", require=["points=2"])
+    assert (checked.exit_code, checked.report) == (5, f"{out}/report.html")
+    assert b"1 requirement is not met" in bucket.cat(f"{BUCKET}/hill/report.html")
+    assert json.loads(Path("hill/check.json").read_text())["accuracy"]["nva"] == accuracies[0]
     tiler.classify(url, "there.laz", settings())
     tiler.classify(cloud, "same.laz", settings())
     assert (tmp_path / "there.laz").read_bytes() == (tmp_path / "same.laz").read_bytes()

@@ -299,6 +299,16 @@ class AboveResult(Record):
 
 
 @dataclass(frozen=True, slots=True)
+class Implausible(Record):
+    """Result that cannot be true: its kind, what was found, a setting to try, and its extent if it has one."""
+
+    what: str
+    why: str
+    remedy: str
+    bounds: list[float] | None
+
+
+@dataclass(frozen=True, slots=True)
 class ContourResult(Record):
     """Contours: interval, numbers of lines and vertices, of lines cut in two, and of lines left out as too short."""
 

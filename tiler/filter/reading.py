@@ -86,7 +86,7 @@ class TileReader:
         slices_by_cell: dict[Cell, slice] = {}
         self._window = None  # This frees memory for the new window.
         if self._step.elected:
-            block = self._elected(bounds)
+            block = self._elected(bounds, slices_by_cell)
         else:
             fine, frame = self._store.meta.fine.size, self._store.meta.frame
             nested = (
@@ -100,13 +100,13 @@ class TileReader:
             else:
                 columns = (*self._columns, "classification", "flags")
                 block = self._store.window(bounds, columns, labels=self._labels)
-                block = block.take(self._participating(block))
+                taking = self._participating(block)
+                block = block if taking.all() else block.take(taking)
         points = self._as_points(block)
-        # If the pass labels only candidates, `bucket` takes them from the window instead of
-        # reading them again.
-        self._window = (
-            (points, slices_by_cell) if slices_by_cell and self._work.candidates_only else None
-        )
+        # If the pass labels what it has read, `bucket` takes it from the window instead of reading it again.
+        labels_window = self._work.candidates_only or self._work.labels_elected
+        if slices_by_cell and labels_window and not self._margin:
+            self._window = points, slices_by_cell
         return points, _any_uncertified(block)
 
     def bucket(self, cell: Cell) -> Bucket:
@@ -156,7 +156,7 @@ class TileReader:
 
     def _read(self, cell: Cell) -> Bucket:
         if self._work.labels_elected:
-            block = self._elected(self._store.meta.bucket.bounds(cell))
+            block = self._elected(self._store.meta.bucket.bounds(cell), {})
             return Bucket(
                 self._as_points(block), np.ones(len(block), np.bool_), _any_uncertified(block)
             )
@@ -189,10 +189,10 @@ class TileReader:
         taking = self._participating(dataclasses.replace(block, flags=flags))[repeated]
         return repeated[taking], chosen[taking]
 
-    def _elected(self, bounds: Bounds) -> PointBlock:
+    def _elected(self, bounds: Bounds, places: dict[Cell, slice]) -> PointBlock:
         if self._work.elected_in is None:
             raise ValueError("no earlier pass elected points")
-        return self._store.elected(self._work.elected_in, bounds, self._elected_labels)
+        return self._store.elected(self._work.elected_in, bounds, self._elected_labels, places)
 
     def _as_points(self, block: PointBlock) -> Points:
         labels = None if block.labels is None else block.labels & ~np.uint8(UNCERTIFIED_BIT)

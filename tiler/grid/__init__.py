@@ -1,6 +1,13 @@
 """Stage grid: heights on the TIN of the ground points, and other rasters, block by block."""
 
-from tiler.grid.above import ABOVE_M, MIN_PLACE_M2, AboveBlock, above_block
+from tiler.grid.above import (
+    ABOVE_M,
+    BELOW_M,
+    CELLS_PER_BLOCK,
+    MIN_PLACE_M2,
+    AboveBlock,
+    above_block,
+)
 from tiler.grid.blank import BlankBlocks, blank_blocks
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.bridges.examine import (
@@ -59,7 +66,9 @@ from tiler.grid.work import GridBlock, GridBlocks, PointsBlock
 
 __all__ = [
     "ABOVE_M",
+    "BELOW_M",
     "CANOPY_AROUND",
+    "CELLS_PER_BLOCK",
     "CELL_PIXELS",
     "MIN_PLACE_M2",
     "NO_PIECE",

@@ -1,4 +1,4 @@
-"""Places where the terrain lies far above all returns, so that it is certainly wrong."""
+"""Places where the terrain lies far above all returns, so that it is certainly wrong, or far below them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import scipy
 from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.edits import FLAT
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.grid.derived import with_rim
-from tiler.grid.highest import NOTHING, ReturnsBlock, highest_returns
+from tiler.grid.highest import NOTHING, ReturnsBlock, returns_of
 from tiler.grid.pieces import label_block
 from tiler.grid.records import AboveRecord
 from tiler.store import TileStore, open_store
@@ -26,6 +26,10 @@ ABOVE_M = 1.0
 """Height above the highest return of its pixel from which terrain counts as wrong."""
 MIN_PLACE_M2 = Fraction(10)
 """Least area of a place. In smaller ones, the returns are often noise that the filter missed."""
+BELOW_M = 2.0
+"""Height of the lowest return of a pixel above the terrain from which the terrain counts as below all returns."""
+CELLS_PER_BLOCK = 4
+"""Number of cells along the side of a block in which pixels below all returns are counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +58,7 @@ def above_block(store_url: str, work: AboveBlock) -> AboveRecord:
         Record of the block.
     """
     store = open_store(store_url)
-    above = heights_above(store, work)
+    above, below = heights_above(store, work)
     wrong = above > ABOVE_M
     labels, sides = label_block(_listed(wrong, min_pixels(store, work.spec)), corners=True)
     numbers = np.arange(1, int(labels.max(initial=0)) + 1)
@@ -73,19 +77,33 @@ def above_block(store_url: str, work: AboveBlock) -> AboveRecord:
         labels=len(places),
         wrong=int(np.count_nonzero(wrong)),
         places=places,
+        cells=_cells(work, below),
     )
 
 
-def heights_above(store: TileStore, work: AboveBlock) -> Heights:
-    """Return the height in metres of the terrain above the highest return of each pixel of a block.
+def _cells(work: AboveBlock, below: Heights) -> list[list[int]]:
+    """Return row and column of each cell, its number of known pixels, and of those below all returns."""
+    side, cells = BLOCK_PIXELS // CELLS_PER_BLOCK, []
+    for row in range(0, work.block.height, side):
+        for col in range(0, work.block.width, side):
+            part = below[row : row + side, col : col + side]
+            if known := int(np.count_nonzero(~np.isnan(part))):
+                counts = known, int(np.count_nonzero(part > BELOW_M))
+                cells.append([work.block.row + row, work.block.col + col, *counts])
+    return cells
 
-    The terrain is that at the lowest corner of the pixel.
 
-    Pixels without a return or without terrain have 0. So have pixels of water, whose low
+def heights_above(store: TileStore, work: AboveBlock) -> tuple[Heights, Heights]:
+    """Return the metres of the terrain of each pixel above the highest return, and below the lowest one.
+
+    The terrain is that at the lowest corner of the pixel for the first, at the highest for the second.
+
+    Pixels without a return or without terrain have 0 and NaN. So have pixels of water, whose low
     returns are noise, and of edits that set a height.
     """
     spec, block = work.spec, work.block
-    returns = highest_returns(store, work, block)[..., 2]
+    supported, lowest = returns_of(store, work, block)
+    returns = supported[..., 2]
     wider = with_rim(store, work.terrain, spec, block)
     terrain = wider[1:-1, 1:-1]
     known = (returns != NOTHING) & ~np.isnan(terrain)
@@ -96,8 +114,10 @@ def heights_above(store: TileStore, work: AboveBlock) -> Heights:
     edits = None if key is None else store.edits(key, spec.block_bounds(block), (FLAT,))
     for edit in () if edits is None else edits.edits:
         known &= ~spec.inside(block, edit.area)
-    above = terrain - _half_rise(wider) - returns / COUNTS_PER_UNIT
-    return np.where(known, above * float(store.meta.frame.units.vertical), 0.0)
+    half, metres = _half_rise(wider), float(store.meta.frame.units.vertical)
+    above = terrain - half - returns / COUNTS_PER_UNIT
+    below = lowest / COUNTS_PER_UNIT - terrain - half
+    return np.where(known, above * metres, 0.0), np.where(known, below * metres, np.nan)
 
 
 def _half_rise(wider: Heights) -> Heights:

@@ -1,4 +1,4 @@
-"""Highest return of each pixel of a block, read from the store."""
+"""Highest and lowest return of each pixel of a block, read from the store."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tiler.grid.ground import surface_points
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore
 
-__all__ = ["NOTHING", "ReturnsBlock", "highest_returns", "reach_pixels"]
+__all__ = ["NOTHING", "ReturnsBlock", "highest_returns", "reach_pixels", "returns_of"]
 
 Int32 = npt.NDArray[np.int32]
 
@@ -41,11 +41,16 @@ class ReturnsBlock(PointsBlock):
 
 
 def highest_returns(store: TileStore, work: ReturnsBlock, block: Block) -> Int32:
-    """Return the highest supported return of each pixel, int32 (height, width, 3).
+    """Return the highest supported return of each pixel, int32 (height, width, 3)."""
+    return returns_of(store, work, block)[0]
+
+
+def returns_of(store: TileStore, work: ReturnsBlock, block: Block) -> tuple[Int32, Int32]:
+    """Return the highest supported return of each pixel, and the height of its lowest return (height, width).
 
     All points except withheld or skipped ones and noise (classes 7 and 18, by the input or by
     the filter) are used, since water and bridges are surface. `HighestReturns.supported`
-    removes spikes among the pixels within ``reach``.
+    removes spikes among the pixels within ``reach``. The lowest return is defined where there is a highest one.
     """
     radius, origin = work.reach, store.meta.frame.origin
     wider = Block(
@@ -56,13 +61,17 @@ def highest_returns(store: TileStore, work: ReturnsBlock, block: Block) -> Int32
     )
     bounds = work.spec.block_bounds(wider)
     highest = HighestReturns(wider.height, wider.width)
+    lowest = np.full(wider.height * wider.width, np.iinfo(np.int32).max, np.int32)
     for cell in store.buckets_within(bounds):
         points, chosen = surface_points(store, work.rule, cell)
         chosen &= points.inside(bounds, origin)
         xyz = np.ascontiguousarray(points.xyz[:, chosen])
-        highest.add(pixel_indices(xyz, origin, work.spec, wider), xyz)
+        pixels = pixel_indices(xyz, origin, work.spec, wider)
+        highest.add(pixels, xyz)
+        np.minimum.at(lowest, pixels, xyz[2])
     supported = highest.supported(radius, float(work.spike))
-    return supported[radius : radius + block.height, radius : radius + block.width]
+    inner = np.s_[radius : radius + block.height, radius : radius + block.width]
+    return supported[inner], lowest.reshape(wider.height, wider.width)[inner]
 
 
 def reach_pixels(pixel_m: Fraction) -> int:

@@ -180,10 +180,14 @@ class AboveRecord(LabelsRecord):
         Number of these pixels, also of those in places that are too small to be listed.
     places : list of [pixels, row, col, last_row, last_col, height]
         Place of each label, and the largest height of its terrain above the returns, in metres.
+    cells : list of [row, col, pixels, pixels below], optional
+        First pixel of each cell, its number of pixels with returns and terrain, and of those in which the terrain lies
+        far below all returns. Records of an earlier version do not have it.
     """
 
     wrong: int
     places: list[list[float]]
+    cells: list[list[int]] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -40,6 +40,7 @@ from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
+from tiler.grid.tasks.implausible import report_implausible
 from tiler.grid.tasks.raster_table import ABOVE, final_raster, required_rasters
 from tiler.grid.tasks.shared_tins import join_blocks
 from tiler.grid.tasks.voids import report_voids
@@ -95,6 +96,7 @@ def grid(
     if "dtm-outlined" in gridding.made:
         report_voids(job, gridding.spec, gridding.made["dtm-outlined"])
     report_above(job, gridding.spec, gridding.made[ABOVE])
+    report_implausible(job, gridding.spec, gridding.made[ABOVE])
     if "dsm" in gridding.made:
         _report_surface(job, gridding)
     if "mask" in gridding.made:

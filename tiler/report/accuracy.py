@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import write_error
+from tiler.io.atomic_files import write_atomic
 from tiler.io.json_text import parse_json_object
 from tiler.io.result_folder import CHECK, EVALUATION
-from tiler.redaction import shown
+from tiler.redaction import shown, stored
 from tiler.report.document import Content, Node, el, facts, table
+from tiler.report.problems import MAX_ROWS
 
 FIGURES = {
     "points": "points",
@@ -25,10 +27,20 @@ FIGURES = {
     "outliers": "outliers",
 }
 
+SPREAD = {
+    "rmse": "RMSE",
+    "bias": "mean",
+    "median": "median",
+    "nmad": "NMAD",
+    "p95_abs": "95 % within",
+}
+"""Statistics of differences, and their names on the page."""
+
 HOW = {
-    "with checkpoints": "tiler check OUT/dtm.tif --points FILE --json > OUT/check.json",
+    "with checkpoints": "tiler check OUT --points FILE",
+    "between flight strips": "tiler check OUT --strips OUT/classified",
     "with reference classes": "tiler evaluate CLOUD --reference REF --json > OUT/evaluate.json",
-    "then": "tiler report OUT",
+    "after tiler evaluate": "tiler report OUT",
 }
 """Commands that write the files of the section, and when to use them."""
 
@@ -57,10 +69,10 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
 
 def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
     """Write measurements to the file that `read_measured` reads, or raise ProcessingError."""
+    text = json.dumps(stored(content), indent=1, default=str) + "\n"
     try:
-        (out / name).write_text(
-            json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8"
-        )
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomic(out / name, text.encode())
     except OSError as error:
         raise write_error(str(out / name), error, out) from error
 
@@ -80,6 +92,8 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
         content += _checkpoints(check["accuracy"])
     if check.get("seams"):
         content.append(_seams(check["seams"]))
+    if check.get("strips"):
+        content.append(_strips(check["strips"]))
     if check.get("requirements"):
         content.append(_requirements(check["requirements"]))
     if "total" in evaluation:
@@ -161,11 +175,28 @@ def _seams(found: Mapping[str, Any]) -> Node:
     return el("div", heading, table(("position", *keys.values()), rows, (1, 2, 3)))
 
 
+def _strips(found: Mapping[str, Any]) -> Node:
+    heading = el("h3", f"Second minus first flight strip, {found['unit']}")
+    groups = [("all", found["cells"], found["all"])]
+    groups += [
+        (f"{pair['second']} - {pair['first']}", pair["cells"], pair) for pair in found["pairs"]
+    ]
+    if len(groups) == 1:
+        none = f"No cell has points of two strips. Number of point source ids: {len(found['strips'])}."
+        return el("div", heading, el("p", none))
+    rows = [
+        (name, _number(cells), *(_number(values[key]) for key in SPREAD))
+        for name, cells, values in groups[: MAX_ROWS + 1]
+    ]
+    names = (f"strips, in cells of {found['cell_m']:g} m", "cells", *SPREAD.values())
+    return el("div", heading, table(names, rows, range(1, len(names))))
+
+
 def _requirements(found: list[Mapping[str, Any]]) -> Node:
     rows = [
         (
             r["name"],
-            f"{r['limit']:g}",
+            f"{r['limit']:g} {r.get('unit', '')}",
             _number(r["value"], 4),
             el("strong", "met" if r["met"] else "NOT met"),
         )
@@ -188,16 +219,9 @@ def _classes(found: Mapping[str, Any]) -> Node:
 
 def _true_dtm(found: Mapping[str, Any]) -> Node:
     unit = found["unit"]
-    keys = {
-        "rmse": "RMSE",
-        "bias": "mean",
-        "median": "median",
-        "nmad": "NMAD",
-        "p95_abs": "95 % within",
-    }
     pairs: dict[str, Content] = {
         text: f"{_number(found[key])} {unit}"
-        for key, text in keys.items()
+        for key, text in SPREAD.items()
         if found.get(key) is not None
     }
     pairs["pixels"] = _number(found["pixels"])

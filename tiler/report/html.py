@@ -121,6 +121,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     run = with_earlier_times(run, out)
     pictures = draw(_rasters(products, run), run)
     check = accuracy.read_measured(out, CHECK)
+    run = {**run, "check": check}
     evaluation = accuracy.read_measured(out, EVALUATION)
     title = f"Terrain of {out.resolve().name}"
     parts = [

@@ -70,6 +70,32 @@ def place_of(bounds: Sequence[float] | None) -> Place | None:
     return west, south, east, north
 
 
+def unmet(run: Run) -> list[Mapping[str, Any]]:
+    """Return the requirements of the last check of this terrain that are not met."""
+    check = run.get("check", {})
+    # A check that is older than the terrain measured another terrain.
+    judged = () if check.get("older") else check.get("requirements", ())
+    return [requirement for requirement in judged if not requirement["met"]]
+
+
+def _requirements(run: Run) -> Iterator[Problem]:
+    for requirement in unmet(run):
+        name, limit, value = (requirement[key] for key in ("name", "limit", "value"))
+        unit = f" {requirement.get('unit', '')}".rstrip()
+        result = (
+            f"did not measure {name}"
+            if value is None
+            else f"measured {name} = {value:.4g}{unit}"
+        )
+        why = f"the check {result}; the limit is {limit:g}{unit}"
+        yield Problem(
+            "requirement not met",
+            None,
+            why,
+            "see Accuracy; run tiler check again after a change",
+        )
+
+
 def _warnings(run: Run) -> Iterator[Problem]:
     for text in run["plan"].get("warnings", ()):
         yield Problem("setting or input", None, text)
@@ -124,6 +150,12 @@ def _unit(run: Run, direction: str) -> float:
 
 def _area(run: Run, square_metres: float) -> str:
     return small_area_text(square_metres, _unit(run, "horizontal"))
+
+
+def _implausible(run: Run) -> Iterator[Problem]:
+    for result in run.get("implausible", ()):
+        where = place_of(result["bounds"])
+        yield Problem(result["what"], where, result["why"], result["remedy"])
 
 
 def _above(run: Run) -> Iterator[Problem]:
@@ -221,8 +253,10 @@ def _healed(run: Run) -> Iterator[Problem]:
 
 
 SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
+    _requirements,
     _files,
     _tasks,
+    _implausible,
     _above,
     _warnings,
     _objects,

@@ -11,7 +11,7 @@ from tiler.core.words import counted, name_in_wkt
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures
-from tiler.report.problems import MAX_ROWS, Run
+from tiler.report.problems import MAX_ROWS, Run, unmet
 
 STATES = {
     "done": "Finished",
@@ -23,7 +23,7 @@ STATES = {
 
 def header(run: Run, title: str) -> Node:
     """Return the head of the report: title, state, result in a sentence, and the key figures."""
-    good = run["state"] == "done" and not _left_out(run)
+    good = run["state"] == "done" and not (_left_out(run) or unmet(run))
     cards = [
         el("div", el("b", value), el("span", name), class_="card")
         for name, value in figures(run)
@@ -39,8 +39,13 @@ def header(run: Run, title: str) -> Node:
 
 def state_text(run: Run) -> str:
     """Return the state of the run in a few words."""
-    if run["state"] == "done" and _left_out(run):
-        return "Finished, but incomplete"
+    faults = ["incomplete"] if _left_out(run) else []
+    if count := len(unmet(run)):
+        faults.append(
+            f"{counted(count, 'requirement')} {'is' if count == 1 else 'are'} not met"
+        )
+    if run["state"] == "done" and faults:
+        return f"Finished, but {', and '.join(faults)}"
     return STATES.get(run["state"], str(run["state"]))
 
 
@@ -183,7 +188,8 @@ def noted(run: Run) -> list[str]:
 def warned(run: Run) -> list[str]:
     """Return warnings about the settings and the data."""
     doubts = [*run.get("canopy_doubts", ()), *run.get("water_doubts", ())]
-    texts = [doubt["text"] for doubt in doubts]
+    texts = [result["why"] for result in run.get("implausible", ())]
+    texts += [doubt["text"] for doubt in doubts]
     return [
         *run["plan"].get("warnings", ()),
         *run.get("doubts", ()),

@@ -17,6 +17,7 @@ from tiler.core.terrain_results import (
     ContourResult,
     Doubt,
     EditResult,
+    Implausible,
     OutlineResult,
     SigmaResult,
     SpotCounts,
@@ -94,6 +95,7 @@ class Results:
     sigma: SigmaResult
     voids: VoidsResult
     above_returns: AboveResult
+    implausible: list[Implausible]
     contours: ContourResult
     spots: SpotCounts
     sheets: int

@@ -5,6 +5,8 @@ Elected points are new points that a pass makes, such as one per cell, for later
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -77,42 +79,51 @@ class LabelStore(BucketStore):
         """Write the labels of the elected points of a bucket, uint8 (m,) in their stored order."""
         self._write_first(layout.labels_path(name), layout.LABELS, cell, labels[np.newaxis])
 
-    def elected(self, name: str, bounds: Bounds, labels: str | None = None) -> PointBlock:
+    def elected(
+        self,
+        name: str,
+        bounds: Bounds,
+        labels: str | None = None,
+        places: dict[Cell, slice] | None = None,
+    ) -> PointBlock:
         """Return the points of ``bounds`` that a pass elected, with the labels named ``labels`` if given.
 
-        Buckets come row by row from the south-west, and their points in stored order.
+        Buckets come row by row from the south-west, and their points in stored order. ``places`` receives the slice of
+        each bucket's points in the result.
         """
         array = self._opened(layout.elected_path(name), layout.ELECTED)
         given = None if labels is None else self._label_array(labels)
-        parts: list[points.Part] = []
-        for bucket in self._overlapping(bounds):
-            parts.extend(_places(bucket))
         held: list[npt.NDArray[np.int32]] = [np.empty((3, 0), np.int32)]
         labelled: list[npt.NDArray[np.uint8]] = [np.empty(0, np.uint8)]
-        for start in range(0, len(parts), points.ROWS_PER_BATCH):
-            batch = parts[start : start + points.ROWS_PER_BATCH]
-            xyz = points.read_rows(array, batch)
-            keep = (xyz[0] != NOWHERE) & PointBlock(xyz).inside(bounds, self.meta.frame.origin)
-            held.append(xyz[:, keep])
-            if given is not None:
-                labelled.append(points.read_rows(given, batch)[0, keep])
+        places, end = {} if places is None else places, 0
+        buckets = [bucket for bucket in self._overlapping(bounds) if count_of(bucket)]
+        for bucket, elected in _elected_rows(array, buckets):
+            keep = PointBlock(elected).inside(bounds, self.meta.frame.origin)
+            held.append(np.compress(keep, elected, axis=1))
+            if given is not None and keep.size:
+                parts = points.parts_of(bucket, keep.size)
+                labelled.append(points.read_rows(given, parts)[0, keep])
+            start, end = end, end + held[-1].shape[1]
+            places[bucket.cell] = slice(start, end)
         xyz = np.concatenate(held, axis=1)
-        if given is None:
-            return PointBlock(xyz)
-        return PointBlock(xyz, labels=np.concatenate(labelled))
+        return PointBlock(xyz, labels=None if given is None else np.concatenate(labelled))
 
     def _write_first(
         self, path: str, kind: ArrayKind, cell: Cell, values: npt.NDArray[np.generic]
     ) -> None:
-        """Write values (width, m) of elected points. Raise StoreError if the bucket's rows have no room for them."""
+        """Write values (width, m) of elected points. Raise StoreError if the bucket's rows have no room for them.
+
+        The last row that is written has an unused position, unless it is the bucket's last row.
+        """
         bucket = self._bucket(cell)
         m = values.shape[1]
-        room = len(_places(bucket)) * ROW_POINTS
-        if m > room:
+        rows = len(_places(bucket))
+        if m > rows * ROW_POINTS:
             raise StoreError(
                 f"bucket {cell.name}: {m} elected points do not fit the rows of {count_of(bucket)} points; "
                 "elect at most as many points as the rows hold"
             )
+        room = min(rows, m // ROW_POINTS + 1) * ROW_POINTS
         full = np.full((values.shape[0], room), kind.fill, values.dtype)
         full[:, :m] = values
         points.write_rows(self._made(path, kind), bucket, full)
@@ -122,6 +133,23 @@ class LabelStore(BucketStore):
         if path not in self._open:
             self._open[path] = find_or_make(self._storage, path, kind, self._current().rows)
         return self._open[path]
+
+
+def _elected_rows(
+    array: StoredArray, buckets: Sequence[Bucket]
+) -> Iterator[tuple[Bucket, npt.NDArray[np.int32]]]:
+    """Yield the elected points of each bucket: int32 (3, n). Its rows are read until one has an unused position."""
+    for start in range(0, len(buckets), points.ROWS_PER_BATCH):
+        batch = buckets[start : start + points.ROWS_PER_BATCH]
+        first_rows = array.read_rows([bucket.row for bucket in batch])
+        for bucket, first in zip(batch, first_rows, strict=True):
+            rows = [first[0]]
+            for part in _places(bucket)[1:]:
+                if rows[-1][0, -1] == NOWHERE:
+                    break
+                rows.append(array.read_rows([part.row])[0][0])
+            n = (len(rows) - 1) * ROW_POINTS + np.count_nonzero(rows[-1][0] != NOWHERE)
+            yield bucket, np.concatenate(rows, axis=1)[:, :n]
 
 
 def _places(bucket: Bucket) -> list[points.Part]:

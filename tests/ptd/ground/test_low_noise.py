@@ -57,6 +57,17 @@ def test_clumps_and_mirrored_planes_are_noise(depth_m: float) -> None:
     assert noise[len(xyz) + 12 :].mean() >= 0.95
 
 
+@pytest.mark.parametrize("depth_m", [1.5, 5.0])
+def test_clumps_denser_than_the_ground_are_noise(depth_m: float) -> None:
+    """The points above the lowest one of a clump are no layer, or the lowest; the ground above is."""
+    rng = np.random.default_rng(6)
+    clump = rng.uniform([20, 20, -depth_m], [21, 21, 0.6 - depth_m], (30, 3))
+    xyz = ground()
+    noise = found(np.concatenate([xyz, clump]))
+    assert not noise[: len(xyz)].any()
+    assert noise[len(xyz) :].mean() >= 0.9
+
+
 def dug(xyz: np.ndarray) -> np.ndarray:
     """A ditch of 1.2 m width, a sunken lane, and a shaft of 3 m width and 6 m depth."""
     x, y, z = xyz.T
@@ -81,6 +92,9 @@ def test_ground_below_glass_bridges_and_eaves_is_no_noise() -> None:
     middle = abs(xyz[:, 0] - 20) < 9
     glass = roofed(xyz, 0.45, 4.0, middle & (abs(xyz[:, 1] - 20) < 14))
     assert found(glass).mean() < 0.001
+    # A fifth of the pulses passes these slats, but the ground goes on beside them.
+    slats = roofed(xyz, 0.8, 3.0, abs(xyz[:, 0] - 20) < 3)
+    assert not found(slats).any()
     bridge = roofed(xyz, 1.0, 6.0, middle)
     seen = ground(3.0, seed=2)
     beside = (abs(seen[:, 0] - 20) < 9) & (abs(seen[:, 0] - 20) > 8)

@@ -14,7 +14,7 @@ from tiler.core.area import Area
 from tiler.core.edits import FLAT, Edit, Edits
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
-from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.core.water import LAKE, Water, Waters
 from tiler.grid import AboveBlock, above_block
@@ -85,7 +85,7 @@ def test_a_place_has_its_area_its_bounds_and_its_largest_height(make_scene) -> N
         (16.0, [5.0, SIDE - 34.0, 9.0, SIDE - 30.0], 7.5),
         (20.0, [20.0, SIDE - 14.0, 25.0, SIDE - 10.0], 3.0),
     ]
-    above = heights_above(scene.store, above_work(spec, Block(0, 0, SIDE, SIDE)))
+    above, _ = heights_above(scene.store, above_work(spec, Block(0, 0, SIDE, SIDE)))
     assert np.array_equal(above > ABOVE_M, low)
 
 
@@ -188,15 +188,42 @@ def test_blocks_do_not_change_the_height_above_a_slope(make_scene) -> None:
     spec, whole = spec_of(scene), Block(0, 0, SIDE, SIDE)
     terrain = 50.0 + np.random.default_rng(3).normal(0.0, 3.0, (SIDE, SIDE))
     scene.store.write_block("dtm", whole, terrain.astype(np.float32))
-    expected = heights_above(scene.store, above_work(spec, whole))
-    assert (expected > ABOVE_M).any()
+    expected = np.stack(heights_above(scene.store, above_work(spec, whole)))
+    assert (expected > ABOVE_M).any(axis=(1, 2)).all()
     for side in (1, 8, 13):
-        of_blocks = np.full((SIDE, SIDE), np.nan)
+        of_blocks = np.full((2, SIDE, SIDE), np.nan)
         for block in spec.blocks(side):
             rows = slice(block.row, block.row + block.height)
             cols = slice(block.col, block.col + block.width)
-            of_blocks[rows, cols] = heights_above(scene.store, above_work(spec, block))
+            of_blocks[:, rows, cols] = heights_above(scene.store, above_work(spec, block))
         assert np.array_equal(of_blocks, expected)
+
+
+def test_pixels_whose_lowest_return_is_far_above_the_terrain_are_counted(make_scene) -> None:
+    """A crown 4 m up in 200 pixels, ground below it in 50 of these, a shrub of 2 m in 30, and 60 pixels of water."""
+    crown, seen = (slice(0, 10), slice(0, 20)), (slice(0, 10), slice(0, 5))
+    shrub, wet = (slice(20, 23), slice(0, 10)), (slice(30, 36), slice(30, 40))
+    rows, cols = np.indices((SIDE, SIDE))
+    heights = np.full((SIDE, SIDE), 50_000)
+    heights[crown], heights[shrub], heights[wet] = 54_000, 52_000, 60_000
+    below = np.zeros((SIDE, SIDE), np.bool_)
+    below[seen] = True
+    top, ground = (
+        np.stack((cols * 1000 + 500, (SIDE - 1 - rows) * 1000 + 500, z), axis=-1)
+        for z in (heights, np.full((SIDE, SIDE), 50_000))
+    )
+    scene = make_scene(np.concatenate((top.reshape(-1, 3), ground[below])).astype(np.int64))
+    spec = spec_of(scene)
+    scene.store.create_raster("dtm", spec.height, spec.width)
+    dtm = np.full((SIDE, SIDE), 50.0, np.float32)
+    dtm[20:23, 20:30] = NODATA
+    scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), dtm)
+    waters = Waters(
+        (Water(1, LAKE, Area.rectangle(Bounds(30_000, 4000, 40_000, 10_000)), 50_000),)
+    )
+    scene.store.put_waters(waters)
+    (record,) = records(scene, waters=waters.key).values()
+    assert record.cells == [[0, 0, SIDE**2 - 30 - 60, 150]]
 
 
 def test_the_note_counts_the_pixels_of_its_places(make_scene) -> None:

@@ -25,6 +25,14 @@ EVALUATION = {
     "dtm": {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 1200},
 }
 """As `tiler evaluate --json` prints it."""
+_DIFFERENCES = {"rmse": 0.0672, "bias": 0.05, "median": 0.048, "nmad": 0.03, "p95_abs": 0.12}
+STRIPS = {
+    "unit": "metre", "cell_m": 2.0, "strips": {"11": 2400, "12": 2400}, "cells": 1048, "all": _DIFFERENCES,
+    "pairs": [{"first": 11, "second": 12, "cells": 1048, **_DIFFERENCES}],
+}  # fmt: skip
+"""As `tiler check --strips --json` prints them."""
+UNMET = {"name": "rmse", "limit": 0.05, "value": 0.059, "unit": "m", "met": False}
+"""Requirement that is not met, as `tiler check --json` prints it."""
 
 
 def tile(number: int, across: int, side: float, **changes: Any) -> dict[str, Any]:

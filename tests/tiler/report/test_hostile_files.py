@@ -38,6 +38,7 @@ def measured(folder: Path) -> dict[str, object]:
     return {
         **report,
         "seams": seams,
+        "strips": results.STRIPS,
         "requirements": judge(parse_requirements(["rmse=0.1"]), report),
     }
 

@@ -233,6 +233,48 @@ def test_measurements_of_an_earlier_dtm_are_told_from_those_of_this_one(tmp_path
     )
 
 
+def test_requirement_not_met_is_the_first_problem_and_turns_the_state(tmp_path: Path) -> None:
+    content = results.run(quarantined=[{"path": "cut.laz", "error": "cut.laz: cut short"}])
+    out = results.write(tmp_path / "out", content)
+    check = {"requirements": [results.UNMET, {**results.UNMET, "name": "max", "met": True}]}
+    (out / "check.json").write_text(json.dumps(check))
+    page = results.read(write_report(out))
+    row = "requirement not met - the check measured rmse = 0.059 m; the limit is 0.05 m see Accuracy"
+    assert row in page.texts["problems"].split("file left out")[0]
+    assert page.texts["problems"].count("requirement not met") == 1
+    assert "Finished, but incomplete, and 1 requirement is not met" in page.texts[""]
+    # A run that is not finished keeps its state, and a check of an earlier terrain judges nothing.
+    results.write(out, results.run(state="interrupted"))
+    assert "Interrupted: run" in results.read(write_report(out)).texts[""]
+    results.write(out, results.run())
+    os.utime(out / "check.json", (1, 1))
+    page = results.read(write_report(out))
+    assert "not met" not in page.texts["problems"] + page.texts[""]
+    assert ("p", "class", "state good") in page.attributes
+
+
+def test_requirement_that_was_not_measured_is_not_met(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    points = {"name": "nmad", "limit": 1.5, "value": None, "unit": "m", "met": False}
+    (out / "check.json").write_text(json.dumps({"requirements": [points]}))
+    page = results.read(write_report(out))
+    assert "the check did not measure nmad; the limit is 1.5 m" in page.texts["problems"]
+    assert ("p", "class", "state bad") in page.attributes
+
+
+def test_strips_have_a_table(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    (out / "check.json").write_text(json.dumps({"strips": results.STRIPS}))
+    text = results.read(write_report(out)).texts["accuracy"]
+    assert "strips, in cells of 2 m" in text
+    assert "all 1,048 0.067 0.050 0.048 0.030 0.120 12 - 11 1,048 0.067" in text
+    strips = {**results.STRIPS, "cells": 0, "pairs": []}
+    (out / "check.json").write_text(json.dumps({"strips": strips}))
+    assert (
+        "No cell has points of two strips" in results.read(write_report(out)).texts["accuracy"]
+    )
+
+
 def test_refusals(tmp_path: Path) -> None:
     for content, said in (
         (None, r"run\.json: cannot be read \(No such file or directory\); give the OUT"),

@@ -57,3 +57,44 @@ def test_labels_that_were_not_written_are_not_read_as_zeros(filled: TileStore) -
     assert not filled.read_labels("p", first).any()
     with pytest.raises(StoreError, match="missing"):
         filled.read_labels("p", second)
+
+
+@pytest.mark.parametrize(
+    "n_elected", [0, 5, ROW_POINTS - 1, ROW_POINTS, ROW_POINTS + 2, 2 * ROW_POINTS]
+)
+def test_elected_points_come_back_with_their_labels(
+    local_store: TileStore, n_elected: int
+) -> None:
+    cells = [Cell(0, 0), Cell(1, 0)]
+    local_store.allocate(dict.fromkeys(cells, 2 * ROW_POINTS))
+    infos, written, labels = {}, {}, {}
+    rng = np.random.default_rng(8)
+    for cell in cells:
+        # The neighbour has few elected points, so its last rows stay unread.
+        m = n_elected if cell.ix == 0 else 3
+        bounds = local_store.meta.bucket.bounds(cell)
+        x = rng.integers(bounds.x0, bounds.x1, 2 * ROW_POINTS)
+        block = make_points(x, np.full(x.size, bounds.y0))
+        infos[cell] = local_store.write_bucket(cell, block, 0)
+        written[cell] = np.ascontiguousarray(block.xyz[:, :m])
+        labels[cell] = rng.integers(0, 256, m).astype(np.uint8)
+    local_store.publish_index(infos)
+    for cell in cells:
+        local_store.write_elected("e", cell, written[cell])
+        local_store.write_elected_labels("l", cell, labels[cell])
+    places: dict[Cell, slice] = {}
+    found = local_store.elected("e", local_store.meta.bucket.hull(cells), "l", places)
+    assert found.labels is not None
+    for cell in cells:
+        assert np.array_equal(found.xyz[:, places[cell]], written[cell])
+        assert np.array_equal(found.labels[places[cell]], labels[cell])
+    assert len(found) == n_elected + 3
+
+
+def test_elected_points_that_do_not_fit_are_refused(filled: TileStore) -> None:
+    cell = next(iter(filled.buckets()))
+    bounds = filled.meta.bucket.bounds(cell)
+    ox, oy = filled.meta.frame.origin
+    xyz = np.tile(np.array([[bounds.x0 - ox], [bounds.y0 - oy], [0]], np.int32), ROW_POINTS + 1)
+    with pytest.raises(StoreError, match="elected points do not fit"):
+        filled.write_elected("e", cell, xyz)

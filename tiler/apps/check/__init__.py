@@ -7,7 +7,7 @@ types of the results.
 
 from tiler.apps.check.accuracy import check_dtm
 from tiler.apps.check.figures import write_figures
-from tiler.apps.check.measuring import measure
+from tiler.apps.check.measuring import measure, terrain_in
 from tiler.apps.check.points import Checkpoints, PointOptions, read_checkpoints
 from tiler.apps.check.requirements import METRICS, Requirement, judge, parse_requirements
 from tiler.apps.check.seams import TileEdges, seam_steps
@@ -26,5 +26,6 @@ __all__ = [
     "read_checkpoints",
     "seam_steps",
     "strip_differences",
+    "terrain_in",
     "write_figures",
 ]

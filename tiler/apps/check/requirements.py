@@ -118,5 +118,8 @@ def judge(requirements: Sequence[Requirement], measured: Measured) -> list[Judge
             met = value >= limit
         else:
             met = value <= limit
-        judged.append({"name": requirement.name, "limit": limit, "value": value, "met": met})
+        unit = "m" if metric.is_length else ""
+        judged.append(
+            {"name": requirement.name, "limit": limit, "value": value, "unit": unit, "met": met}
+        )
     return judged

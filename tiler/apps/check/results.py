@@ -136,7 +136,7 @@ class Strips(ComparedStrips):
 
 
 class Judgement(TypedDict):
-    """Comparison of a value with its limit, both in metres or numbers of points.
+    """Comparison of a value with its limit, both in ``unit``: ``m``, or empty for numbers of points.
 
     A requirement whose value was not measured (None) is not met.
     """
@@ -144,6 +144,7 @@ class Judgement(TypedDict):
     name: str
     limit: float
     value: float | None
+    unit: str
     met: bool
 
 
