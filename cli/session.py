@@ -90,11 +90,13 @@ class TilerCommand(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, and return its exit code, or None for 0."""
+        from tiler.io.proj_database import validate_proj_database
         from tiler.observe.logs import set_up_logging
 
         session = ctx.ensure_object(Session)
         session.resumes = self._resumes
         set_up_logging(session.verbosity, as_json=session.progress == "json")
+        validate_proj_database()
         if not self._reads or ctx.params.get("in_process"):
             return super().invoke(ctx)
         from tiler.preparation import import_reading

@@ -47,6 +47,10 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         lines.append(
             f"ground      {counted(ground_points(summary), 'point')}, in {tiles}{marked}"
         )
+        if section["low_noise"]:
+            lines.append(
+                f"low noise   {counted(section['low_noise'], 'point')} below the ground"
+            )
     unit = summary.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
     rasters = sorted(_RASTERS.keys() & summary.get("outputs", {}), key=_RASTERS.__getitem__)
     for name in rasters[:1]:

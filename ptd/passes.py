@@ -36,7 +36,7 @@ hold."""
 Stats = dict[str, Any]
 """Counts and rounds for the log, as values that JSON can hold."""
 
-READ_NAMES = {"run": ("sigma_m", "kind"), "survey": ("kind",), "canopy": ()}
+READ_NAMES = {"run": ("sigma_m", "kind", "checks_kind"), "survey": ("kind",), "canopy": ()}
 """Names of the values that passes read from these entries of a state.
 
 `Pass.local` leaves out the other values of these entries: they are only for display, and change with each added file.
@@ -72,6 +72,9 @@ class RunHints:
         Evidence for the kind, in words.
     evidence : dict or None
         `ptd.Evidence` as plain values, if the evidence is not enough to decide the kind.
+    checks_kind : bool
+        Whether the positions of the points are measured to check the kind given by the user, because their fields do
+        not decide it.
     """
 
     sigma_m: float | None = None
@@ -79,6 +82,7 @@ class RunHints:
     sure: float | None = None
     why: str | None = None
     evidence: dict[str, float | None] | None = None
+    checks_kind: bool = False
 
 
 @dataclass(frozen=True)

@@ -17,16 +17,17 @@ CELL_M = 1.0
 """Side of the cells in which neighbours are searched."""
 REACH_CELLS = 2
 """Largest distance, in cells, of the cells with points in the disc around a point."""
-EXPECTED = 12.0
+EXPECTED = 18.0
 """Number of points in the disc around a point, at the density of the place."""
 MIN_RADIUS_M = 0.5
 MIN_DENSITY_M2 = 2.0
 """Density in points per square metre below which no layer is searched: the disc would be wider
 than the relief that a plane follows."""
-MIN_POINTS = 6
+MIN_POINTS = 7
 """Least number of points of a layer."""
-THICKNESS_M = 0.35
-"""Largest difference in height of the points of a layer, after the slope is taken off."""
+THICKNESSES_M = (0.35, 0.2)
+"""Largest differences in height of the points of a layer, after the slope is taken off. The second
+is tried for ground below low plants, which roughen a thicker layer."""
 MAX_RMS_M = 0.1
 """Largest deviation of the points of a layer from their plane: crowns are seldom that thin."""
 MIN_DEPTH_M, MIN_RMS = 0.3, 4.0
@@ -140,19 +141,21 @@ def disc_radius_m(density_m2: float) -> float:
 
 
 @kernel
-def _plane(work: Float64, low: float, n: int, metres: float, metres_z: float) -> _Plane:
-    """Fit a plane to those of the first n points whose rise is from ``low`` to `THICKNESS_M` above it.
+def _plane(
+    work: Float64, low: float, high: float, n: int, metres: float, metres_z: float
+) -> _Plane:
+    """Fit a plane to those of the first n points whose rise is from ``low`` to ``high``.
 
     Sums of whole counts are exact, so the order of the points does not matter.
     """
     x, y, z, rise = work[0], work[1], work[2], work[3]
     k, octants, base = 0, 0, math.inf
     for i in range(n):
-        if low <= rise[i] <= low + THICKNESS_M:
+        if low <= rise[i] <= high:
             base = min(base, z[i])
     sx = sy = sz = xx = yy = xy = xz = yz = zz = 0.0
     for i in range(n):
-        if low <= rise[i] <= low + THICKNESS_M:
+        if low <= rise[i] <= high:
             up = z[i] - base
             k += 1
             sx += x[i]
@@ -274,16 +277,18 @@ def _lowest_layer(
         return nothing
     rises, first = work[4, :above], 0
     _sort(rises)
+    thickest = THICKNESSES_M[0]
     while first + MIN_POINTS <= above:
-        if rises[first + MIN_POINTS - 1] - rises[first] > THICKNESS_M:
+        if rises[first + MIN_POINTS - 1] - rises[first] > thickest:
             first += 1
             continue
-        plane = _plane(work, rises[first], n, metres, metres_z)
-        high = plane.height >= max(MIN_DEPTH_M, MIN_RMS * plane.rms)
-        if high and plane.rms <= MAX_RMS_M and _surrounds(plane.octants):
-            return plane
+        for thickness in THICKNESSES_M:
+            plane = _plane(work, rises[first], rises[first] + thickness, n, metres, metres_z)
+            high = plane.height >= max(MIN_DEPTH_M, MIN_RMS * plane.rms)
+            if high and plane.rms <= MAX_RMS_M and _surrounds(plane.octants):
+                return plane
         # These may be the other points of a clump, with the layer above them.
-        first += np.searchsorted(rises[first:], rises[first] + THICKNESS_M, "right")
+        first += np.searchsorted(rises[first:], rises[first] + thickest, "right")
     return nothing
 
 

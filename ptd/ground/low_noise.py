@@ -39,7 +39,7 @@ LEVEL_M, LEVEL_CELLS = 2.0, 3
 that a level reaches."""
 SPARSE = 20.0
 """A level is thin if its layer has at least this many times as many points per area."""
-SURE_POINTS, SHALLOW_M = 16, 2.5
+SURE_POINTS, SHALLOW_M = 18, 2.5
 """Least number of points of a layer, and its greatest height above a point, that prove noise at a
 thin level. No roof and no crown lies so low."""
 WIDE_M, WIDE_CELLS = 5.0, 5

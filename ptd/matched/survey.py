@@ -17,6 +17,7 @@ from ptd.matched.cells import SPARSE_M2, cell_size_m
 from ptd.matched.evidence import (
     DIM,
     SEVERAL_SHARE,
+    SURE,
     Evidence,
     Finding,
     Piece,
@@ -106,11 +107,13 @@ class Survey(TypedDict):
     ``kind`` is `LIDAR`, or `DIM` for image matching, and ``sure`` the probability that the kind is right (None if the
     user gives it). A ``sigma_m`` of None is unknown. ``cell_sigma_m`` is the noise from which the rules for
     photogrammetric clouds start, ``cell_m`` the size of their cells, and ``several`` the share of the points that are
-    one of several returns.
+    one of several returns. ``looks_like`` describes the other kind and its evidence if the points show it against the
+    kind that the user gives, with a confidence of at least `SURE`; otherwise it is None.
     """
 
     kind: str
     sure: float | None
+    looks_like: str | None
     density_m2: float
     sigma_m: float | None
     cell_sigma_m: float
@@ -140,8 +143,9 @@ def surveyed(
     share = seen.several / seen.told if seen.told else 0.0
     density, sigma, cell_sigma = figures(found, run)
     survey: Survey = {
-        "kind": finding.kind, "sure": finding.sure, "density_m2": density, "sigma_m": sigma,
-        "cell_sigma_m": cell_sigma, "cell_m": cell_size_m(density), "several": share,
+        "kind": finding.kind, "sure": finding.sure, "looks_like": looks_like(found, seen, run),
+        "density_m2": density, "sigma_m": sigma, "cell_sigma_m": cell_sigma,
+        "cell_m": cell_size_m(density), "several": share,
     }  # fmt: skip
     noise = cell_sigma if finding.kind == DIM else sigma
     noise_text = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
@@ -172,13 +176,13 @@ def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None
     """Return the facts known before the first pass.
 
     The kind is that given by the user, or else that decided by the evidence if it is
-    sufficient.
+    sufficient. Insufficient evidence is kept for the survey, also to check the kind of the user.
     """
-    if kind is not None or evidence is None:
+    finding = None if evidence is None else decided_by(evidence)
+    if evidence is not None and finding is None:
+        return RunHints(sigma_m, kind, evidence=asdict(evidence), checks_kind=kind is not None)
+    if kind is not None or finding is None:
         return RunHints(sigma_m, kind)
-    finding = decided_by(evidence)
-    if finding is None:
-        return RunHints(sigma_m, evidence=asdict(evidence))
     return RunHints(sigma_m, *finding)
 
 
@@ -194,10 +198,29 @@ def source_of(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) 
 
     `surveyed` describes the parameters.
     """
-    if run.get("kind") is not None:
-        return Finding(
-            run["kind"], run.get("sure"), run.get("why") or "given by --kind or the preset"
-        )
+    if run.get("kind") is None:
+        return by_all_evidence(found, seen, run)
+    return Finding(
+        run["kind"], run.get("sure"), run.get("why") or "given by --kind or the preset"
+    )
+
+
+def looks_like(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> str | None:
+    """Describe the source that the points show against the kind given by the user, or return None.
+
+    If the fields of the points decide, the plan knows it before the survey.
+    """
+    if not run.get("checks_kind"):
+        return None
+    finding = by_all_evidence(found, seen, run)
+    is_other = finding.kind != run["kind"] and (finding.sure or 0.0) >= SURE
+    return in_words(finding) if is_other else None
+
+
+def by_all_evidence(
+    found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]
+) -> Finding:
+    """Decide the source of a run's clouds by the fields of the points and by their positions."""
     evidence = Evidence(**(run.get("evidence") or {}))
     if seen.told:
         evidence = replace(evidence, several=seen.several / seen.told)
@@ -273,7 +296,9 @@ class SurveyPass(Pass):
         returns_decide = not core.closed and counts["several"] >= SEVERAL_SHARE * max(
             counts["told"], 1
         )
-        if state["run"].get("kind") is None and not returns_decide:
+        run = state["run"]
+        needed = run.get("kind") is None or run.get("checks_kind")
+        if needed and not returns_decide:
             dense = not core.closed and noise_sums.merge(measured_places).density_m2 >= WIDE_M2
             counts |= penetration.seen_through(points.xyz, core, scale, wide_cells=not dense)
         return StatisticsModel(

@@ -21,7 +21,7 @@ SUMMARY: dict[str, Any] = {
     "inputs": [{}, {}],
     "counts": {"stored": 3_000_000, "dropped": {"outside the area": 12}},
     "seconds": 90.0,
-    "filter": {"ground": 2_000_000, "tiles": 6, "marked": 3},
+    "filter": {"ground": 2_000_000, "tiles": 6, "marked": 3, "low_noise": 1_200},
     "outputs": {"dtm.tif": 1000},
     "dtm": {"width": 1200, "height": 600, "resolution_m": 0.5},
     "peak_rss_bytes": 300 << 20,
@@ -82,6 +82,7 @@ def test_summary_to_stdout_progress_to_stderr(
     assert captured.out.splitlines() == [
         "points      3,000,000 of 2 files, 12 dropped",
         "ground      2,000,000 points, in 6 tiles, 3 labels not certified",
+        "low noise   1,200 points below the ground",
         f"DTM         {Path('OUT') / 'dtm.tif'}, 1,200 x 600 pixels of 0.5 m",
         "time        1:30 min, 33.3 k points/s",
         "memory      300.0 MiB at most in one process",
@@ -142,8 +143,9 @@ MADE: dict[str, Any] = {
 
 def test_a_summary_tells_what_was_made() -> None:
     lines = summary_lines({**SUMMARY, **MADE}, "OUT")
-    assert lines[1:14] == [
+    assert lines[1:15] == [
         "ground      1,999,000 points, in 6 tiles, 3 labels not certified",
+        "low noise   1,200 points below the ground",
         "DTM         OUT/dtm.tif, 12 x 6 pixels of 2 ft",
         "contours    12 lines every 5 ft, OUT/contours.gpkg",
         "spots       1 top, 2 bottoms, OUT/spots.gpkg",

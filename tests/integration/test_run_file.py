@@ -22,6 +22,7 @@ PATHS: dict[str, Any] = {
     "warnings": list, "counts.read": int, "counts.stored": int, "counts.dropped": dict, "classes.input": dict,
     "classes.no_part": dict, "classes.kept": dict, "classes.written": dict, "inputs": list, "quarantined": list,
     "failed_tasks": list, "problems": list, "statistics.survey.survey.kind": str, "filter.points": int,
+    "statistics.survey.survey.looks_like": (str, type(None)),
     "filter.ground": int,
     "dtm.width": int, "dtm.height": int, "dtm.resolution_m": NUMBER, "dtm.filled": int, "contours.interval": NUMBER,
     "above_returns.pixels": int, "above_returns.number": int, "above_returns.worst": list,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
-from tiler.core.crs import crs_name
+from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units import unit_label
 from tiler.inputs import inspect
 from tiler.inputs.point_tiles import node_counts, read_point_tiles
@@ -59,7 +59,12 @@ def describe_cloud(path: Path) -> dict[str, Any]:
         "vertical_unit": vertical,
     }
     metres = float(georeference.horizontal or 1)
-    return {**description, **_point_facts(path, info.bounds, metres), "notes": list(info.notes)}
+    return {
+        **description,
+        **_point_facts(path, info.bounds, metres),
+        "notes": list(info.notes),
+        "warnings": crs_warnings(georeference.wkt, info.bounds),
+    }
 
 
 def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) -> dict[str, Any]:
@@ -116,6 +121,7 @@ def describe_point_tiles(path: str) -> dict[str, Any]:
         "bounds": list(tiles.box((0, 0, 0))),
         "crs": crs_name(tiles.wkt),
         "notes": tiles.other_total(points),
+        "warnings": crs_warnings(tiles.wkt, tiles.box((0, 0, 0))),
     }
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiler.core.crs import crs_name
+from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
 from tiler.io.json_text import parse_json_object
@@ -179,6 +179,7 @@ def describe_raster(path: Path) -> dict[str, Any]:
     from tiler.apps.evaluate.rasters import open_raster
 
     with open_raster(path, "neither a cloud nor a raster that can be read") as raster:
+        wkt = raster.crs.to_wkt() if raster.crs else None
         return {
             "kind": "raster",
             "path": str(path),
@@ -188,7 +189,7 @@ def describe_raster(path: Path) -> dict[str, Any]:
             "height": raster.height,
             "bands": raster.count,
             "dtype": raster.dtypes[0],
-            "crs": crs_name(raster.crs.to_wkt() if raster.crs else None),
+            "crs": crs_name(wkt),
             "bounds": list(raster.bounds),
             "pixel_size": list(raster.res),
             "vertical_unit": raster.units[0],
@@ -197,6 +198,7 @@ def describe_raster(path: Path) -> dict[str, Any]:
             "compression": raster.compression.value.lower() if raster.compression else "none",
             "heights": _heights(raster),
             "tags": dict(raster.tags()),
+            "warnings": crs_warnings(wkt, raster.bounds),
         }
 
 

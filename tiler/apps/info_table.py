@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tiler.core.crs import crs_name
+from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units_text import short_unit
 from tiler.errors import InputError
 from tiler.inputs import SourceInfo, find_inputs, inspect_in_child
@@ -57,6 +57,7 @@ class ListedCloud:
     bounds : tuple of float, or None
         Lowest x, y, z, highest x, y, z in units of the CRS.
     unit, crs : str or None
+    warnings : list of str
     """
 
     path: str
@@ -65,6 +66,7 @@ class ListedCloud:
     bounds: tuple[float, ...] | None
     unit: str | None
     crs: str | None
+    warnings: list[str]
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,7 @@ def _listed(source: SourceInfo) -> ListedCloud:
         bounds=source.bounds,
         unit=None if metres is None else short_unit(metres),
         crs=crs_name(georeference.wkt),
+        warnings=crs_warnings(georeference.wkt, source.bounds),
     )
 
 
@@ -134,5 +137,5 @@ def _row(cloud: ListedCloud | UnreadableCloud) -> list[str]:
         density,
         *bounds_texts,
         cloud.unit or "-",
-        cloud.crs or "-",
+        f"{cloud.crs or '-'}{', outside its area of use' if cloud.warnings else ''}",
     ]

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from tiler.config.parsing import parse_value, plain_value
-from tiler.config.presets import preset_names
+from tiler.config.presets import load_preset, preset_names
 from tiler.config.sources import over_preset
 from tiler.core.products import NODATA, PRODUCTS, VECTOR_PRODUCTS
 from tiler.core.reclass import ALL, ONLY_GROUND
@@ -370,6 +370,13 @@ class RunConfig:
     def source_kind(self) -> str | None:
         """Setting `kind`, with the name that methods use (`ptd.passes.RunHints`)."""
         return "lidar" if self.kind == "als" else self.kind
+
+    @property
+    def kind_option(self) -> str:
+        """Option that gives the kind: ``--kind als``, or a preset with this kind, such as ``--preset city``."""
+        if self.preset is not None and load_preset(self.preset).get("kind") == self.kind:
+            return f"--preset {self.preset}"
+        return f"--kind {self.kind}"
 
     @property
     def exported(self) -> tuple[str, ...]:

@@ -1,12 +1,18 @@
-"""Horizontal and vertical parts of a CRS, their names, and the scale of a projection."""
+"""Horizontal and vertical parts of a CRS, their names, the scale of a projection, and the area of use."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from pyproj import CRS, Proj
 from pyproj.exceptions import ProjError
+
+USED_BEYOND, MIN_USED_BEYOND_DEG = 0.1, 0.1
+"""Distance beyond its area of use to which a CRS is used: this share of the shorter side of the area, and at least so
+many degrees (11 km). This is 33 km for the Dutch grid, and 0.6 degrees for a UTM zone of WGS 84: a cloud of Peru that
+is right lies 0.43 degrees outside its zone, a Dutch one in coordinates of the national grid 0.74."""
 
 
 def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
@@ -95,3 +101,114 @@ def point_scale_factor(wkt: str, x: float, y: float) -> float | None:
         if math.isfinite(s) and s > 0
     ]
     return max(scales, key=lambda scale: abs(math.log(scale)), default=None)
+
+
+AreaOfUse = tuple[float, float, float, float]
+"""West, south, east and north edge of an area of use in degrees. West is larger than east across the antimeridian."""
+
+
+class Placement(NamedTuple):
+    """Position on Earth by a CRS, and the area of use of the CRS.
+
+    Attributes
+    ----------
+    longitude, latitude : float
+        Degrees, from Greenwich. NaN if the coordinates have no position.
+    area : AreaOfUse
+    outside_deg : float
+        Distance from the area in degrees: 0 inside it, infinite if the coordinates have no position.
+    """
+
+    longitude: float
+    latitude: float
+    area: AreaOfUse
+    outside_deg: float
+
+
+def placement(wkt: str, x: float, y: float) -> Placement | None:
+    """Return the position of coordinates, or None if the CRS is not projected or its area of use is unknown."""
+    crs = CRS.from_wkt(wkt)
+    horizontal = split(crs)[0]
+    if horizontal is None or not horizontal.is_projected:
+        return None
+    projection = Proj(horizontal)
+    area = _projected_area(crs, horizontal, projection)
+    if area is None:
+        return None
+    try:
+        longitude, latitude = projection(x, y, inverse=True, errcheck=True)
+        back = projection(longitude, latitude, errcheck=True)
+    except ProjError:
+        return Placement(math.nan, math.nan, area, math.inf)
+    if not all(map(math.isfinite, (longitude, latitude, *back))) or math.dist(back, (x, y)) > 1:
+        return Placement(math.nan, math.nan, area, math.inf)
+    west, south, _, north = area
+    # Longitudes are compared modulo 360, because an area of use may contain the antimeridian.
+    from_west = (longitude - west) % 360
+    beyond = max(min(from_west - _sides(area)[0], 360 - from_west), 0.0)
+    outside_deg = max(beyond, south - latitude, latitude - north)
+    return Placement(longitude, latitude, area, outside_deg)
+
+
+def _projected_area(crs: CRS, horizontal: CRS, projection: Proj) -> AreaOfUse | None:
+    """Return the area of use of a projected CRS, or that of its datum if it has none or is a zone of UTM.
+
+    Countries use one UTM zone for all of their area, such as zone 33 in western Norway. So the
+    area of a zone is that of the datum, unless the datum is used in the whole world.
+    """
+    own = _area_of_use(horizontal) or _area_of_use(crs)
+    geodetic = horizontal.geodetic_crs
+    of_datum = None if geodetic is None else _area_of_use(geodetic)
+    is_utm = "proj=utm" in projection.definition_string()
+    if own is None or (is_utm and of_datum is not None and _sides(of_datum)[0] < 360):
+        return of_datum
+    return own
+
+
+def _area_of_use(crs: CRS) -> AreaOfUse | None:
+    """Return the area of use of a CRS, by its code if the text does not contain the area, as in WKT 1."""
+    if crs.area_of_use is None and (code := crs.to_authority()) is not None:
+        crs = CRS.from_authority(*code)
+    return None if crs.area_of_use is None else crs.area_of_use.bounds
+
+
+def _sides(area: AreaOfUse) -> tuple[float, float]:
+    """Return width and height of an area of use in degrees."""
+    west, south, east, north = area
+    return (east - west) % 360 or 360.0, north - south
+
+
+def misplaced(wkt: str | None, x: float, y: float) -> str | None:
+    """Return a warning if a position lies outside the area of use of a CRS, farther than the CRS is used."""
+    found = None if wkt is None else placement(wkt, x, y)
+    if found is None:
+        return None
+    if found.outside_deg <= max(USED_BEYOND * min(_sides(found.area)), MIN_USED_BEYOND_DEG):
+        return None
+    west, south, east, north = found.area
+    place = "no place on Earth"
+    if math.isfinite(found.outside_deg):
+        place = f"{_degrees(found.latitude, 'NS')}, {_degrees(found.longitude, 'EW')}"
+    return (
+        f"the data lie at {place}, outside the area of use of their CRS {crs_name(wkt)}, {_degrees(south, 'NS')} to "
+        f"{_degrees(north, 'NS')} and {_degrees(west, 'EW')} to {_degrees(east, 'EW')}; if the place is wrong, so is "
+        "the CRS: give the right one with --crs, or write it into files that have a CRS "
+        "(`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
+    )
+
+
+def _degrees(angle: float, signs: str) -> str:
+    """Return an angle such as ``4.04° N``; ``signs`` are the letters of positive and negative angles."""
+    return f"{abs(angle):.2f}° {signs[angle < 0]}"
+
+
+def crs_warnings(wkt: str | None, bounds: Sequence[float] | None) -> list[str]:
+    """Return the warning of `misplaced` for the middle of bounds, if there is one.
+
+    The first half of ``bounds`` are the lowest coordinates, the second half the highest.
+    """
+    if not bounds:
+        return []
+    half = len(bounds) // 2
+    text = misplaced(wkt, (bounds[0] + bounds[half]) / 2, (bounds[1] + bounds[half + 1]) / 2)
+    return [] if text is None else [text]

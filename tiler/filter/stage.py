@@ -23,6 +23,7 @@ from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_scope, ti
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import StagesPassedOver, Warned
 from tiler.plan import KEEP
+from tiler.plan.advice import overridden_kind
 from tiler.runs.compiling import filter_kernels, likely_kind
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -90,7 +91,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
         statistics[step.name] = recorded
         state = state_after
         if step.name == SurveyPass.name:
-            _warn_of_uncertain_kind(job, state["survey"])
+            _warn_of_doubtful_kind(job, state["survey"])
     return Labelled.of(config, pass_inputs.digests, statistics)
 
 
@@ -150,14 +151,20 @@ def _reduced(job: Job, step: Pass, partials: Iterable[Partial], state: State) ->
     return state_after
 
 
-def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
-    """Warn if the kind of the clouds is uncertain, because all later passes depend on the kind."""
-    sure = survey.get("sure")
-    if sure is None or sure >= SURE:
+def _warn_of_doubtful_kind(job: Job, survey: Mapping[str, Any]) -> None:
+    """Warn if the kind of the clouds is doubtful, because all later passes depend on the kind."""
+    sure, looks_like = survey.get("sure"), survey.get("looks_like")
+    if looks_like is not None and job.plan.method.statistics is None:
+        text = overridden_kind(job.plan.config, looks_like)
+    elif sure is not None and sure < SURE:
+        other = "als" if survey["kind"] == MATCHED else "dim"
+        words = {"lidar": "laser scanning", MATCHED: "image matching"}[survey["kind"]]
+        text = (
+            f"it is only {100 * sure:.0f} % sure that the clouds are from {words}; "
+            f"use --kind {other} if they are not"
+        )
+    else:
         return
-    other = "als" if survey["kind"] == MATCHED else "dim"
-    words = {"lidar": "laser scanning", MATCHED: "image matching"}[survey["kind"]]
-    text = f"it is only {100 * sure:.0f} % sure that the clouds are from {words}; use --kind {other} if they are not"
     job.results.doubts = [text]
     job.listener(Warned(text))
 

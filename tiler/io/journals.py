@@ -12,18 +12,26 @@ from pathlib import Path
 
 from tiler.core.words import listed
 from tiler.errors import ConfigError
-from tiler.io.locations import is_url
+from tiler.io.locations import is_url, sizes_at
 
 SUFFIXES = ("-wal", "-journal")
 MAX_LISTED = 5
 
 
 def journals_of(path: Path) -> list[Path]:
-    """Return the journals that lie next to a GeoPackage, or next to the file to which a link leads."""
+    """Return the journals that lie next to a GeoPackage, or next to the file to which a link leads.
+
+    An empty ``-wal`` tells that the file is open. An empty ``-journal`` remains after some programs close the file.
+    """
     if path.suffix.lower() != ".gpkg":
         return []
-    journals = [Path(f"{os.path.realpath(path)}{suffix}") for suffix in SUFFIXES]
-    return [journal for journal in journals if os.path.lexists(journal)]
+    journals = [f"{os.path.realpath(path)}{suffix}" for suffix in SUFFIXES]
+    sizes = dict(zip(journals, sizes_at(journals), strict=True))
+    return [
+        Path(journal)
+        for journal, size in sizes.items()
+        if size or (size == 0 and journal.endswith("-wal"))
+    ]
 
 
 def open_text(journals: Sequence[Path]) -> str:

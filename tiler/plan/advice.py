@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.matched.evidence import DIM, Finding
+from ptd.matched.survey import in_words
 from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.core.units_text import length_text, short_unit, written_unit
@@ -41,7 +42,10 @@ def preflight_warnings(
     unit : Fraction
         Metres per horizontal unit of the CRS.
     """
-    if config.method in FOR_SCANNERS and finding is not None and finding.kind == DIM:
+    given = config.source_kind
+    if finding is not None and given not in (None, finding.kind) and config.statistics is None:
+        yield overridden_kind(config, in_words(finding))
+    elif config.method in FOR_SCANNERS and finding is not None and finding.kind == DIM:
         yield (
             f"the points look like image matching ({finding.why}), but method {config.method} is made for LiDAR; "
             "use --preset dim"
@@ -61,3 +65,12 @@ def preflight_warnings(
             f"--halo {length_text(config.halo, unit)} is too small for method {config.method}, so most tiles will be "
             f"repeated with a wider halo; leave it out, or use --halo {halo_m:g}"
         )
+
+
+def overridden_kind(config: RunConfig, looks_like: str) -> str:
+    """Return the warning that the user gives another kind than the points show."""
+    other = "als" if config.kind == "dim" else "dim"
+    return (
+        f"the points look like {looks_like}; {config.kind_option} overrides that, which loses ground if it is wrong: "
+        f"use --kind {other} then"
+    )

@@ -15,15 +15,14 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import scipy
-from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError, ProjError
 
 from tiler.core.area import Area
+from tiler.core.crs import placement
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError
 from tiler.inputs import SourceInfo
-from tiler.plan.sizes import bounds_of, union_bounds
+from tiler.plan.sizes import bounds_of, middle, union_bounds
 
 FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
 """Widest extent in counts that fits the frame with room for a halo. The frame's origin is near
@@ -204,26 +203,7 @@ def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
 
 def _in_use(source: SourceInfo, wkt: str | None) -> int:
     """Return 1 if a file lies in the area of use of its CRS, -1 if it lies elsewhere, 0 if unknown."""
-    if wkt is None:
+    found = None if wkt is None else placement(wkt, *middle(bounds_of(source)))
+    if found is None:
         return 0
-    try:
-        crs = CRS.from_wkt(wkt)
-        use = crs.area_of_use or (crs.sub_crs_list[0].area_of_use if crs.sub_crs_list else None)
-        if use is None or crs.geodetic_crs is None:
-            return 0
-        bounds = bounds_of(source)
-        x = (bounds.x0 + bounds.x1) / 2 / COUNTS_PER_UNIT
-        y = (bounds.y0 + bounds.y1) / 2 / COUNTS_PER_UNIT
-        transformer = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
-        east, north = transformer.transform(x, y)
-        back = transformer.transform(east, north, direction="INVERSE")
-    except (CRSError, ProjError):
-        return 0
-    if not all(map(math.isfinite, (east, north, *back))) or math.dist(back, (x, y)) > 1:
-        return -1
-    # Longitudes are compared modulo 360, because an area of use may contain the antimeridian.
-    width = (use.east - use.west) % 360 or 360
-    east_fits = (east - use.west + TOLERANCE_DEG) % 360 <= width + 2 * TOLERANCE_DEG
-    if east_fits and use.south - TOLERANCE_DEG <= north <= use.north + TOLERANCE_DEG:
-        return 1
-    return -1
+    return 1 if found.outside_deg <= TOLERANCE_DEG else -1

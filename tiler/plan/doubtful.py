@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from tiler.core.crs import crs_name, point_scale_factor
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.crs import crs_name, misplaced, point_scale_factor
 from tiler.core.units_text import length_option, whole_length
 from tiler.plan.memory import WIDE_TILE
 from tiler.plan.method import steps_of
 from tiler.plan.model import Plan
 from tiler.plan.projection import overlap_of
+from tiler.plan.sizes import middle
 
 MAX_RELIEF_M = 9000
 """Largest height difference that terrain can have."""
@@ -29,7 +29,11 @@ recommends reprojection. Projections for surveys stay within 1.03."""
 
 def warnings_of(plan: Plan) -> list[str]:
     """Return the warnings about inputs that are probably wrong and about costly settings."""
-    return [*_too_high(plan), *_stretched(plan), *_much_overlap(plan)]
+    wkt, (x, y) = plan.frame.crs_wkt, middle(plan.inputs.extent)
+    outside = misplaced(wkt, x, y)
+    # Far outside the area of use, lengths are distorted as well, for the same reason.
+    crs = _stretched(wkt, x, y) if outside is None else [outside]
+    return [*_too_high(plan), *crs, *_much_overlap(plan)]
 
 
 def incomplete_files(plan: Plan) -> list[str]:
@@ -99,14 +103,9 @@ def _much_overlap(plan: Plan) -> list[str]:
     return [f"tiles of {tile:g} m {text}; leave out --tile-size, or use --tile-size {wider}"]
 
 
-def _stretched(plan: Plan) -> list[str]:
+def _stretched(wkt: str | None, x: float, y: float) -> list[str]:
     """Warn about a CRS whose lengths are not those on the ground, such as Web Mercator."""
-    wkt, extent = plan.frame.crs_wkt, plan.inputs.extent
-    if wkt is None:
-        return []
-    x = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT
-    y = (extent.y0 + extent.y1) / 2 / COUNTS_PER_UNIT
-    scale = point_scale_factor(wkt, x, y)
+    scale = None if wkt is None else point_scale_factor(wkt, x, y)
     if scale is None or 1 / STRETCHED < scale < STRETCHED:
         return []
     return [

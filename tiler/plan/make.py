@@ -19,6 +19,7 @@ from tiler.core.words import listed
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo, find_inputs, resolve_common_crs
 from tiler.io.locations import is_url
+from tiler.io.proj_database import validate_proj_database
 from tiler.io.result_folder import CLOUD_SUFFIXES, earlier_statistics
 from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
@@ -71,10 +72,11 @@ def make_plan(
     Raises
     ------
     ConfigError
-        Settings cannot work: method, parameters, memory, disk.
+        Settings cannot work: method, parameters, memory, disk, or the database of PROJ cannot be found.
     InputError
         No input can be read, or a CRS cannot be used.
     """
+    validate_proj_database()
     params = _params_of(config)
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)

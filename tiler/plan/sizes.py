@@ -112,6 +112,13 @@ def bounds_of(source: SourceInfo) -> Bounds:
     return Bounds(*low, *high)
 
 
+def middle(extent: Bounds) -> tuple[float, float]:
+    """Return the middle of an extent in units of the CRS."""
+    return (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT, (
+        extent.y0 + extent.y1
+    ) / 2 / COUNTS_PER_UNIT
+
+
 def origin_of(extent: Bounds) -> tuple[int, int]:
     """Return the rounded middle of the extent, from which int32 counts extend equally far to all sides."""
     step = 1000 * COUNTS_PER_UNIT

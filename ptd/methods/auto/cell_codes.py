@@ -115,29 +115,23 @@ class ElectedCells(CellCodes):
     def __init__(self, points: Xyz, noise: Bool, cells: CellLattice, certain: Window) -> None:
         index = lowest_per_cell(*points, cells)
         codes = np.zeros(index.size, np.uint8)
-        changed = np.flatnonzero(noise[index])
-        if changed.size:
-            index[changed], codes[changed] = _elected(points, noise, cells, index[changed])
+        lowest_is_noise = noise[index]
+        table = None
+        if lowest_is_noise.any():
+            table = CellIndex(points.x[index], points.y[index], cells)
+            cell_of = table.find(points.x, points.y)
+            changed = lowest_is_noise[cell_of]
+            for which, sign, code in ((noise, -1, OUTLIER), (~noise, 1, ABOVE_NOISE)):
+                among = np.flatnonzero(changed & which)
+                x, y, z = (axis[among] for axis in points)
+                found = among[lowest_per_cell(x, y, sign * z, cells)]
+                index[cell_of[found]], codes[cell_of[found]] = found, code
         x, y, self._z = (axis[index] for axis in points)
         stats = {"low_noise": int(noise.sum())}
         super().__init__(x, y, codes, cells, certain, stats)
+        self._index = table  # The elected points lie in the same cells.
 
     def elect(self, bounds: Window) -> Int32:
         """Return the elected points within bounds, by rows of cells."""
         inside = bounds.contains(self._x, self._y)
         return np.stack([self._x[inside], self._y[inside], self._z[inside]])
-
-
-def _elected(
-    points: Xyz, noise: Bool, cells: CellLattice, lowest: Int32
-) -> tuple[Int32, UInt8]:
-    """Return the elected points of cells whose lowest points are noise, and the codes of these cells."""
-    table = CellIndex(points.x[lowest], points.y[lowest], cells)
-    cell_of = table.find(points.x, points.y)
-    elected, codes = np.zeros(lowest.size, np.int32), np.zeros(lowest.size, np.uint8)
-    for which, sign, code in ((noise, -1, OUTLIER), (~noise, 1, ABOVE_NOISE)):
-        among = np.flatnonzero((cell_of >= 0) & which).astype(np.int32)
-        x, y, z = (axis[among] for axis in points)
-        found = among[lowest_per_cell(x, y, sign * z, cells)]
-        elected[cell_of[found]], codes[cell_of[found]] = found, code
-    return elected, codes

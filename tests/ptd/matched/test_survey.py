@@ -71,3 +71,23 @@ def test_wide_cells_are_counted_unless_the_whole_run_is_dense(
         SurveyPass().fit(points, window, window, Scale(), {"run": {"kind": None}}).partial()
     )
     assert (partial["looks"], partial["wide_looks"]) == (36, wide)
+
+
+@pytest.mark.parametrize(("kind", "doubted"), [("dim", True), ("lidar", False)])
+def test_a_kind_given_by_the_user_is_checked_by_positions_if_fields_do_not_decide(
+    kind: str, doubted: bool
+) -> None:
+    """40 m x 40 m at 10 points/m2; a quarter of the points are 3 to 6 m above the ground, in plants."""
+    rng = np.random.default_rng(3)
+    x, y = 40 * rng.random((2, 16_000))
+    z = np.where(
+        np.arange(x.size) % 4 == 1, 3 + 3 * rng.random(x.size), rng.normal(0, 0.02, x.size)
+    )
+    evidence = ptd.Evidence(own_intensity=1.0, grey_intensity=0.0, colour=1.0)
+    found = ptd.classify(np.stack([x, y, z], axis=1), kind=kind, evidence=evidence)
+    survey = found.decisions["statistics"]["survey"]
+    assert (survey["kind"], survey["sure"]) == (kind, None)
+    assert (survey["looks_like"] is not None) is doubted
+    if doubted:
+        assert survey["looks_like"].startswith("laser scanning (9")
+        assert "pulses passed through plants" in survey["looks_like"]

@@ -54,8 +54,8 @@ def test_the_command_takes_folders_and_many_files(
     assert main(["info", str(folder), "--json"]) == 0
     clouds = json.loads(capsys.readouterr().out)
     assert [list(cloud) for cloud in clouds] == [
-        ["path", "points", "per_m2", "bounds", "unit", "crs"],
-        ["path", "points", "per_m2", "bounds", "unit", "crs"],
+        ["path", "points", "per_m2", "bounds", "unit", "crs", "warnings"],
+        ["path", "points", "per_m2", "bounds", "unit", "crs", "warnings"],
         ["path", "error"],
     ]
 

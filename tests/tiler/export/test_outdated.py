@@ -192,3 +192,15 @@ def test_an_open_geopackage_is_refused_before_anything_moves(
     with pytest.raises(ConfigError, match=f"contours.gpkg{suffix}: its GeoPackage is open"):
         archive(job, ["slope.tif", "contours.gpkg"])
     assert files(tmp_path) == before
+
+
+def test_an_empty_journal_that_a_closed_program_left_is_no_reason_to_refuse(
+    tmp_path: Path,
+) -> None:
+    write(tmp_path, "contours.gpkg")
+    (tmp_path / "contours.gpkg-journal").touch()
+    assert archive(job_in(tmp_path, {}), ["contours.gpkg"]) == "outdated"
+    (tmp_path / "contours.gpkg-wal").touch()
+    write(tmp_path, "contours.gpkg")
+    with pytest.raises(ConfigError, match="contours.gpkg-wal: its GeoPackage is open"):
+        archive(job_in(tmp_path, {}), ["contours.gpkg"])

@@ -9,6 +9,7 @@ import pytest
 from ptd.matched.evidence import Finding
 from tests.tiler.conftest import MakeCloud
 from tests.tiler.plans import changed
+from tiler.apps.info import describe
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds
 from tiler.plan import make_plan
@@ -16,6 +17,12 @@ from tiler.plan.advice import preflight_warnings
 from tiler.plan.doubtful import warnings_of
 
 MATCHED, LASER = Finding("dim", 0.9, "colours"), Finding("lidar", 0.9, "returns")
+
+
+def wide(counts: int) -> Bounds:
+    """Return square bounds in the area of the CRS of `make_cloud`."""
+    x, y = 500_000_000, 5_400_000_000
+    return Bounds(x, y, x + counts, y + counts)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +75,7 @@ def test_little_memory_is_told_of_where_halos_multiply_the_work(
 ) -> None:
     """A user who did not choose the tiles need not choose them, and many workers are no reason to warn."""
     plan = make_plan([str(make_cloud())], RunConfig(kind="dim", in_process=True))
-    extent = Bounds(0, 0, 9_000_000, 9_000_000)
+    extent = wide(9_000_000)
     plan = changed(plan, extent=extent, points=800_000_000, covered_m2=81e6)
     for workers in (1, 64):
         found = warnings_of(changed(plan, tile_memory=memory, tile_workers=workers))
@@ -87,7 +94,7 @@ def test_small_tiles_are_told_of_where_there_are_several(
 ) -> None:
     settings = {"method": "classic", "tile_size": tile, "halo": 100, "in_process": True}
     plan = make_plan([str(make_cloud())], RunConfig.from_mapping(settings))
-    found = warnings_of(changed(plan, extent=Bounds(0, 0, 1000 * side, 1000 * side)))
+    found = warnings_of(changed(plan, extent=wide(1000 * side)))
     assert [
         f"need {times} times the work; leave out --tile-size, or use --tile-size 483" in text
         for text in found
@@ -102,3 +109,25 @@ def test_a_crs_that_stretches_lengths_is_told_of(
     found = [text for text in plan.warnings if "times those on the ground" in text]
     assert len(found) == told
     assert all("are 1.38 times those on the ground" in text and "UTM" in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("header", "option", "told"),
+    [
+        (None, "EPSG:32631", 1),
+        ("EPSG:32631", None, 1),
+        (None, "EPSG:28992", 0),
+        ("EPSG:28992", None, 0),
+        (None, "none", 0),
+    ],
+)
+def test_coordinates_of_another_crs_are_told_of_with_their_place(
+    header: str | None, option: str | None, told: int, make_cloud: MakeCloud
+) -> None:
+    path = make_cloud(crs=header, offsets=(85_000.0, 447_500.0, 0.0))
+    plan = make_plan([str(path)], RunConfig(crs=option, in_process=True))
+    found = [text for text in plan.warnings if "area of use" in text]
+    assert len(found) == told
+    assert all("at 4.04° N, 0.74° W" in text and "UTM zone 31N" in text for text in found)
+    facts = describe(str(path))
+    assert len(facts["warnings"]) == bool(header and told)

@@ -61,3 +61,36 @@ def test_a_quiet_piece_of_the_same_writer_is_no_other_kind(make_cloud: MakeCloud
         for i, place in enumerate(places)
     ]
     assert make_plan(clouds, RunConfig(in_process=True)).method.kind == LIDAR
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"kind": "als"}, "--kind als overrides that"),
+        ({"preset": "city"}, "--preset city overrides that"),
+        ({"preset": "dim", "kind": "als"}, "--kind als overrides that"),
+        ({"kind": "als", "method": "keep"}, "--kind als overrides that"),
+        ({"kind": "dim"}, None),
+        ({"preset": "dim"}, None),
+        ({"preset": "usgs"}, None),
+        ({}, None),
+    ],
+)
+def test_a_kind_that_the_points_contradict_is_told_of(
+    settings: dict[str, str], told: str | None, make_cloud: MakeCloud
+) -> None:
+    cloud = str(make_cloud("drone.las", point_format=2, edit=grey))
+    config = RunConfig.from_mapping({"in_process": True, **settings})
+    found = [text for text in make_plan([cloud], config).warnings if "look like" in text]
+    assert len(found) == (told is not None)
+    for text in found:
+        assert text.startswith("the points look like image matching (98 % sure: ")
+        assert str(told) in text
+        assert text.endswith("use --kind dim then")
+
+
+def test_a_laser_scan_given_as_photogrammetric_is_told_of(make_cloud: MakeCloud) -> None:
+    config = RunConfig.from_mapping({"in_process": True, "preset": "dim"})
+    (text,) = make_plan([str(make_cloud("laser.las"))], config).warnings
+    assert text.startswith("the points look like laser scanning (99 % sure: ")
+    assert "--preset dim overrides that" in text

@@ -118,8 +118,9 @@ def _void(job: Job) -> Iterator[Implausible]:
     config, voids = job.plan.config, vars(job.results).get("voids")
     if voids is None or config.canopy == VOID_CANOPY:
         return
+    # A terrain without any height has its own warning.
     share = voids.pixels / max(voids.surveyed_pixels, 1)
-    if share >= MAX_VOID:
+    if MAX_VOID <= share < 1:
         edge = length_text(config.max_edge, job.plan.frame.units.horizontal)
         why = (
             f"{share:.0%} of the survey has no height, because its ground points are farther apart than --max-edge "

@@ -70,6 +70,9 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     assert (found[truth == 2] == 2).mean() > 0.99
     assert found[:2].tolist() == [7, 7]
     assert result.stats["noise"]["low_noise"] == 2
+    unsearched = ptd.classify(xyz, "auto", Auto(low_group=0))
+    assert unsearched.stats["noise"]["low_noise"] == 0
+    assert 7 not in unsearched.classification
     roofs = [f"roofs{n}" for n in ("", 2, 3, 4)]
     before = ["survey", "noise", "seeds", "summits", "densify", "refine"]
     assert list(result.stats) == [*before, *roofs, "treetops", "label"]

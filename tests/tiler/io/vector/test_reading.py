@@ -233,7 +233,6 @@ def test_written_features_are_read_back_and_have_the_same_bytes(tmp_path: Path) 
     assert hashlib.sha256(path.read_bytes()).hexdigest() in digests
 
 
-@pytest.mark.processes
 def files(folder: Path) -> dict[str, tuple[bytes, int]]:
     return {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
 
@@ -286,6 +285,7 @@ def test_a_file_that_keeps_changing_is_refused(
             read_features(path, POLYGONS)
 
 
+@pytest.mark.processes
 def test_two_gdals_in_one_process(tmp_path: Path) -> None:
     """rasterio and pyogrio each bring a GDAL and a PROJ; both orders of import give equal results without a warning."""
     write(tmp_path / "a.gpkg", [shapely.Point(500_000, 5_400_000)], "Point")
