@@ -74,6 +74,22 @@ def test_a_damaged_chunk_is_made_again(
         assert result.summary["stages"][stage]["computed"] == tasks
 
 
+@pytest.mark.parametrize("kind", CHUNKS)
+def test_chunks_at_each_others_place_are_made_again(
+    kind: str, city: Path, city_run: Path, out: Path
+) -> None:
+    chunks = sorted((out / "store.zarr").glob(CHUNKS[kind][0]))
+    one, other = chunks[0], chunks[-1]
+    first, second = one.read_bytes(), other.read_bytes()
+    assert first != second
+    one.write_bytes(second)
+    other.write_bytes(first)
+    result = do(city, out)
+    assert result.exit_code == 0
+    assert result.summary["healed"]
+    assert output_digests(out) == output_digests(city_run)
+
+
 @pytest.mark.parametrize("kind", WHOLE)
 def test_what_is_damaged_as_a_whole_is_made_again(
     kind: str, city: Path, city_run: Path, out: Path

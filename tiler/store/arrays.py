@@ -1,6 +1,7 @@
 """Arrays of a store. Zarr makes their metadata, and the calling thread reads and writes whole chunks.
 
-The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them.
+The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them. Between the two is the
+checksum of the chunk's key, which blosc skips: a valid chunk at another place is damage.
 They do not go through zarr itself, whose event loop and thread pool need more than a
 millisecond of CPU time per chunk of any size. See docs/decisions.md.
 """
@@ -25,7 +26,7 @@ from zarr.storage import MemoryStore
 from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
-from tiler.store.storage import Storage, seal_holds, sealed
+from tiler.store.storage import Storage, place_checksum, seal_holds, sealed
 
 _CHECKSUM_BYTES = 4
 _UNPACKED = slice(4, 8)
@@ -74,7 +75,7 @@ class StoredArray:
         reason = ""
         for key, data in zip(keys, self.storage.get_many(keys), strict=True):
             try:
-                decoded.append(self._decoded(data))
+                decoded.append(self._decoded(key, data))
             except (ValueError, RuntimeError) as error:
                 bad.append(key)
                 reason = reason or str(error)
@@ -95,12 +96,12 @@ class StoredArray:
         if self.kind.sparse and np.all(values == self.fill):
             self.storage.delete(key)
         else:
-            self.storage.put(key, _encoded(values, self.kind))
+            self.storage.put(key, _encoded(key, values, self.kind))
 
     def _row(self, number: int) -> Chunk:
         return (number, *(0,) * (len(self.shape) - 1))
 
-    def _decoded(self, data: bytes | None) -> npt.NDArray[Any]:
+    def _decoded(self, key: str, data: bytes | None) -> npt.NDArray[Any]:
         """Return the values of a chunk. Raise ValueError, or RuntimeError from blosc, if the chunk is damaged.
 
         The size in the blosc frame is checked first, since blosc allocates any size that a
@@ -115,6 +116,8 @@ class StoredArray:
         body = data[:-_CHECKSUM_BYTES]
         if google_crc32c.value(body) != int.from_bytes(data[-_CHECKSUM_BYTES:], "little"):
             raise ValueError("a wrong checksum")
+        if body[-_CHECKSUM_BYTES:] != _place(key):
+            raise ValueError("a chunk of another place")
         return np.frombuffer(numcodecs.blosc.decompress(body), self.kind.dtype).reshape(
             self.kind.chunks
         )
@@ -131,13 +134,22 @@ def packed_by_one_thread() -> Iterator[None]:
         numcodecs.blosc.use_threads = used_threads
 
 
-def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
+def _encoded(key: str, values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
     items = np.ascontiguousarray(values, kind.dtype).reshape(-1).view(f"V{kind.shuffled}")
-    body: bytes = numcodecs.blosc.compress(
+    packed: bytes = numcodecs.blosc.compress(
         items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE
     )
+    body = packed + _place(key)
     checksum: int = google_crc32c.value(body)
     return body + checksum.to_bytes(_CHECKSUM_BYTES, "little")
+
+
+def _place(key: str) -> bytes:
+    return place_checksum(key).to_bytes(_CHECKSUM_BYTES, "little")
+
+
+def _metadata_key(path: str) -> str:
+    return f"{path}/zarr.json"
 
 
 def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | None:
@@ -146,7 +158,7 @@ def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | No
     Raise CorruptStoreError if its metadata are damaged, and StoreError if tiler does not write
     such an array.
     """
-    data = storage.get(f"{path}/zarr.json")
+    data = storage.get(_metadata_key(path))
     if data is None:
         return None
     metadata = _checked(data, f"{storage.url}: {path}", path, kind)
@@ -220,7 +232,8 @@ def write_metadata(
         zarr_format=3,
     )
     metadata: dict[str, Any] = json.loads(written["zarr.json"].to_bytes())
-    storage.put(f"{path}/zarr.json", json.dumps(sealed(metadata)).encode())
+    key = _metadata_key(path)
+    storage.put(key, json.dumps(sealed(key, metadata)).encode())
     return StoredArray(storage, path, kind, shape, kind.fill, attributes)
 
 
@@ -228,7 +241,7 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
     """Return the metadata of an array. Raise CorruptStoreError or StoreError if tiler cannot have written them."""
     try:
         metadata: dict[str, Any] = json.loads(data)
-        if not seal_holds(metadata):
+        if not seal_holds(_metadata_key(path), metadata):
             raise ValueError("its checksum does not fit")
         recorded = {
             "zarr_format": metadata["zarr_format"],

@@ -27,12 +27,12 @@ class CommitStore(StorePart):
         """Return every finished task of a stage. A task with a damaged commit counts as not done."""
         commits = self._packed(stage)
         names = self._names(stage)
-        objects = self._storage.get_many([layout.commit_key(stage, name) for name in names])
-        for name, data in zip(names, objects, strict=True):
+        keys = [layout.commit_key(stage, name) for name in names]
+        for name, key, data in zip(names, keys, self._storage.get_many(keys), strict=True):
             if data is None:
                 continue
             try:
-                body = parse_json(data, name)
+                body = parse_json(key, data, name)
             except StoreError:
                 commits.pop(name, None)
                 continue

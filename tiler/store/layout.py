@@ -26,7 +26,7 @@ import numpy as np
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import StoreError
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 ROOT_ATTRIBUTE = "tiler_store"
 
 CHUNK_SEPARATOR = "."
@@ -42,6 +42,8 @@ Measurements are in docs/decisions.md, "Store layout"."""
 
 SPOOL_CHUNK = 65536
 
+ROOT_KEY = "zarr.json"
+"""Object with the description of the store."""
 LOCK_KEY = "lock.json"
 INDEX_POINTER = "index/current.json"
 ALLOWED_CODECS = frozenset({"bytes", "blosc", "crc32c"})

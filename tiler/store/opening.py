@@ -56,8 +56,10 @@ def create_store(
         # The description stays until the new one replaces it, so that a killed run leaves a
         # valid store.
         _empty(storage)
-    root = sealed({"attributes": attributes, "zarr_format": 3, "node_type": "group"})
-    storage.put("zarr.json", json.dumps(root).encode())
+    root = sealed(
+        layout.ROOT_KEY, {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
+    )
+    storage.put(layout.ROOT_KEY, json.dumps(root).encode())
     return TileStore(storage, meta, settled)
 
 
@@ -88,13 +90,13 @@ def _is_a_store(storage: Storage) -> bool:
         )
     if root is not None and root.is_file():
         raise ForeignStoreError(f"{url}: is a file, not a tile store; give another path")
-    data = storage.get("zarr.json")
+    data = storage.get(layout.ROOT_KEY)
     if data is None:
         # A zarr.json that is listed but cannot be read is a folder or a link to a folder.
         other_objects = [
             name
             for name in storage.names("")
-            if name == "zarr.json" or not _is_remains(storage, name)
+            if name == layout.ROOT_KEY or not _is_remains(storage, name)
         ]
         if lock.is_foreign(storage):
             other_objects.append(layout.LOCK_KEY)
@@ -126,7 +128,7 @@ def open_store(url: str) -> TileStore:
         There is no store, another version wrote it, or its description is damaged.
     """
     storage = Storage(url)
-    data = storage.get("zarr.json")
+    data = storage.get(layout.ROOT_KEY)
     if data is None:
         raise ForeignStoreError(
             f"{url}: no tile store here; run `tiler ingest` or `tiler run` to make one"
@@ -139,7 +141,7 @@ def open_store(url: str) -> TileStore:
             f"{url}: store of schema {description['schema']}, this version reads {layout.SCHEMA_VERSION}; "
             "run again with --overwrite"
         )
-    if not seal_holds(json.loads(data)):
+    if not seal_holds(layout.ROOT_KEY, json.loads(data)):
         raise StoreError(
             f"{url}: zarr.json is damaged, its checksum does not fit; run again with --overwrite"
         )
@@ -169,7 +171,7 @@ def _is_damaged(data: bytes) -> bool:
 
 def store_exists(url: str) -> bool:
     """Return whether there is a tile store, of any version, at ``url``."""
-    data = Storage(url).get("zarr.json")
+    data = Storage(url).get(layout.ROOT_KEY)
     return data is not None and _description(data) is not None
 
 
@@ -193,7 +195,7 @@ def remove_store(url: str) -> list[str]:
         return []
     lock.validate_not_held(storage)
     _empty(storage)
-    storage.delete("zarr.json")
+    storage.delete(layout.ROOT_KEY)
     storage.delete_folder("")
     return storage.names("")
 
@@ -202,4 +204,4 @@ def _empty(storage: Storage) -> None:
     """Remove everything but the description and the lease of a store. The commits are removed first."""
     for folder in ("packs", "commits"):
         storage.delete_folder(folder)
-    storage.delete_folder("", keep=("zarr.json", layout.LOCK_KEY))
+    storage.delete_folder("", keep=(layout.ROOT_KEY, layout.LOCK_KEY))

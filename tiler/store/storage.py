@@ -139,7 +139,7 @@ class Storage:
             Whether only one of two writers can succeed on this storage, as on local file systems with hard links. If
             not, the object of the last writer stays.
         """
-        data = _sealed(body)
+        data = _sealed(key, body)
         try:
             sync(
                 self.zarr_store.set_if_not_exists(
@@ -235,18 +235,18 @@ class Storage:
 
     def put_json(self, key: str, body: Any) -> None:
         """Write a JSON-able value with a checksum, and without passwords and tokens in its URLs."""
-        self.put(key, _sealed(body))
+        self.put(key, _sealed(key, body))
 
     def get_json(self, key: str) -> Any:
         """Return the value that `put_json` wrote, or None if there is none. Raise StoreError if it is damaged."""
         data = self.get(key)
         if data is None:
             return None
-        return parse_json(data, f"{self.url}: {key}")
+        return parse_json(key, data, f"{self.url}: {key}")
 
 
-def parse_json(data: bytes, where: str) -> Any:
-    """Return the value in an object that `Storage.put_json` wrote. Raise StoreError if it is damaged."""
+def parse_json(key: str, data: bytes, where: str) -> Any:
+    """Return the value that `Storage.put_json` wrote under a key. Raise StoreError if it is damaged."""
     try:
         envelope = json.loads(data)
         body, crc = envelope["body"], envelope["crc32"]
@@ -254,7 +254,7 @@ def parse_json(data: bytes, where: str) -> Any:
         raise StoreError(
             f"{where}: damaged, not valid JSON; delete it and run again"
         ) from error
-    if zlib.crc32(_canonical(body).encode()) != crc:
+    if zlib.crc32(_canonical(body).encode(), place_checksum(key)) != crc:
         raise StoreError(
             f"{where}: damaged, its checksum does not fit; delete it and run again"
         )
@@ -266,17 +266,26 @@ SEAL = "tiler_crc32"
 a checksum."""
 
 
-def sealed(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the metadata of an array or group with a checksum among its attributes."""
+def place_checksum(key: str) -> int:
+    """Return the checksum of a key, which those of its object contain: a valid object under another key is damage.
+
+    Objects without a folder, such as the lease, have one place, and other versions read them.
+    """
+    return zlib.crc32(key.encode()) if "/" in key else 0
+
+
+def sealed(key: str, metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the metadata of an array or group at a key with a checksum among its attributes."""
     attributes = {**metadata.get("attributes", {})}
     attributes.pop(SEAL, None)
-    checksum = zlib.crc32(_canonical({**metadata, "attributes": attributes}).encode())
+    text = _canonical({**metadata, "attributes": attributes})
+    checksum = zlib.crc32(text.encode(), place_checksum(key))
     return {**metadata, "attributes": {**attributes, SEAL: checksum}}
 
 
-def seal_holds(metadata: Mapping[str, Any]) -> bool:
-    """Return whether the checksum of `sealed` fits. Metadata of older versions, which have none, are accepted."""
-    return SEAL not in metadata["attributes"] or sealed(metadata) == metadata
+def seal_holds(key: str, metadata: Mapping[str, Any]) -> bool:
+    """Return whether the checksum of `sealed` fits."""
+    return sealed(key, metadata) == metadata
 
 
 def store_write_error(url: str, key: str, error: OSError) -> ProcessingError:
@@ -287,11 +296,12 @@ def store_write_error(url: str, key: str, error: OSError) -> ProcessingError:
     return StoreAccessError(str(refused))
 
 
-def _sealed(body: Any) -> bytes:
+def _sealed(key: str, body: Any) -> bytes:
     text = _canonical(body)
     if ":/" in text:  # A text without this contains no URL.
         text = _canonical(stored(body))
-    return f'{{"crc32": {zlib.crc32(text.encode())}, "body": {text}}}'.encode()
+    checksum = zlib.crc32(text.encode(), place_checksum(key))
+    return f'{{"crc32": {checksum}, "body": {text}}}'.encode()
 
 
 def _canonical(body: Any) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zarr
 
 from tests.tiler.store.conftest import make_points
 from tiler.core.lattice import Bounds
@@ -115,16 +115,54 @@ def test_any_flipped_bit_of_the_metadata_is_harmless_or_an_error(
     assert noticed > 0.9 * len(bits)
 
 
-def test_a_store_of_an_older_version_has_no_checksums(filled: TileStore) -> None:
-    cell = next(iter(filled.buckets()))
-    truth = filled.read_bucket(cell).xyz
-    for path in Path(filled.url).rglob("zarr.json"):
-        content = json.loads(path.read_text())
-        del content["attributes"]["tiler_crc32"]
-        path.write_text(json.dumps(content))
-    store = open_store(filled.url)
-    assert np.array_equal(store.read_bucket(cell).xyz, truth)
-    store.allocate({cell: 10**6})  # lengthens the columns
+def swap(one: Path, other: Path) -> None:
+    first, second = one.read_bytes(), other.read_bytes()
+    assert first != second
+    one.write_bytes(second)
+    other.write_bytes(first)
+
+
+@pytest.mark.parametrize("kind", list(ARRAYS))
+def test_valid_chunks_at_each_others_place_are_an_error(filled: TileStore, kind: str) -> None:
+    (cell, info), (neighbour, near) = list(filled.buckets().items())[:2]
+    filled.write_labels("p", cell, np.zeros(info.n, np.uint8))
+    filled.write_labels("p", neighbour, np.ones(near.n, np.uint8))
+    for name in ("a", "b"):
+        filled.write_piece(name, make_points(np.arange(100) + ord(name), np.arange(100)))
+    chunk, read = ARRAYS[kind]
+    others = {"labels": "labels/p/c.1.0.0", "spool": "spool/b/c.0.0"}
+    other = others.get(kind, chunk.replace("c.2", "c.1"))
+    swap(Path(filled.url, chunk), Path(filled.url, other))
+    with pytest.raises(StoreError, match="a chunk of another place"):
+        read(open_store(filled.url))
+
+
+def test_valid_metadata_at_another_place_are_an_error(filled: TileStore) -> None:
+    folder = Path(filled.url, "points")
+    swap(folder / "xyz" / "zarr.json", folder / "attributes" / "zarr.json")
+    with pytest.raises(StoreError, match="points/xyz: its metadata are damaged"):
+        open_store(filled.url).window(EVERYWHERE)
+
+
+def test_valid_values_at_another_place_are_an_error(filled: TileStore) -> None:
+    for name in ("plan", "passes"):
+        filled.put_state(name, name)
+        filled.commit("filter", name, "same digest", {"of": name})
+    states, commits = Path(filled.url, "state"), Path(filled.url, "commits", "filter")
+    swap(states / "plan.json", states / "passes.json")
+    with pytest.raises(StoreError, match=r"state/plan\.json: damaged"):
+        filled.get_state("plan")
+    swap(commits / "plan.json", commits / "passes.json")
+    assert filled.committed("filter") == {}
+
+
+def test_zarr_reads_every_chunk(filled: TileStore) -> None:
+    """It skips the checksum of the place."""
+    for cell in filled.buckets():
+        row = filled._bucket(cell).row
+        xyz = filled.read_bucket(cell).xyz
+        array = zarr.open_array(Path(filled.url, "points", "xyz"), mode="r")
+        assert np.array_equal(array[row, :, : xyz.shape[1]], xyz)
 
 
 def test_a_damaged_index_is_an_error(filled: TileStore, damage: Callable[[Path], None]) -> None:
