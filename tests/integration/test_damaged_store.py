@@ -74,11 +74,13 @@ def test_a_damaged_chunk_is_made_again(
         assert result.summary["stages"][stage]["computed"] == tasks
 
 
-@pytest.mark.parametrize("kind", CHUNKS)
+@pytest.mark.parametrize(
+    "pattern", ["points/xyz/c.*", "points/origin/c.*", "labels/labels/c.*", "rasters/dtm*/c.*"]
+)
 def test_chunks_at_each_others_place_are_made_again(
-    kind: str, city: Path, city_run: Path, out: Path
+    pattern: str, city: Path, city_run: Path, out: Path
 ) -> None:
-    chunks = sorted((out / "store.zarr").glob(CHUNKS[kind][0]))
+    chunks = sorted((out / "store.zarr").glob(pattern))
     one, other = chunks[0], chunks[-1]
     first, second = one.read_bytes(), other.read_bytes()
     assert first != second
