@@ -27,6 +27,7 @@ from tiler.io.result_folder import (
     REPORT,
     RUN,
     STORE,
+    WATER,
     earlier_facts,
     earlier_outputs,
     local_folder,
@@ -43,7 +44,15 @@ from tiler.observe.events import (
     ignore_events,
     redacting,
 )
-from tiler.plan import Plan, make_plan, remember, settled, settled_by, stage_seconds
+from tiler.plan import (
+    Plan,
+    make_plan,
+    remember,
+    settled,
+    settled_by,
+    stage_seconds,
+    water_is_given,
+)
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
@@ -148,7 +157,10 @@ def _opened(
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.results.products_at = products if is_url(products) else None
         job.results.given = [str(source) for source in inputs]
-        job.results.earlier_outputs = earlier_outputs(out, products)
+        earlier = earlier_outputs(out, products)
+        if water_is_given(plan.config, products):
+            earlier.pop(WATER, None)
+        job.results.earlier_outputs = earlier
         job.results.digests, job.earlier_settings = earlier_facts(out, products)
         # run.json is written first, since it shows that the later files belong to this run.
         job.save("running")

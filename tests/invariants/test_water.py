@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +17,9 @@ from pyproj import Transformer
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings
 from tests.scenes.drawings import EAST, NORTH, digests, draw, ground, pixels, written
+from tests.scenes.journals import connected
 from tiler.core.mask_values import WATER
-from tiler.errors import InputError
+from tiler.errors import ConfigError, InputError
 from tiler.plan import make_plan
 
 LAKE = shapely.Point(18, 20).buffer(9)
@@ -74,6 +77,30 @@ def test_the_file_that_a_run_writes_gives_the_same_terrain(
     assert (pixels(tmp_path) == pixels(folder / "wet")).all()
     kind = pyogrio.raw.read(given, layer="water")[3][1]
     assert kind.tolist() == ["lake", "river"]
+
+
+def test_the_water_of_out_can_be_edited_and_given(folder: Path, tmp_path: Path) -> None:
+    """The run neither writes nor moves the file, so that the same command resumes."""
+    cloud, out = folder / "valley.laz", tmp_path / "out"
+    shutil.copytree(folder / "wet", out, ignore=shutil.ignore_patterns("store.zarr"))
+    given = out / "water.gpkg"
+    with closing(connected(given)) as database:
+        database.execute("UPDATE water SET level = 29.25 WHERE kind = 'lake'")
+        database.commit()
+    edited = given.read_bytes()
+    for spelling in (given, out / ".." / "out" / "water.gpkg"):
+        again = do(cloud, out, method="keep", resolution="0.5", water=str(spelling))
+        assert given.read_bytes() == edited
+        assert "water.gpkg" not in again.summary["outputs"]
+        assert not (out / "outdated" / "water.gpkg").exists()
+    y, x = (np.mgrid[0:120, 0:120] + 0.5) / 2
+    wet = shapely.contains_xy(LAKE, x, y)
+    assert (pixels(out)[wet] == 29.25).mean() > 0.99
+    with pytest.raises(
+        ConfigError, match=r"water\.gpkg: already exists and was not written by"
+    ):
+        do(cloud, out, method="keep", resolution="0.5", water="auto")
+    assert given.read_bytes() == edited
 
 
 def test_another_level_changes_the_water_alone_and_no_other_stage(

@@ -72,7 +72,7 @@ def check_names(option: str, place: str | Path) -> None:
         if name_bytes(name) > MAX_NAME_LENGTH:
             raise ConfigError(
                 f"{option} {name[:20]}...: its name has {name_bytes(name)} bytes, {MAX_NAME_LENGTH} are possible; "
-                "give a shorter name".strip()
+                "give a shorter name"
             )
 
 
@@ -102,6 +102,11 @@ def real_place(place: str | Path) -> str:
     for scheme in ("file://", "local://"):
         text = text.removeprefix(scheme)
     return text.rstrip("/") if is_url(text) else os.path.realpath(text)
+
+
+def same_file(one: str | Path, other: str | Path) -> bool:
+    """Return whether two paths or URLs are names of the same file."""
+    return not set(_identities(one)).isdisjoint(_identities(other))
 
 
 def _identities(place: str | Path) -> list[object]:

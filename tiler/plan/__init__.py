@@ -18,6 +18,7 @@ from tiler.plan.projection import projected_memory
 from tiler.plan.rates import remember, stage_seconds
 from tiler.plan.settled import settled, settled_by, settled_by_points
 from tiler.plan.sizes import bounds_of
+from tiler.plan.validation import water_is_given
 
 __all__ = [
     "KEEP",
@@ -39,4 +40,5 @@ __all__ = [
     "settled_by_points",
     "sparse_raster_remedy",
     "stage_seconds",
+    "water_is_given",
 ]

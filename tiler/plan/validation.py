@@ -19,7 +19,7 @@ from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.journals import validate_closed
 from tiler.io.locations import joined
-from tiler.io.overwrite_check import Target, check_folder, check_targets
+from tiler.io.overwrite_check import Target, check_folder, check_targets, same_file
 from tiler.io.result_folder import (
     BRIDGES,
     CLASSIFIED,
@@ -84,6 +84,12 @@ def other_inputs(config: RunConfig) -> list[str]:
     return [*(name for name in names if name is not None), *config.breaklines]
 
 
+def water_is_given(config: RunConfig, products: str) -> bool:
+    """Return whether ``--water`` names the file of water in OUT. Then a run neither writes nor moves it."""
+    given = config.water_file
+    return given is not None and same_file(given, joined(products, WATER))
+
+
 def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError if OUT, store and inputs conflict, or if OUT has a file's name."""
     stem, suffix = os.path.splitext(products)
@@ -104,12 +110,16 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError if a run would overwrite inputs, files that no run in OUT wrote, or an open GeoPackage."""
     out = local_folder(products)
     file_names = _targets(plan)
+    earlier = earlier_outputs(out, products).keys() - set(file_names)
+    if water_is_given(plan.config, products):
+        file_names.remove(WATER)
+        earlier.discard(WATER)
     locations = [joined(products, name) for name in file_names]
     for folder in (str(out), products):
         locations += [joined(folder, name) for name in (RUN, EVENTS, REPORT)]
     reads: list[str | Path] = [*paths, *other_inputs(plan.config)]
-    check_targets([Target("-o", location) for location in locations], reads)
-    validate_closed(products, {*file_names, *earlier_outputs(out, products)})
+    check_targets([Target("", location) for location in locations], reads)
+    validate_closed(products, {*file_names, *earlier})
     if plan.config.force:
         return
     sheet_prefixes = {}

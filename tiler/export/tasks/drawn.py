@@ -24,6 +24,7 @@ from tiler.export.work import VectorFile
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_table import final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
+from tiler.plan import water_is_given
 from tiler.schedule import Task, Work
 from tiler.version import __version__
 
@@ -71,7 +72,8 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
     if context.corrections.decks:
         bridges = WriteBridges(name=BRIDGES, decks=context.corrections.decks, out=out)
         yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
-    if context.waters.bodies or config.water_file is not None:
+    has_water = bool(context.waters.bodies) or config.water_file is not None
+    if has_water and not water_is_given(config, out):
         water = WriteWater(name=WATER, waters=context.waters.key, out=out)
         yield Task("export", WATER, digest_of(__version__, water), write_water, water)
     for name in config.drawn:
