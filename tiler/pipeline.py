@@ -13,6 +13,7 @@ from tiler.config import RunConfig
 from tiler.core.results import LeftOut
 from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, exit_code_of
 from tiler.export.stage import export
+from tiler.export.tasks.outdated import WRITING
 from tiler.filter.stage import filter_points
 from tiler.grid.stage import grid
 from tiler.grid.tasks.correct import correct
@@ -154,6 +155,8 @@ def _opened(
     url = plan.config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
         plan, store = _with_store(plan, url)
+        # A store of several OUT has commits of the files of each. The store in an OUT moves with it.
+        store.keep_apart(WRITING, products if plan.config.store else "")
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.results.products_at = products if is_url(products) else None
         job.results.given = [str(source) for source in inputs]

@@ -110,6 +110,24 @@ def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
     assert again(demo, out, resolution="0.5") == {**dict.fromkeys(once, 1), **files}
 
 
+def test_two_resolutions_from_one_store(demo: DemoScene, tmp_path: Path) -> None:
+    """Each OUT has files of its own: none counts as changed by the run of the other, and none is written again."""
+    runs = {
+        tmp_path / "a": {"resolution": "1"},
+        tmp_path / "b": {"resolution": "0.5"},
+    }
+    store, made = str(tmp_path / "s.zarr"), []
+    for out, changes in runs.items():
+        again(demo, out, store=store, **changes)
+        made.append(output_digests(out))
+    for _ in range(2):
+        for out, changes in runs.items():
+            done = again(demo, out, store=store, **changes)
+            assert not done.keys() & {"filter0", "export", "mosaic", "catalogue"}
+    assert [output_digests(out) for out in runs] == made
+    assert not any((out / "outdated").exists() for out in runs)
+
+
 def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScene) -> None:
     found = again(demo, out, parameters={"iteration_distance": "1.3"})
     assert found.keys() == {"filter0", *GROUND, "grid-occupancy", "export", "catalogue"}

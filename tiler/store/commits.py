@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from tiler.core.digests import digest_of
 from tiler.errors import StoreError
 from tiler.store import layout
 from tiler.store.part import StorePart
 from tiler.store.storage import parse_json
 
+OWNER = "owner"
+"""Name of the state that tells whose commits are valid (see `CommitStore.keep_apart`)."""
 Commits = dict[str, tuple[str, Mapping[str, Any]]]
 """Digest and record of each finished task, by key of the task."""
 
@@ -68,6 +71,21 @@ class CommitStore(StorePart):
         self._storage.delete(layout.pack_key(stage))
         self._storage.delete_folder(f"commits/{layout.safe(stage)}")
 
+    def keep_apart(self, stages: Sequence[str], owner: str) -> None:
+        """Have the commits of ``stages`` be those of ``owner``, and keep those of the owner before (*coordinator*).
+
+        Stages that write files outside the store have commits for each place of these files. ``owner`` identifies one.
+        """
+        before = self._storage.get_json(layout.state_key(OWNER))
+        if before == owner:
+            return
+        for stage in stages if before is not None else ():
+            kept = self._storage.get_json(_kept_key(stage, owner)) or {}
+            self._storage.put_json(_kept_key(stage, before), self.committed(stage))
+            self.clear(stage)
+            self._storage.put_json(layout.pack_key(stage), kept)
+        self._storage.put_json(layout.state_key(OWNER), owner)
+
     def _packed(self, stage: str) -> Commits:
         try:
             pack = self._storage.get_json(layout.pack_key(stage)) or {}
@@ -78,3 +96,7 @@ class CommitStore(StorePart):
     def _names(self, stage: str) -> list[str]:
         entries = self._storage.names(f"commits/{layout.safe(stage)}")
         return [name.removesuffix(".json") for name in entries if name.endswith(".json")]
+
+
+def _kept_key(stage: str, owner: str) -> str:
+    return layout.state_key(f"{stage}-{digest_of(owner)}")

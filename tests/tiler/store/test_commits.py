@@ -50,6 +50,21 @@ def test_a_stage_can_be_cleared(store: TileStore) -> None:
     assert len(store.committed("grid")) == 1
 
 
+def test_each_owner_has_commits_of_its_own(store: TileStore) -> None:
+    first, second = store.committed("filter"), {"b.c": ("of two", {"m": 2})}
+    store.keep_apart(["filter"], "one")
+    assert store.committed("filter") == first
+    store.keep_apart(["filter"], "two")
+    assert store.committed("filter") == {}
+    store.commit("filter", "b.c", *second["b.c"])
+    for _ in range(2):
+        store.keep_apart(["filter"], "one")
+        assert store.committed("filter") == first
+        store.keep_apart(["filter"], "two")
+        assert store.committed("filter") == second
+    assert len(store.committed("grid")) == 1
+
+
 def test_state_comes_back(store: TileStore) -> None:
     assert store.get_state("plan") is None
     store.put_state("plan", {"tiles": [1, 2], "ä": None})
