@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+import laspy
 import numpy as np
 import pyogrio
 import pyproj
@@ -72,6 +73,44 @@ def test_rasters_have_no_vertical_crs_of_another_unit_than_their_heights(
         assert raster.units == ("foot",)
         assert pyproj.CRS(raster.crs.to_wkt()).to_epsg() == 32632
         assert "VERTICAL_DATUM" not in raster.tags()
+
+
+@pytest.mark.parametrize(
+    ("changes", "raster"), [({}, "dtm.tif"), ({"sheets": "40"}, "dtm.vrt")]
+)
+def test_ellipsoidal_heights(
+    changes: dict[str, str], raster: str, cloud: Path, tmp_path: Path
+) -> None:
+    """GeoTIFF has no projected CRS with three axes, so the raster has the horizontal one, and a tag for the heights."""
+    given = laspy.read(cloud)
+    crs = pyproj.CRS("EPSG:32632").to_3d().to_wkt()
+    given.header.vlrs[:] = [laspy.VLR("LASF_Projection", 2112, "", crs.encode() + b"\0")]
+    given.write(tmp_path / "a.laz")
+    out = tmp_path / "out"
+    do(tmp_path / "a.laz", out, **changes)
+    with rasterio.open(out / raster) as opened:
+        assert opened.crs.to_epsg() == 32632
+        assert opened.tags()["VERTICAL_DATUM"] == "ellipsoidal height (WGS 84)"
+    assert not list(out.rglob("*.aux.xml"))
+
+
+@pytest.mark.parametrize("crs", [None, "EPSG:32632", "EPSG:32632+5783"])
+def test_classified_clouds_have_the_heights_of_the_option(
+    crs: str | None, cloud: Path, tmp_path: Path
+) -> None:
+    run = do(cloud, tmp_path, crs=crs)
+    before, after = (
+        laspy.read(path).header for path in (cloud, tmp_path / "classified" / cloud.name)
+    )
+    told = [note for note in run.summary["notes"] if note.startswith("CRS of the run written")]
+    if crs is None or "+" not in crs:
+        assert [v.record_data_bytes() for v in after.vlrs] == [
+            v.record_data_bytes() for v in before.vlrs
+        ]
+        assert not told
+    else:
+        assert [part.to_epsg() for part in after.parse_crs().sub_crs_list] == [32632, 5783]
+        assert told
 
 
 def test_classes_of_the_mask_have_names_and_colours(cloud: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from tiler.core.classes import Counts, sum_by_class
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError, TilerError
 from tiler.export import WriteClassified, write_classified
+from tiler.export.cloud_crs import crs_to_write
 from tiler.export.records import CloudRecord
 from tiler.export.tasks.class_counts import kept_text
 from tiler.export.tasks.files import kept_pieces
@@ -243,7 +244,7 @@ def _works(
             reclass=plan.config.reclass,
             stamp=info.stamp,
             pieces=tuple(pieces[name]),
-            wkt=None if info.has_crs else store.meta.frame.crs_wkt,
+            wkt=crs_to_write(info, store.meta.frame.crs_wkt, plan.config.crs),
         )
 
 

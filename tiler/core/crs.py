@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from pyproj import CRS, Proj
@@ -31,16 +32,34 @@ def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
     return crs, None
 
 
+def raster_crs(wkt: str | None) -> str | None:
+    """Return the WKT of the CRS to write into a raster, or None.
+
+    GeoTIFF has no projected CRS with three axes, and GDAL writes none at all. So a raster gets the horizontal part.
+    """
+    if wkt is None:
+        return None
+    horizontal, vertical = split(CRS.from_wkt(wkt))
+    if horizontal is None or vertical is None or vertical.is_vertical:
+        return wkt
+    code = horizontal.to_epsg()
+    return (horizontal if code is None else CRS.from_epsg(code)).to_wkt()
+
+
+@lru_cache(maxsize=64)
 def vertical_name(wkt: str | None) -> str | None:
     """Return the name of the height reference of a CRS, like ``NAVD88 height (EPSG:5703)``.
 
-    The result is None if the CRS does not define heights.
+    A CRS with three axes has heights above an ellipsoid: ``ellipsoidal height (WGS 84)``. The result is None if the CRS
+    does not define heights.
     """
     if wkt is None:
         return None
     vertical = split(CRS.from_wkt(wkt))[1]
     if vertical is None:
         return None
+    if not vertical.is_vertical and vertical.geodetic_crs is not None:
+        return f"ellipsoidal height ({vertical.geodetic_crs.name})"
     authority = vertical.to_authority()
     return vertical.name if authority is None else f"{vertical.name} ({':'.join(authority)})"
 

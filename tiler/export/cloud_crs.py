@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from tiler.core.crs import split
+from tiler.core.crs import split, vertical_name
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit
 from tiler.export.work import WriteClassified
+from tiler.inputs.sources import SourceInfo
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.records import PROJECTION_USER, Vlr, packed_record
 
@@ -68,7 +69,7 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
         return None
     note = ""
     if any(map(_is_crs, records)):
-        note = "CRS of the run written in place of records of a CRS that cannot be read"
+        note = "CRS of the run written in place of CRS records that cannot be read or have no vertical CRS"
     if header.version >= (1, 4):
         return NewCrs(_wkt_record(work.wkt), True, note)
     keys = geotiff_keys(CRS.from_wkt(work.wkt))
@@ -76,6 +77,18 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
         return NewCrs(packed_record(PROJECTION_USER, _KEYS, "", keys), False, note)
     told = "CRS written as WKT, although the LAS version is before 1.4: GeoTIFF keys have no code for this CRS"
     return NewCrs(_wkt_record(work.wkt), True, told)
+
+
+def crs_to_write(info: SourceInfo, run_wkt: str | None, given: str | None) -> str | None:
+    """Return the CRS that a classified cloud gets, or None if the CRS records of its source stay.
+
+    ``given`` is the text of ``--crs``, which may add a vertical CRS to that of the source.
+    """
+    if not info.has_crs:
+        return run_wkt
+    if given is None or vertical_name(run_wkt) is None:
+        return None
+    return run_wkt if vertical_name(info.georeference.wkt) is None else None
 
 
 def without_crs(records: Sequence[Vlr]) -> list[Vlr]:

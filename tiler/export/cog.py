@@ -21,6 +21,7 @@ import rasterio
 import rasterio.shutil
 from rasterio.windows import Window
 
+from tiler.core.crs import raster_crs
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.products import HEIGHT, PRODUCTS, Product
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
@@ -177,7 +178,7 @@ def raster_metadata(frame: CoordFrame, work: ProductFile) -> RasterMetadata:
     if unit == HEIGHT:
         unit = unit_label(frame.units.vertical)
     return RasterMetadata(
-        crs=frame.crs_wkt,
+        crs=raster_crs(frame.crs_wkt),
         unit=unit,
         description=product.description,
         tags=work.tags,

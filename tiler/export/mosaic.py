@@ -10,6 +10,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
+from tiler.core.crs import raster_crs
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
@@ -34,8 +35,9 @@ def write_mosaic(store_url: str, work: WriteMosaic) -> FileRecord:
     root = ElementTree.Element(
         "VRTDataset", rasterXSize=str(whole.width), rasterYSize=str(whole.height)
     )
-    if frame.crs_wkt is not None:
-        root.append(_srs(frame.crs_wkt))
+    crs = raster_crs(frame.crs_wkt)
+    if crs is not None:
+        root.append(_srs(crs))
     a, b, c, d, e, f = whole.transform(COUNTS_PER_UNIT)
     ElementTree.SubElement(root, "GeoTransform").text = ", ".join(
         repr(v) for v in (c, a, b, f, d, e)

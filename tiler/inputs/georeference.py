@@ -10,9 +10,11 @@ from functools import lru_cache
 import numpy as np
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
+from pyproj.database import query_crs_info
+from pyproj.enums import PJType
 from pyproj.exceptions import CRSError
 
-from tiler.core.crs import split
+from tiler.core.crs import same_vertical_datum, split
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit, unit_label
 from tiler.io.las.headers import LasHeader, read_payload
 from tiler.io.las.records import PROJECTION_USER
@@ -150,7 +152,7 @@ def describe(
         return Georeference("missing", crs.name, notes=(*notes, remark))
     unit = vertical_unit
     if vertical is not None:
-        unit = exact_unit(vertical.axis_info[-1].unit_conversion_factor)
+        unit = _unit_of(vertical)
     return Georeference(kind, horizontal.name, crs.to_wkt(), factors.pop(), unit, tuple(notes))
 
 
@@ -200,14 +202,32 @@ def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:
             continue
         if keyed.vertical is None:
             return describe(keyed.horizontal, notes, keyed.vertical_unit)
-        both = CompoundCRS(
-            f"{keyed.horizontal.name} + {keyed.vertical.name}",
-            [keyed.horizontal, keyed.vertical],
-        )
-        compound = describe(both, notes)
-        if keyed.vertical_unit not in (None, compound.vertical):
-            # The key takes precedence over the EPSG entry: heights may be in feet, their datum
-            # in metres.
+        # The key of the unit takes precedence over the EPSG entry: NAVD88 (in metres) with feet is NAVD88 in feet.
+        vertical = _in_unit(keyed.vertical, keyed.vertical_unit)
+        if vertical is None:
+            notes.append(
+                f"its GeoTIFF keys give {keyed.vertical.name} in another unit, for which EPSG has no CRS, so "
+                "the rasters state no vertical CRS"
+            )
             return describe(keyed.horizontal, notes, keyed.vertical_unit)
-        return compound
+        name = f"{keyed.horizontal.name} + {vertical.name}"
+        return describe(CompoundCRS(name, [keyed.horizontal, vertical]), notes)
     return None
+
+
+@lru_cache(maxsize=64)
+def _in_unit(vertical: CRS, unit: Fraction | None) -> CRS | None:
+    """Return the vertical CRS of EPSG with the same datum and a unit, or None if there is none."""
+    if unit is None or _unit_of(vertical) == unit:
+        return vertical
+    for info in query_crs_info("EPSG", PJType.VERTICAL_CRS):
+        # EPSG names such a CRS after the one in metres: "NAVD88 height (ftUS)".
+        if info.name.startswith(f"{vertical.name} ("):
+            found = CRS.from_epsg(info.code)
+            if _unit_of(found) == unit and same_vertical_datum(vertical, found):
+                return found
+    return None
+
+
+def _unit_of(crs: CRS) -> Fraction:
+    return exact_unit(crs.axis_info[-1].unit_conversion_factor)

@@ -83,7 +83,7 @@ def test_records_that_cannot_be_read_are_replaced(
     path = make_cloud("a.las", point_format=6, version="1.4", crs=None, edit=broken)
     record = export(path, tmp_path / "a.laz", (), wkt=wkt)
     assert record.notes == [
-        "CRS of the run written in place of records of a CRS that cannot be read"
+        "CRS of the run written in place of CRS records that cannot be read or have no vertical CRS"
     ]
     assert georeference(read_header(tmp_path / "a.laz")).name == "ETRS89 / UTM zone 32N"
     memory_store.meta.frame = type(memory_store.meta.frame)(crs_wkt=wkt)

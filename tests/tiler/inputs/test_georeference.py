@@ -179,6 +179,23 @@ def test_geotiff_keys(make_cloud: Any, name: str) -> None:
     assert settle(make_cloud("k.las", n=5, crs=None, edit=with_keys(*entries))).units == units
 
 
+@pytest.mark.parametrize(("unit", "code"), [(9001, 5703), (9002, 8228), (9003, 6360)])
+def test_a_unit_in_the_keys_keeps_the_datum(make_cloud: Any, unit: int, code: int) -> None:
+    """EPSG has NAVD88 in metres and in both feet."""
+    entries = [(1024, 1), (3072, 26910), (3076, 9001), (4096, 5703), (4099, unit)]
+    agreed = settle(make_cloud("k.las", n=5, crs=None, edit=with_keys(*entries)))
+    assert [part.to_epsg() for part in CRS.from_wkt(agreed.wkt).sub_crs_list] == [26910, code]
+
+
+def test_a_unit_that_epsg_has_not_for_the_datum_is_told(make_cloud: Any) -> None:
+    entries = [(1024, 1), (3072, 2154), (4096, 5720), (4099, 9002)]
+    path = make_cloud("k.las", n=5, crs=None, edit=with_keys(*entries))
+    assert settle(path).units == Units(METRE, FOOT)
+    assert "NGF-IGN69 height in another unit, for which EPSG has no CRS" in str(
+        inspect(path).notes
+    )
+
+
 def test_user_defined_keys_are_noted(make_cloud: Any) -> None:
     path = make_cloud(
         "k.las", n=5, crs=None, edit=with_keys((1024, 1), (3072, 32767), (2048, 4326))

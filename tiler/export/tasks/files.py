@@ -29,6 +29,7 @@ from tiler.export import (
     write_mosaic,
     write_sheet_index,
 )
+from tiler.export.cloud_crs import crs_to_write
 from tiler.export.records import RasterFileRecord
 from tiler.export.tasks.sheets import name_of
 from tiler.export.work import SheetFile
@@ -252,7 +253,7 @@ def classified_tasks(
             copc=plan.config.classified == "copc",
             pieces=tuple(pieces[source.name]),
             threads=threads,
-            wkt=None if source.info.has_crs else plan.frame.crs_wkt,
+            wkt=crs_to_write(source.info, plan.frame.crs_wkt, plan.config.crs),
         )
         digest = digest_of(
             __version__, source.identity, work, [[labels[c], wet.get(c)] for c in cells]
