@@ -51,6 +51,24 @@ def test_the_octree_is_the_one_that_laspy_reads(copc: Path) -> None:
         )
 
 
+def test_chunks_of_0_points_are_chunks_of_different_sizes(copc: Path, tmp_path: Path) -> None:
+    """Some writers of COPC leave the field empty."""
+    data = bytearray(copc.read_bytes())
+    record = data.index(b"laszip encoded") + 16 + 2 + 2 + 32
+    assert data[record + 12 : record + 16] == b"\xff\xff\xff\xff"
+    data[record + 12 : record + 16] = bytes(4)
+    other = tmp_path / "city.copc.laz"
+    other.write_bytes(data)
+    assert inspect(other).chunks == inspect(copc).chunks
+    for path, out in ((copc, tmp_path / "one"), (other, tmp_path / "other")):
+        do(path, out, **WINDOW)
+    assert np.array_equal(dtm(tmp_path / "one")[0], dtm(tmp_path / "other")[0])
+    one, again = (
+        laspy.read(tmp_path / out / "classified" / "city.laz") for out in ("one", "other")
+    )
+    assert one.points.array.tobytes() == again.points.array.tobytes()
+
+
 def test_a_window_has_the_bytes_of_the_whole_file_cropped(
     copc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -81,7 +81,8 @@ def parse_laszip(record_data: bytes) -> LazLayout:
         raise CorruptLazError(
             f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed"
         )
-    compressor, _, _, _, _, _, chunk_size, _, _, n_items = _LASZIP.unpack_from(record_data)
+    fields = _LASZIP.unpack_from(record_data)
+    compressor, *_, chunk_size, _, _, n_items = fields
     if compressor not in (_POINTWISE_CHUNKED, _LAYERED):
         raise CorruptLazError(
             f"compressor {compressor} of its laszip record is not known (2 and 3 are)"
@@ -90,8 +91,12 @@ def parse_laszip(record_data: bytes) -> LazLayout:
         raise CorruptLazError(
             f"its laszip record says {n_items} items and has {len(record_data)} bytes"
         )
-    if chunk_size == 0:
-        raise CorruptLazError("its laszip record says chunks of 0 points")
+    if (
+        chunk_size == 0
+    ):  # Some writers of COPC mean chunks of different sizes, whose numbers of points the table has.
+        chunk_size = _VARIABLE
+        start = _LASZIP.pack(*fields[:6], chunk_size, *fields[7:])
+        record_data = start + record_data[_LASZIP.size :]
     items = [
         _ITEM.unpack_from(record_data, _LASZIP.size + i * _ITEM.size) for i in range(n_items)
     ]

@@ -143,6 +143,16 @@ def test_the_number_of_chunks_is_compared_with_the_bytes(make_cloud: Any) -> Non
         read_header(path)
 
 
+@pytest.mark.parametrize(("point_format", "version"), [(3, "1.2"), (6, "1.4")])
+def test_chunks_of_0_points_need_a_table_with_the_points_of_each(
+    make_cloud: Any, point_format: int, version: str
+) -> None:
+    path = make_cloud("t.laz", n=70_000, point_format=point_format, version=version)
+    record = path.read_bytes().index(b"laszip encoded") + 52
+    with pytest.raises(InputError, match="chunk"):
+        read_header(patch(path, record + 12, "<I", 0))
+
+
 def test_the_number_of_points_is_compared_with_the_chunks(make_cloud: Any) -> None:
     path = patch(make_cloud("t.laz", n=70_000), 107, "<I", 700_000)
     with pytest.raises(InputError, match="chunk table has 2 chunks, 700000 points need 14"):
