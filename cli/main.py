@@ -16,7 +16,7 @@ import click
 
 from cli import exit_codes
 from cli.ending import InterruptState, end_at_once, ended_in_time
-from cli.output import write_line
+from cli.hints import unknown_option
 from cli.session import Session
 from cli.streams import open_streams
 from tiler.errors import TilerError
@@ -141,6 +141,9 @@ def _run(arguments: Sequence[str] | None, ending: InterruptState) -> int:
     except SystemExit:
         raise
     except BaseException as error:  # noqa: BLE001 - a decoder may panic with something that is not an Exception
+        if isinstance(error, click.NoSuchOption):
+            words = sys.argv[1:] if arguments is None else arguments
+            error = click.UsageError(unknown_option(error, words), error.ctx)
         return _end(KeyboardInterrupt() if ending.told else error, session)
 
 
@@ -155,24 +158,15 @@ def _end(error: BaseException, session: Session) -> int:
     """Print the error on stderr in one line and return the exit code."""
     if session.verbosity >= 2:
         for line in "".join(traceback.format_exception(error)).splitlines():
-            _tell(line, session)
+            session.tell(line)
     if isinstance(error, KeyboardInterrupt | click.Abort):
         warnings.simplefilter("ignore")  # unfinished work warns when it is deleted
         rest = "; run the same command again to resume" if session.resumes else ""
-        _tell(f"tiler: interrupted{rest}", session)
+        session.tell(f"tiler: interrupted{rest}")
         return exit_codes.INTERRUPTED
     text, code = _line_and_code(error)
-    _tell(f"tiler: error: {' '.join(text.split())}", session)
+    session.tell(f"tiler: error: {' '.join(text.split())}")
     return code
-
-
-def _tell(line: str, session: Session) -> None:
-    """Write a line to stderr, as JSON if the progress is JSON."""
-    if session.progress == "json":
-        from tiler.observe.json_lines import json_line
-
-        line = json_line(line, "error")
-    write_line(line, error=True)
 
 
 def _line_and_code(error: BaseException) -> tuple[str, int]:

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cli.hints import repeated_options
+from cli.output import write_line
+
 if TYPE_CHECKING:
     from tiler.observe.events import Listener
 
@@ -36,6 +39,14 @@ class Session:
     def quiet(self) -> bool:
         """Whether only warnings and errors are shown."""
         return self.verbosity < 0
+
+    def tell(self, line: str, level: str = "error") -> None:
+        """Write a line to stderr, as JSON if the progress is JSON."""
+        if self.progress == "json":
+            from tiler.observe.json_lines import json_line
+
+            line = json_line(line, level)
+        write_line(line, error=True)
 
 
 def current_session() -> Session:
@@ -87,6 +98,15 @@ class TilerCommand(click.Command):
     def _add(self, *names: str, **settings: Any) -> None:
         """Add an option that changes the session and is not passed to the command."""
         self.params.append(click.Option(names, expose_value=False, is_eager=True, **settings))
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments, and warn of options that are given twice."""
+        *_, given = self.make_parser(ctx).parse_args(list(args))
+        rest = super().parse_args(ctx, args)
+        for name in repeated_options(given):
+            text = f"warning: {name} is given more than once; the last value counts"
+            ctx.ensure_object(Session).tell(text, "warning")
+        return rest
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, and return its exit code, or None for 0."""

@@ -14,6 +14,8 @@ from typing import Any
 import click
 import pytest
 
+from cli.commands.run import command as run
+from cli.hints import OTHER_PROGRAMS
 from cli.main import COMMANDS, STAGES, LazyGroup, group, main
 from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import ConfigError, InputError, LockedError, ProcessingError, StoreError
@@ -164,7 +166,22 @@ def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None
     [
         (["run"], "Missing argument 'INPUT...'; see `tiler run --help`"),
         (["run", "a.laz"], "Missing option '-o' / '--out'; see `tiler run --help`"),
-        (["plan", "a.laz", "--hallo"], "No such option"),
+        (["plan", "a.laz", "--hallo"], "there is no option --hallo; did you mean --halo"),
+        (["plan", "a.laz", "--res", "1"], "no option --res; did you mean --resolution?"),
+        (
+            ["plan", "a.laz", "--tile_size", "9"],
+            "no option --tile_size; did you mean --tile-size?",
+        ),
+        (["plan", "a.laz", "--zzzz"], "there is no option --zzzz; see `tiler plan --help`"),
+        (["plan", "a.laz", "--t_srs", "EPSG:4326"], "`gdalwarp -t_srs EPSG:... OUT/dtm.tif"),
+        (
+            ["plan", "a.laz", "-step=0.5"],
+            "-step is an option of another program; here the side",
+        ),
+        (
+            ["plan", "a.laz", "--memory", "4"],
+            "is a memory size of 4 bytes; give a unit, as in 4GB",
+        ),
         (["plann"], "No such command 'plann'"),
         (["plan", "a.laz", "--workers", "two"], "Invalid value for '--workers'"),
         (["plan", "a.laz", "--compress", "zip"], "Invalid value for '--compress'"),
@@ -220,8 +237,29 @@ def test_they_are_plain_where_it_is_not(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 2
-    # click 8.1 writes the option after a colon, later releases in quotes
-    assert re.match("tiler: error: No such option:? '?--nosuch", capsys.readouterr().err)
+    assert capsys.readouterr().err.startswith("tiler: error: there is no option --nosuch")
+
+
+@pytest.mark.parametrize("is_json", [False, True])
+def test_an_option_given_twice_is_a_warning(
+    is_json: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Options that may be repeated are none."""
+    given = ["--resolution", "1", "--set", "rounds=3", "--set", "low_group=3", "-v", "-v"]
+    progress = ["--progress", "json"] if is_json else ["--progress", "none"]
+    assert main(["run", "/nowhere.laz", "-o", "o", *progress, *given, "--resolution=2"]) != 0
+    first = capsys.readouterr().err.splitlines()[0]
+    if is_json:
+        told = json.loads(first)
+        assert told["level"] == "warning"
+        first = told["message"]
+    assert first == "warning: --resolution is given more than once; the last value counts"
+
+
+def test_the_remedies_for_options_of_other_programs_exist() -> None:
+    own = {name for p in run.params for name in (*p.opts, *p.secondary_opts)}
+    for text in OTHER_PROGRAMS.values():
+        assert set(re.findall(r"(?<![\w`])--?[a-z-]+", re.sub("`.*`", "", text))) <= own
 
 
 def test_without_a_command_help_and_2(capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,6 +21,10 @@ for _power, _letter in enumerate("kmgt", start=1):
     _BYTES |= {_letter: 1000**_power, f"{_letter}b": 1000**_power, f"{_letter}ib": 1024**_power}
 
 
+MIN_BYTES = 2**20
+"""Smallest memory size. Who writes less has left out the unit."""
+
+
 def parse_bytes(value: Any) -> int:
     """Parse a memory size (``1000000``, ``4GB``, ``2GiB``, ``512M``) into bytes, or raise ConfigError."""
     text = str(value).strip()
@@ -31,8 +35,8 @@ def parse_bytes(value: Any) -> int:
         raise ConfigError(
             f"{value!r} is not a memory size; give 4GB, 512MiB or a number of bytes"
         ) from None
-    if size <= 0:
-        raise ConfigError(f"{value!r} is not a memory size; give a size above 0")
+    if size < MIN_BYTES:
+        raise ConfigError(f"{value!r} is a memory size of {size} bytes; give a unit, as in 4GB")
     return size
 
 

@@ -6,7 +6,8 @@ import math
 from dataclasses import replace
 
 from tiler.core.crs import crs_name, misplaced, point_scale_factor
-from tiler.core.units_text import length_option, whole_length
+from tiler.core.sheet_names import DEFAULT as SHEET_NAME
+from tiler.core.units_text import length_option, length_text, whole_length
 from tiler.plan.memory import WIDE_TILE
 from tiler.plan.method import steps_of
 from tiler.plan.model import Plan
@@ -22,6 +23,9 @@ MUCH_OVERLAP = 3.0
 """Ratio of a tile's padded area to its core area, as a mean of all passes, above which a
 warning recommends larger tiles."""
 
+FEW_PIXELS = 5
+"""Number of columns and rows of a terrain below which a warning names the resolution."""
+
 STRETCHED = 1.05
 """Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning
 recommends reprojection. Projections for surveys stay within 1.03."""
@@ -33,7 +37,7 @@ def warnings_of(plan: Plan) -> list[str]:
     outside = misplaced(wkt, x, y)
     # Far outside the area of use, lengths are distorted as well, for the same reason.
     crs = _stretched(wkt, x, y) if outside is None else [outside]
-    return [*_too_high(plan), *crs, *_much_overlap(plan)]
+    return [*_too_high(plan), *crs, *_much_overlap(plan), *_without_use(plan)]
 
 
 def incomplete_files(plan: Plan) -> list[str]:
@@ -101,6 +105,22 @@ def _much_overlap(plan: Plan) -> list[str]:
     unit = plan.frame.units.horizontal
     wider = length_option(whole_length(WIDE_TILE * max(halos), unit, math.ceil), unit)
     return [f"tiles of {tile:g} m {text}; leave out --tile-size, or use --tile-size {wider}"]
+
+
+def _without_use(plan: Plan) -> list[str]:
+    """Warn about settings of which the user probably expects something else."""
+    warnings = []
+    resolution = plan.grid.resolution
+    columns, rows = (math.ceil(side / float(resolution)) for side in plan.sides_m)
+    if plan.config.resolution is not None and max(columns, rows) < FEW_PIXELS:
+        unit = plan.frame.units.horizontal
+        warnings.append(
+            f"the terrain has only {columns} x {rows} pixels of {length_text(resolution, unit)}; use a smaller "
+            "--resolution"
+        )
+    if plan.config.sheet_name != SHEET_NAME and plan.config.sheets is None:
+        warnings.append("--sheet-name has no effect without --sheets")
+    return warnings
 
 
 def _stretched(wkt: str | None, x: float, y: float) -> list[str]:

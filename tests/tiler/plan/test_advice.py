@@ -131,3 +131,21 @@ def test_coordinates_of_another_crs_are_told_of_with_their_place(
     assert all("at 4.04° N, 0.74° W" in text and "UTM zone 31N" in text for text in found)
     facts = describe(str(path))
     assert len(facts["warnings"]) == bool(header and told)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"resolution": "500"}, "the terrain has only 1 x 1 pixels of 500 m; use a smaller"),
+        ({"resolution": "10", "sheets": "500", "sheet_name": "{name}_{x}_{y}a"}, None),
+        ({"sheet_name": "{name}_{x}_{y}a"}, "--sheet-name has no effect without --sheets"),
+        ({}, None),
+    ],
+)
+def test_settings_without_use_are_told_of(
+    settings: dict[str, str], text: str | None, make_cloud: MakeCloud
+) -> None:
+    settings = {"method": "classic", "in_process": True, **settings}
+    plan = make_plan([str(make_cloud())], RunConfig.from_mapping(settings))
+    found = warnings_of(changed(plan, extent=wide(300_000)))
+    assert [warning.startswith(text or "") for warning in found] == ([True] if text else [])
