@@ -162,10 +162,14 @@ def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
     return [
         el("h3", f"Checkpoints: DTM minus checkpoint, {found['unit']}"),
         table(("", *FIGURES.values()), rows, range(1, len(FIGURES) + 1)),
-        *([el("p", offset, class_="warning")] if offset else ()),
-        el("p", statement_text(found["asprs"])),
+        *([el("p", _capitalized(offset), class_="warning")] if offset else ()),
+        el("p", _capitalized(statement_text(found["asprs"]))),
         *(el("p", note, class_="quiet") for note in found["notes"]),
     ]
+
+
+def _capitalized(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _seams(found: Mapping[str, Any]) -> Node:
