@@ -88,10 +88,9 @@ def _water(bodies: Sequence[Mapping[str, Any]]) -> str:
 
 
 def ground_points(summary: Summary) -> int:
-    """Return the number of ground points in the classified clouds, after the edits.
+    """Return the number of points that the run classified as ground, after the edits.
 
     If no classified clouds were written, it is the number that the filter found.
     """
-    written: Mapping[str, int] = summary.get("classes", {}).get("written", {})
-    points: int = written.get("2", 0) if written else summary["filter"]["ground"]
+    points: int = summary.get("classes", {}).get("ground", summary["filter"]["ground"])
     return points

@@ -83,8 +83,8 @@ def command(dtm: str, as_json: bool, **options: Any) -> int:
     A difference is the height of the DTM, interpolated bilinearly between pixel centres, minus
     the height of the checkpoint. In the ASPRS standards, Edition 2, accuracy is the RMSE of the
     non-vegetated checkpoints (NVA) including the error of the checkpoints themselves. A
-    statement of accuracy needs at least 30 of these checkpoints. The RMSE of vegetated
-    checkpoints (VVA) is reported, but has no limit.
+    statement of accuracy needs at least 30 of these checkpoints, the type of every checkpoint,
+    and --points-rmse. The RMSE of vegetated checkpoints (VVA) is reported, but has no limit.
 
     DTM is a raster, or the OUT folder of a run. For OUT, the results are also written to
     OUT/check.json and replace those of the last check, and OUT/report.html is updated.
@@ -124,6 +124,8 @@ def _print_report(report: Mapping[str, Any]) -> None:
 
 
 def _print_accuracy(accuracy: Mapping[str, Any]) -> None:
+    from tiler.report.accuracy import statement_text
+
     rows = [
         (name.upper(), *_figures(accuracy[name]))
         for name in ("nva", "vva", "all")
@@ -134,9 +136,9 @@ def _print_accuracy(accuracy: Mapping[str, Any]) -> None:
     outside, none = accuracy["outside"], accuracy["no_height"]
     if outside or none:
         write_line(f"without a DTM height: {outside} outside the DTM, {none} at nodata pixels")
-    asprs = accuracy["asprs"]
-    few = f"{accuracy['nva']['points']} NVA checkpoints, at least {asprs['least_points']} are needed"
-    write_line(asprs["statement"] or f"no accuracy statement by the ASPRS standards: {few}")
+    if accuracy["constant_offset"]:
+        write_line(accuracy["constant_offset"])
+    write_line(statement_text(accuracy["asprs"]))
     for note in accuracy["notes"]:
         write_line(f"note    {note}")
 

@@ -29,6 +29,8 @@ def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -
     options = [
         "--points",
         str(folder / "points.csv"),
+        "--points-rmse",
+        "1cm",
         "--tile-size",
         "10",
         "--require",
@@ -40,7 +42,7 @@ def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert out[2].split() == [
         "NVA",
         "32",
-        "0.050",
+        "0.051",
         "+0.050",
         "+0.050",
         "0.000",
@@ -49,7 +51,7 @@ def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -
         "0",
     ]
     assert out[4].split()[0] == "field"
-    assert "RMSEV = 5.0 cm with 32 checkpoints" in out[5]
+    assert "RMSEV = 5.1 cm with 32 checkpoints" in out[5]
     assert any(line.startswith("  tiles ") for line in out)
     assert any("NOT met" in line for line in out)
 
@@ -78,6 +80,8 @@ def test_check_of_a_result_folder_writes_its_check_and_its_page(
     points = [
         "--points",
         str(folder / "points.csv"),
+        "--points-rmse",
+        "1cm",
         "--tile-size",
         "10",
         "--require",
@@ -94,7 +98,7 @@ def test_check_of_a_result_folder_writes_its_check_and_its_page(
     page = results.read(out / "report.html")
     assert "Finished, but 1 requirement is not met" in page.texts[""]
     assert "measured mean = 0.05 m; the limit is 0.04 m" in page.texts["problems"]
-    assert "RMSEV = 5.0 cm with 32 checkpoints" in page.texts["accuracy"]
+    assert "RMSEV = 5.1 cm with 32 checkpoints" in page.texts["accuracy"]
     assert len(page.data["checkpoints"]) == 32
     # If a DTM is given, the result is only printed.
     (out / "check.json").unlink()
@@ -117,3 +121,38 @@ def test_what_is_refused(
 ) -> None:
     assert main(["check", str(folder / "dtm.tif"), *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_constant_offset_is_shown_instead_of_a_statement(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = results.write(folder / "out", results.run(outputs={}))
+    write_surface(out / "dtm.tif", lambda x, y: tilted(x, y) - 49.25)
+    points = ["--points", str(folder / "points.csv"), "--points-rmse", "1cm"]
+    assert main(["check", str(out), *points, "--tile-size", "10"]) == 0
+    printed = capsys.readouterr().out
+    sentence = (
+        "constant offset of -49.2 m (median; NMAD 0.000): another vertical datum or unit?"
+    )
+    assert sentence in printed
+    lacks = "no accuracy statement by the ASPRS standards: the heights have a constant offset"
+    assert lacks in printed
+    accuracy = json.loads((out / "check.json").read_text())["accuracy"]
+    assert accuracy["constant_offset"].startswith(sentence)
+    assert accuracy["asprs"]["statement"] is None
+    page = results.read(out / "report.html").texts["accuracy"]
+    assert f"C{sentence[1:]}" in page
+    assert f"N{lacks[1:]}" in page
+
+
+def test_swapped_axes_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_surface(folder / "far.tif", tilted, west=500_000, south=5_300_000)
+    (folder / "swapped.csv").write_text("x,y,z\n5300010,500010,101\n5300020,500020,102\n")
+    arguments = ["check", str(folder / "far.tif"), "--points", str(folder / "swapped.csv")]
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert (
+        "none of the checkpoints (2) is inside the DTM, but 2 would be with x and y swapped"
+        in printed.err
+    )

@@ -115,7 +115,7 @@ MADE: dict[str, Any] = {
         ("dtm.tif", "contours.gpkg", "spots.gpkg", "outline.gpkg", "sheets.gpkg"), 1
     )
     | {"classified/a.laz": 1},
-    "classes": {"written": {"1": 5, "2": 1_999_000}},
+    "classes": {"written": {"1": 5, "2": 1_999_900}, "ground": 1_999_000},
     "contours": {"lines": 12, "interval": 5.0},
     "spots": {"highs": 1, "lows": 2},
     "water": [],

@@ -19,7 +19,6 @@ from tests.invariants.runs import (
     do,
     dtm,
     output_digests,
-    settings,
     the_store,
 )
 from tests.scenes.finished import Finished
@@ -28,8 +27,6 @@ from tiler.core.points import unpack_origin
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
 from tiler.grid.roofs import Advice
-from tiler.observe.events import Event, Warned
-from tiler.pipeline import run
 from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
@@ -255,42 +252,6 @@ def test_a_corrupt_file_stops_a_strict_run(demo: DemoScene, tmp_path: Path) -> N
     cut.write_bytes(demo.paths[3].read_bytes()[:-3000])
     with pytest.raises(InputError, match="cut.laz"):
         do([*demo.paths[:3], cut], tmp_path / "out", on_error="stop")
-
-
-def test_a_terrain_without_a_height_is_warned_of(demo: DemoScene, tmp_path: Path) -> None:
-    told: list[str] = []
-
-    def listen(event: Event) -> None:
-        if isinstance(event, Warned):
-            told.append(event.text)
-
-    (tmp_path / "in").mkdir()
-    shutil.copy(demo.truth_paths[0], tmp_path / "in")
-    (tmp_path / "in" / "page.laz").write_text("<html>")
-    result = run(
-        [str(tmp_path / "in")],
-        tmp_path / "out",
-        settings(method="keep", ground_classes="99"),
-        listen,
-    )
-    assert result.exit_code == 5
-    assert any("page.laz: left out: begins with b'<htm'" in text for text in told)
-    assert any(
-        "the terrain model is empty: no three points of class 99" in text for text in told
-    )
-    assert told[-1] in result.summary["notes"]
-
-
-def test_a_cloud_of_nothing_but_noise_says_why_there_is_no_terrain(
-    demo: DemoScene, tmp_path: Path
-) -> None:
-    cloud = laspy.read(demo.truth_paths[0])
-    cloud.points = cloud.points[:500]
-    cloud.classification = np.full(500, 7, dtype=np.uint8)
-    cloud.write(tmp_path / "noise.las")
-    notes = do([tmp_path / "noise.las"], tmp_path / "out").summary["notes"]
-    assert any("none of the 500 points takes part in the filter" in text for text in notes)
-    assert any(text.endswith("--keep-classes none filters the classes too") for text in notes)
 
 
 def assert_classes_of_the_input(out: Path, demo: DemoScene, cells: list[list[int]]) -> None:

@@ -20,10 +20,9 @@ NUMBER = (int, float)
 PATHS: dict[str, Any] = {
     "state": str, "exit_code": int, "version": str, "configuration": dict, "given": list, "notes": list,
     "warnings": list, "counts.read": int, "counts.stored": int, "counts.dropped": dict, "classes.input": dict,
-    "classes.no_part": dict, "classes.kept": dict, "classes.written": dict, "inputs": list, "quarantined": list,
-    "failed_tasks": list, "problems": list, "statistics.survey.survey.kind": str, "filter.points": int,
-    "statistics.survey.survey.looks_like": (str, type(None)),
-    "filter.ground": int,
+    "classes.no_part": dict, "classes.kept": dict, "classes.written": dict, "classes.ground": int, "inputs": list,
+    "quarantined": list, "failed_tasks": list, "problems": list, "statistics.survey.survey.kind": str,
+    "statistics.survey.survey.looks_like": (str, type(None)), "filter.points": int, "filter.ground": int,
     "dtm.width": int, "dtm.height": int, "dtm.resolution_m": NUMBER, "dtm.filled": int, "contours.interval": NUMBER,
     "above_returns.pixels": int, "above_returns.number": int, "above_returns.worst": list,
     "implausible": list,

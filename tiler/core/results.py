@@ -124,6 +124,8 @@ class ClassCounts(Record):
         Setting ``--reclass`` of the classified clouds.
     kept, written : dict of str to int
         Points in classified clouds: filtered points that kept the class of the input, and all points.
+    ground : int
+        Points in classified clouds that the run classified as ground, after the edits.
     """
 
     input: Counts
@@ -131,6 +133,7 @@ class ClassCounts(Record):
     reclass: str | None = None
     kept: Counts | None = None
     written: Counts | None = None
+    ground: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

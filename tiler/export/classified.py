@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.classes import (
+    GROUND,
     LOW_NOISE,
     UNCERTIFIED_BIT,
     UNCLASSIFIED,
@@ -157,6 +158,7 @@ def _write(
         changed=counts.n_changed,
         classes=counts.written,
         kept=counts.kept,
+        ground=counts.n_ground,
         statistics=statistics.to_json(),
         bytes=out.stat().st_size,
         digest=digest,
@@ -219,11 +221,12 @@ def _steps(ranges: Iterable[tuple[int, int]], step: int) -> Iterator[tuple[int, 
 
 
 class _WrittenClasses(NamedTuple):
-    """Numbers of points with a new class, of all points by class, and of points that keep a class of the source."""
+    """Numbers of points with a new class, of all points and of those that keep their class, and of ground points."""
 
     n_changed: int
     written: dict[str, int]
     kept: dict[str, int]
+    n_ground: int
 
 
 def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> _WrittenClasses:
@@ -239,7 +242,10 @@ def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> _Writ
     classes = np.zeros(len(table), np.int64)
     np.add.at(classes, table.ravel(), pairs.ravel())
     n_changed = int(pairs[table != source_classes].sum())
-    return _WrittenClasses(n_changed, _histogram(classes), _histogram(kept))
+    # Points without a label keep class 2 of their source, but the run did not find them.
+    of_ground = [GROUND, GROUND | WATER_BIT]
+    n_ground = int(pairs[of_ground][table[of_ground] == GROUND].sum())
+    return _WrittenClasses(n_changed, _histogram(classes), _histogram(kept), n_ground)
 
 
 def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:

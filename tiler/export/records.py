@@ -129,6 +129,9 @@ class CloudRecord(FileRecord):
     kept : dict of str to int, optional
         Number of filtered points, by class, that keep the class of an object from the source (classes that are not in
         `tiler.core.classes.WITHOUT_OBJECT`). None for clouds of earlier versions, which kept no classes.
+    ground : int, optional
+        Number of points whose label is ground. Points of class 2 that keep the class of the source are not counted.
+        None for clouds of earlier versions.
     statistics : PointStatistics
     fetched : int, optional
         Number of bytes that were read over the network.
@@ -138,6 +141,7 @@ class CloudRecord(FileRecord):
     changed: int
     classes: Counts
     kept: Counts | None = None
+    ground: int | None = None
     statistics: PointStatistics
     fetched: int | None = None
 

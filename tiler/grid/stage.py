@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -18,9 +19,10 @@ from tiler.core.lattice import Bounds
 from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import records_of
+from tiler.core.selection import WITHHELD
 from tiler.core.terrain_results import OutlineResult, SurfaceResult, TerrainResult
 from tiler.core.units_text import length_text
-from tiler.core.words import counted
+from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import BlankBlocks, blank_blocks
@@ -65,6 +67,8 @@ from ground.
 """
 BLANK_BLOCKS = 256
 """Number of blocks of an earlier run that one task removes."""
+MAX_CLASSES = 10
+"""Maximum number of classes that the reason for an empty terrain lists."""
 
 
 def grid(
@@ -87,7 +91,7 @@ def grid(
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
         if name == "dtm":
             report_edited_pixels(job, gridding.made[name])
-            _report_terrain(job, gridding.spec, tasks, gridding.made[name])
+            _report_terrain(job, gridding, tasks, gridding.made[name])
     advise(job, labelled, gridding.spec, gridding.made["dtm"], gridding.water_key)
     if job.plan.config.water != NO_WATER:
         report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
@@ -228,8 +232,9 @@ def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
 
 
 def _report_terrain(
-    job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]
+    job: Job, gridding: GridContext, tasks: list[Task], made: Mapping[str, Any]
 ) -> None:
+    spec = gridding.spec
     if job.plan.thin_ground and job.plan.config.surface_percent is None:
         reason = "the first run on this store decided it (--overwrite decides again)"
         if job.plan.exceeds_max_ground:
@@ -252,23 +257,64 @@ def _report_terrain(
         thinned=any(task.arguments.thin for task in tasks),
     )
     if records and job.results.dtm.filled == 0:
-        text = f"the terrain model is empty: {_why_empty(job)}"
+        text = f"the terrain model is empty: {_why_empty(job, gridding.assembled)}"
         job.record.notes.append(text)
         job.listener(Warned(text))
 
 
-def _why_empty(job: Job) -> str:
-    """Return why the terrain is empty."""
-    config, stored = job.plan.config, job.results.counts.stored
-    if config.method != KEEP and job.results.counts.kept_out == stored:
+def _why_empty(job: Job, assembled: IngestResult) -> str:
+    """Return why the terrain is empty, with a remedy if there is one."""
+    config, counts, stored = job.plan.config, job.results.counts, job.results.counts.stored
+    reasons = {WITHHELD: "the flag withheld", **config.selection.options}
+    for key, reason in reasons.items():
+        if counts.unselected.get(key, 0) >= stored:
+            remedy = "use --withheld keep" if key == WITHHELD else "use another value"
+            return f"{reason} excludes all {stored:,} points; {remedy}"
+    if config.method == KEEP:
+        existing = job.results.classes.input
+        classes_text = ", ".join(map(str, config.ground_classes))
+        if not any(str(code) in existing for code in config.ground_classes):
+            texts = [f"{code} ({counted(n, 'point')})" for code, n in existing.items()]
+            return (
+                f"no point has class {classes_text}; the classes of the clouds are {listed(texts, MAX_CLASSES)}; "
+                "give those of the ground with --ground-classes, or use --method auto"
+            )
+        ground_text = f"points of class {classes_text}"
+    elif counts.kept_out == stored:
         return (
             f"none of the {stored:,} points takes part in the filter: all are withheld, skipped, left out by "
             "--returns or the like, or of a class that is kept (`tiler info` shows the classes); --keep-classes none "
             "filters the classes too"
         )
-    points_text = (
-        f"points of class {', '.join(map(str, config.ground_classes))}"
-        if config.method == KEEP
-        else "ground points"
+    else:
+        ground_text = "ground points"
+    if stored > 2 and _on_one_line(job, assembled):
+        distance = length_text(job.plan.grid.resolution / 2, job.plan.frame.units.horizontal)
+        return f"all {stored:,} points lie on one line (within {distance} of it); a terrain needs points of an area"
+    return f"no three {ground_text} lie within --max-edge {float(config.max_edge):g} m of one another"
+
+
+def _on_one_line(job: Job, assembled: IngestResult) -> bool:
+    """Return whether all points lie within half a pixel of one line.
+
+    Such a line is a diagonal of the bounds. Reading ends at the first bucket with points beside
+    both diagonals, which is the first of all buckets in a usual cloud.
+    """
+    bounds, frame = assembled.bounds, job.plan.frame
+    # The bounds are half-open.
+    width, height = bounds.x1 - 1 - bounds.x0, bounds.y1 - 1 - bounds.y0
+    limit = (
+        float(frame.counts(job.plan.grid.resolution)) / 2 * max(math.hypot(width, height), 1)
     )
-    return f"no three {points_text} lie within --max-edge {float(config.max_edge):g} m of one another"
+    diagonals = {(bounds.y0, height), (bounds.y1 - 1, -height)}
+    for cell in assembled.records:
+        x, y, _ = job.store.read_bucket(cell).xyz.astype(np.float64)
+        x, y = x + (frame.origin[0] - bounds.x0), y + frame.origin[1]
+        diagonals = {
+            (start, rise)
+            for start, rise in diagonals
+            if (np.abs(x * rise - (y - start) * width) <= limit).all()
+        }
+        if not diagonals:
+            return False
+    return True

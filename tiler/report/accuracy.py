@@ -106,6 +106,13 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
     ]
 
 
+def statement_text(asprs: Mapping[str, Any]) -> str:
+    """Return the accuracy statement by the ASPRS standards, or what it lacks."""
+    lacks = "; ".join(asprs["missing"])
+    text: str = asprs["statement"] or f"no accuracy statement by the ASPRS standards: {lacks}"
+    return text
+
+
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
     """Return the checkpoints for the map, each with name, x, y, difference, and whether it is an outlier."""
     accuracy = check.get("accuracy") or {}
@@ -151,17 +158,18 @@ def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
     rows = [
         (name, *(_number(values[key]) for key in FIGURES)) for name, values in groups.items()
     ]
-    asprs = found["asprs"]
-    statement = asprs["statement"] or (
-        f"No accuracy statement by the ASPRS standards: {found['nva']['points']} NVA checkpoints, "
-        f"at least {asprs['least_points']} are needed."
-    )
+    offset = found["constant_offset"]
     return [
         el("h3", f"Checkpoints: DTM minus checkpoint, {found['unit']}"),
         table(("", *FIGURES.values()), rows, range(1, len(FIGURES) + 1)),
-        el("p", statement),
+        *([el("p", _capitalized(offset), class_="warning")] if offset else ()),
+        el("p", _capitalized(statement_text(found["asprs"]))),
         *(el("p", note, class_="quiet") for note in found["notes"]),
     ]
+
+
+def _capitalized(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _seams(found: Mapping[str, Any]) -> Node:

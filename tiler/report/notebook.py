@@ -13,6 +13,7 @@ from rasterio.errors import RasterioError
 
 from tiler.core.words import counted
 from tiler.io.locations import is_url, joined, state_at
+from tiler.report.accuracy import statement_text
 from tiler.report.document import Content, el, facts, table
 from tiler.report.pictures import small_hillshade
 from tiler.report.sections import (
@@ -105,9 +106,10 @@ def check_markup(report: Mapping[str, Any]) -> str:
         f"tiler.check: {report['dtm']}",
         el("p", f"DTM minus checkpoints, {accuracy['unit']}:") if rows else None,
         table(headings, rows, range(1, 7)) if rows else None,
-        el("p", accuracy["asprs"]["statement"])
-        if accuracy and accuracy["asprs"]["statement"]
+        el("p", accuracy["constant_offset"], class_="warning")
+        if accuracy and accuracy["constant_offset"]
         else None,
+        el("p", statement_text(accuracy["asprs"])) if accuracy else None,
         facts(dict(_steps(report))),
         table(("required", "limit", "measured", "met"), required, (1, 2)) if required else None,
         _list("Notes", accuracy.get("notes", ())),

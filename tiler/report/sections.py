@@ -86,10 +86,10 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
     if "counts" in run:
         yield "points read", count_text(run["counts"]["read"])
     if "filter" in run and run["filter"]["points"]:
-        written = run.get("classes", {}).get("written", {})
-        ground, points = written.get("2", 0), sum(written.values())
-        if not points:
-            ground, points = run["filter"]["ground"], run["filter"]["points"]
+        classes = run.get("classes", {})
+        ground, points = run["filter"]["ground"], run["filter"]["points"]
+        if "ground" in classes:
+            ground, points = classes["ground"], max(sum(classes["written"].values()), 1)
         yield "ground points", f"{ground / points:.1%}"
     yield "points per m2", f"{plan['density_per_m2']:.3g}"
     if "dtm" in run:

@@ -122,6 +122,9 @@ def test_all_but_the_classes_is_equal(
     assert record.changed == np.count_nonzero(before != expected)
     assert record.bytes == out.stat().st_size
     assert sum(record.classes.values()) == 1000
+    # Points of class 2 without a label, or with the label 0, are not ground of the run.
+    assert record.ground == sum(value == 2 for value in labels.values())
+    assert record.classes.get("2", 0) == np.count_nonzero(expected == 2)
     assert [p.name for p in out.parent.iterdir()] == [f"a.{to}"]
 
 

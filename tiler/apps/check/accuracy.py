@@ -3,12 +3,15 @@
 It follows the ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023,
 version 2 of 2024). Accuracy is the RMSE, without a factor for 95 % confidence, and includes the
 checkpoints' own error. A statement needs at least 30 checkpoints (more above 1000 km2, 120 at
-most). Vegetated accuracy (VVA) is reported and never judged.
+most), their types and their own error, and no constant offset of the heights. Vegetated accuracy
+(VVA) is reported and never judged.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,7 @@ from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.crs import same_horizontal, split
 from tiler.core.difference_statistics import spread
 from tiler.core.units import unit_label
+from tiler.core.units_text import short_unit
 from tiler.errors import ConfigError
 from tiler.io.json_text import excerpt
 
@@ -37,6 +41,20 @@ OUTLIER_NMADS = 3.0
 
 Outliers are listed and stay in all statistics.
 """
+MIN_OFFSET_M = 1.0
+"""Minimum median of the differences that counts as a constant offset, in metres.
+
+A DTM whose typical checkpoint is off by more is not usable, while geoid heights, other vertical
+datums and feet read as metres differ by metres to hundreds of metres.
+"""
+OFFSET_NMADS = 10.0
+"""Minimum median of the differences that counts as a constant offset, in NMAD.
+
+Errors of a terrain model vary from place to place, so their NMAD is of the order of their median.
+Only a shift of all heights moves the median by many NMAD.
+"""
+MIN_OFFSET_POINTS = 3
+"""Minimum number of checkpoints that show a constant offset. Two blunders may agree by chance."""
 _ROUNDING = 1e-9
 
 Floats = npt.NDArray[np.float64]
@@ -52,7 +70,8 @@ def check_dtm(
     InputError
         The DTM cannot be read.
     ConfigError
-        The CRS of the checkpoints is unknown or cannot be transformed to the CRS of the DTM.
+        The CRS of the checkpoints is unknown or cannot be transformed to the CRS of the DTM, or the DTM has no height
+        at any checkpoint.
     """
     options = options or PointOptions()
     notes = list(points.notes)
@@ -60,6 +79,8 @@ def check_dtm(
         metres = vertical_unit(raster)
         x, y = _in_crs_of(raster, points, options, notes)
         sampled, outside = bilinear(raster, x, y)
+        if np.isnan(sampled).all():
+            raise ConfigError(f"{dtm}: {_why_no_height(raster, points, options, outside)}")
         area_km2 = _area_km2(raster)
     z = points.z * float((options.unit or metres) / metres)
     difference = sampled - z
@@ -70,6 +91,8 @@ def check_dtm(
         )
     kinds, covers = np.array(points.kinds), np.array(points.covers)
     nva, vva = (_figures(difference[kinds == kind], own_error) for kind in (NVA, VVA))
+    every = _figures(difference, own_error)
+    offset = _offset_text(every, metres)
     return {
         "dtm": str(dtm),
         "unit": unit_label(metres),
@@ -79,7 +102,7 @@ def check_dtm(
         "outside": int(outside.sum()),
         "no_height": int((np.isnan(sampled) & ~outside).sum()),
         "points_rmse": own_error,
-        "all": _figures(difference, own_error),
+        "all": every,
         "nva": nva,
         "vva": vva,
         "land_cover": {
@@ -87,10 +110,33 @@ def check_dtm(
             for n in sorted(set(points.covers))
             if n
         },
-        "asprs": _statement(nva, vva, area_km2, float(metres)),
+        "constant_offset": offset,
+        "asprs": _statement(
+            nva, vva, area_km2, float(metres), _missing(points, own_error, offset)
+        ),
         "differences": _checked_points(points, (x, y, z), sampled, difference),
         "notes": notes,
     }
+
+
+def _why_no_height(
+    raster: Any, points: Checkpoints, options: PointOptions, outside: npt.NDArray[np.bool_]
+) -> str:
+    """Return why the DTM has no height at any checkpoint, and a remedy."""
+    none = f"none of the checkpoints ({len(points):,})"
+    if not outside.all():
+        return (
+            f"{none} has a height of the DTM: {outside.sum()} outside, {(~outside).sum()} at nodata pixels; "
+            "give checkpoints where the DTM has heights"
+        )
+    swapped = replace(points, xy=points.xy[::-1])
+    n_inside = int((~bilinear(raster, *_in_crs_of(raster, swapped, options, []))[1]).sum())
+    if n_inside:
+        return (
+            f"{none} is inside the DTM, but {n_inside:,} would be with x and y swapped; "
+            "swap the columns or their names (x is east, y is north)"
+        )
+    return f"{none} is inside the DTM; give their CRS with --points-crs, or check their x and y"
 
 
 def _checked_points(
@@ -267,14 +313,50 @@ def _area_km2(raster: Any) -> float:
     return pixel * int(raster.width) * int(raster.height) / 1e6
 
 
+def _offset_text(figures: AccuracyFigures, metres: Fraction) -> str | None:
+    """Return a sentence about the constant offset of the heights, or None if there is none."""
+    median, nmad = figures["median"], figures["nmad"]
+    if median is None or nmad is None or figures["points"] < MIN_OFFSET_POINTS:
+        return None
+    if abs(median) <= max(MIN_OFFSET_M / float(metres), OFFSET_NMADS * nmad):
+        return None
+    return (
+        f"constant offset of {median:+.1f} {short_unit(metres)} (median; NMAD {nmad:.3f}): another vertical datum or "
+        "unit? Convert the heights of the checkpoints to the datum of the DTM, or give their unit with --points-unit"
+    )
+
+
+def _missing(points: Checkpoints, own_error: float, offset: str | None) -> list[str]:
+    """Return what a statement lacks besides checkpoints, with remedies."""
+    missing = []
+    if offset is not None:
+        missing.append("the heights have a constant offset")
+    if not points.has_types:
+        missing.append("give the type of each checkpoint (NVA or VVA) in a column `type`")
+    # No survey is without error, so 0 means that the error is not known.
+    if not own_error:
+        missing.append("give the checkpoints' own RMSE with --points-rmse")
+    return missing
+
+
 def _statement(
-    nva: AccuracyFigures, vva: AccuracyFigures, area_km2: float, metres: float
+    nva: AccuracyFigures,
+    vva: AccuracyFigures,
+    area_km2: float,
+    metres: float,
+    missing: list[str],
 ) -> Statement:
-    """Return the accuracy statement of the standard from the figures of NVA and VVA checkpoints."""
+    """Return the accuracy statement of the standard from the figures of NVA and VVA checkpoints.
+
+    ``missing`` lists what else the statement lacks.
+    """
     needed = min_points(area_km2)
     enough = nva["points"] >= needed
+    if not enough:
+        few = f"{nva['points']} NVA checkpoints, at least {needed} are needed"
+        missing = [few, *missing]
     text = None
-    if enough and nva["rmse_v"] is not None:
+    if not missing and nva["rmse_v"] is not None:
         text = (
             f"Tested by the {STANDARD} (2024): the actual NVA accuracy was found to be "
             f"RMSEV = {100 * metres * nva['rmse_v']:.1f} cm with {nva['points']} checkpoints"
@@ -286,5 +368,6 @@ def _statement(
         "standard": STANDARD,
         "least_points": needed,
         "enough_points": enough,
+        "missing": missing,
         "statement": text,
     }

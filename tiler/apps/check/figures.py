@@ -134,10 +134,6 @@ def histogram(accuracy: Accuracy) -> str:
     values = np.array(
         [p["difference"] for p in accuracy["differences"] if p["difference"] is not None]
     )
-    if values.size == 0:
-        return _drawing(
-            WIDTH, HEIGHT, title, [_text(WIDTH / 2, HEIGHT / 2, "no checkpoint has a height")]
-        )
     low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
     if low >= high:
         low, high = -0.5, 0.5

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import shapely
 
 from tiler.core.units import FARTHEST
+from tiler.core.words import counted
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 from tiler.io.vector import POINTS, Feature, Kind, read_features
@@ -88,6 +89,8 @@ class Checkpoints:
     crs : str or None
         CRS in the file: WKT or authority code.
     notes : tuple of str
+    has_types : bool
+        Whether the file gives the type of every checkpoint.
     """
 
     xy: Floats
@@ -97,6 +100,7 @@ class Checkpoints:
     names: tuple[str, ...]
     crs: str | None = None
     notes: tuple[str, ...] = ()
+    has_types: bool = True
 
     def __len__(self) -> int:
         return len(self.z)
@@ -133,9 +137,14 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     if not rows:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)
-    if not any(row.kind for row in rows):
+    n_untyped = sum(not row.kind for row in rows)
+    if n_untyped == len(rows):
         notes.append(
             "no column contains NVA or VVA: all checkpoints are assumed to be non-vegetated (NVA)"
+        )
+    elif n_untyped:
+        notes.append(
+            f"{counted(n_untyped, 'checkpoint')} without a type assumed to be non-vegetated (NVA)"
         )
     return Checkpoints(
         np.array([[row.x for row in rows], [row.y for row in rows]], np.float64),
@@ -145,6 +154,7 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
         tuple(row.name or str(number) for number, row in enumerate(rows, start=1)),
         crs,
         tuple(notes),
+        has_types=not n_untyped,
     )
 
 

@@ -24,12 +24,14 @@ class AccuracyFigures(Spread):
 class Statement(TypedDict):
     """Statement of the accuracy by a standard.
 
-    ``least_points`` is the number of NVA checkpoints that the standard requires. With fewer, ``statement`` is None.
+    ``least_points`` is the number of NVA checkpoints that the standard requires. ``missing`` lists what the statement
+    lacks. If it is not empty, ``statement`` is None.
     """
 
     standard: str
     least_points: int
     enough_points: bool
+    missing: list[str]
     statement: str | None
 
 
@@ -55,7 +57,8 @@ class Accuracy(TypedDict):
     """Accuracy of a DTM, with heights in ``unit``.
 
     ``points``, ``used``, ``outside`` (of the raster) and ``no_height`` (a pixel around it has no data) are numbers of
-    checkpoints. ``points_rmse`` is the checkpoints' own error.
+    checkpoints. ``points_rmse`` is the checkpoints' own error. ``constant_offset`` is a sentence about a shift of all
+    heights, or None.
     """
 
     dtm: str
@@ -70,6 +73,7 @@ class Accuracy(TypedDict):
     nva: AccuracyFigures
     vva: AccuracyFigures
     land_cover: dict[str, AccuracyFigures]
+    constant_offset: str | None
     asprs: Statement
     differences: list[CheckedPoint]
     notes: list[str]

@@ -19,8 +19,14 @@ def report_written_classes(job: Job, tasks: Iterable[Task], made: Commits) -> No
     records = [CloudRecord.of(made[task.key][1]) for task in tasks if task.key in made]
     kept = sum_by_class(record.kept or {} for record in records)
     written = sum_by_class(record.classes for record in records)
+    ground_counts = [record.ground for record in records if record.ground is not None]
     job.results.classes = replace(
-        job.results.classes, reclass=job.plan.config.reclass, kept=kept, written=written
+        job.results.classes,
+        reclass=job.plan.config.reclass,
+        kept=kept,
+        written=written,
+        # Clouds of an earlier version have no count, so that of the filter is the best one.
+        ground=sum(ground_counts) if len(ground_counts) == len(records) else None,
     )
     if text := kept_text(kept, job.results.classes.no_part):
         job.note(text)

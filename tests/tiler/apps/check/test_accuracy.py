@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -96,13 +98,98 @@ def test_figures_of_known_offsets(tmp_path: Path) -> None:
 def test_too_few_points_make_no_statement(tmp_path: Path) -> None:
     x, y = scattered(29)
     asprs = check_dtm(
-        write_surface(tmp_path / "d.tif", tilted), checkpoints(x, y, tilted(x, y))
+        write_surface(tmp_path / "d.tif", tilted),
+        checkpoints(x, y, tilted(x, y)),
+        PointOptions(rmse=0.02),
     )["asprs"]
     assert (asprs["enough_points"], asprs["least_points"], asprs["statement"]) == (
         False,
         30,
         None,
     )
+    assert asprs["missing"] == ["29 NVA checkpoints, at least 30 are needed"]
+
+
+@pytest.mark.parametrize(
+    ("has_types", "rmse", "missing"),
+    [
+        (True, 0.02, []),
+        (False, 0.02, ["give the type of each checkpoint (NVA or VVA) in a column `type`"]),
+        (True, 0.0, ["give the checkpoints' own RMSE with --points-rmse"]),
+    ],
+)
+def test_a_statement_needs_types_and_the_error_of_the_checkpoints(
+    has_types: bool, rmse: float, missing: list[str], tmp_path: Path
+) -> None:
+    x, y = scattered(30)
+    points = replace(checkpoints(x, y, tilted(x, y)), has_types=has_types)
+    path = write_surface(tmp_path / "d.tif", tilted)
+    asprs = check_dtm(path, points, PointOptions(rmse=rmse))["asprs"]
+    assert asprs["missing"] == missing
+    assert (asprs["statement"] is None) == bool(missing)
+
+
+@pytest.mark.parametrize(
+    ("offset", "noise", "is_constant"),
+    [
+        (-49.3, 0.02, True),  # ellipsoidal heights
+        (1.1, 0.02, True),
+        (0.9, 0.02, False),  # a bias that an odd DTM can have
+        (5.0, 1.0, False),  # errors of vegetation, which differ from place to place
+    ],
+)
+def test_a_constant_offset_is_reported_and_allows_no_statement(
+    offset: float, noise: float, is_constant: bool, tmp_path: Path
+) -> None:
+    x, y = scattered(40)
+    errors = offset + np.random.default_rng(2).normal(0, noise, 40)
+    points = checkpoints(x, y, tilted(x, y) - errors)
+    found = check_dtm(
+        write_surface(tmp_path / "d.tif", tilted), points, PointOptions(rmse=0.02)
+    )
+    assert (found["asprs"]["statement"] is None) == is_constant
+    if is_constant:
+        assert found["asprs"]["missing"] == ["the heights have a constant offset"]
+        assert str(found["constant_offset"]).startswith(f"constant offset of {offset:+.1f} m (")
+        assert "another vertical datum or unit?" in str(found["constant_offset"])
+    else:
+        assert found["constant_offset"] is None
+
+
+def test_two_checkpoints_do_not_show_a_constant_offset(tmp_path: Path) -> None:
+    x, y = scattered(2)
+    path = write_surface(tmp_path / "d.tif", tilted)
+    assert check_dtm(path, checkpoints(x, y, tilted(x, y) + 9))["constant_offset"] is None
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "message"),
+    [
+        (
+            [5_300_010, 5_300_020],
+            [500_010, 500_020],
+            "(2) is inside the DTM, but 2 would be with x and y swapped; swap the columns",
+        ),
+        (
+            [10, 20],
+            [10, 20],
+            "(2) is inside the DTM; give their CRS with --points-crs",
+        ),
+        (
+            [500_010.5, 0],
+            [5_300_029.5, 0],
+            "(2) has a height of the DTM: 1 outside, 1 at nodata pixels;",
+        ),
+    ],
+)
+def test_checkpoints_without_any_height_are_refused(
+    x: list[float], y: list[float], message: str, tmp_path: Path
+) -> None:
+    path = write_surface(
+        tmp_path / "d.tif", tilted, west=500_000, south=5_300_000, holes=((10, 10),)
+    )
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        check_dtm(path, checkpoints(np.array(x), np.array(y), np.zeros(2)))
 
 
 @pytest.mark.parametrize(
@@ -144,7 +231,8 @@ def test_points_of_another_crs_are_moved(tmp_path: Path) -> None:
     assert facts["all"]["max_abs"] < 1e-3
     assert any("brought from ETRS89 into" in note for note in facts["notes"])
     # The option overrides the file.
-    assert check_dtm(path, points, PointOptions(crs="EPSG:25832"))["outside"] == 10
+    with pytest.raises(ConfigError, match="10. is inside the DTM; give their CRS"):
+        check_dtm(path, points, PointOptions(crs="EPSG:25832"))
 
 
 def test_feet_and_metres(tmp_path: Path) -> None:

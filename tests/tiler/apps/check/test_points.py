@@ -27,7 +27,7 @@ def test_csv_with_a_heading(tmp_path: Path) -> None:
     assert points.z.tolist() == [5.5, 6.5]
     assert (points.kinds, points.covers) == (("NVA", "VVA"), ("asphalt", "tall grass"))
     assert points.names == ("a", "b")
-    assert (points.crs, points.notes) == (None, ())
+    assert (points.crs, points.notes, points.has_types) == (None, (), True)
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
@@ -37,6 +37,14 @@ def test_csv_without_a_heading(tmp_path: Path, delimiter: str) -> None:
     assert points.notes == (
         "no column contains NVA or VVA: all checkpoints are assumed to be non-vegetated (NVA)",
     )
+    assert not points.has_types
+
+
+def test_checkpoints_without_a_type_among_others_are_counted(tmp_path: Path) -> None:
+    points = read_checkpoints(text(tmp_path / "p.csv", "x,y,z,type\n1,2,3,VVA\n4,5,6,\n"))
+    assert points.kinds == ("VVA", "NVA")
+    assert points.notes == ("1 checkpoint without a type assumed to be non-vegetated (NVA)",)
+    assert not points.has_types
 
 
 def feature(coordinates: list[float], **properties: object) -> dict[str, object]:
