@@ -5,6 +5,9 @@ location and of all sources of the package. Without this digest, old code could 
 upgrade: numba checks only the source file of a kernel, not the sources of the kernels that it
 calls.
 
+A file of the cache that cannot be read, for example after a power cut, is ignored. Its kernel is
+compiled again and replaces the file. So the files have checksums.
+
 The folder is in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's cache folder, or in
 a folder of the user among the temporary files. If none of these can be written, each process
 compiles for itself. If one of them has code that only root can have written, such as code in a
@@ -13,23 +16,27 @@ container image, the code is copied to the folder of the user.
 
 import functools
 import hashlib
+import io
 import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ParamSpec, SupportsInt, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core import caching as numba_caching
 from numba.core import config as numba_config
 
-__all__ = ["as_int64", "cache_folder", "compiled_count", "inlined", "kernel"]
+__all__ = ["as_int64", "cache_folder", "compiled_count", "discard_damaged", "inlined", "kernel"]
 
 # The variables of this module are made at run time, so they have no types.
 config: Any = numba_config
+# Its functions have no types.
+caching: Any = numba_caching
 # numba would read a file of settings in the current folder. A file next to the clouds must not
 # change results.
 config._config_fname = os.devnull
@@ -75,6 +82,87 @@ def compiled_count() -> int:
     if folder is None:
         return 0
     return sum(1 for _ in folder.rglob("*.nbc"))
+
+
+def discard_damaged() -> int:
+    """Remove damaged files from the folder of this version, and return their number.
+
+    The marks of `ptd.precompile` are removed as well, since they state that all kernels are
+    compiled.
+    """
+    folder = cache_folder()
+    if folder is None:
+        return 0
+    files = [*folder.rglob("*.nbi"), *folder.rglob("*.nbc")]
+    damaged = [file for file in files if not _is_intact(file)]
+    for file in damaged + (list(folder.glob("*.compiled")) if damaged else []):
+        with suppress(OSError):  # Another process may have removed or replaced it.
+            file.unlink()
+    return len(damaged)
+
+
+_CHECKSUM_BYTES = 16
+
+
+def _checksum(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
+
+
+def _is_intact(path: str | Path) -> bool:
+    """Return whether a file of the cache can be read and ends with the checksum of its content."""
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return False
+    return content[-_CHECKSUM_BYTES:] == _checksum(content[:-_CHECKSUM_BYTES])
+
+
+class _CacheFiles(caching.IndexDataCacheFile):  # type: ignore[misc]
+    """Files of one kernel, each with a checksum at its end, which unpickling ignores.
+
+    numba itself raises any error of unpickling in each process that calls the kernel.
+    """
+
+    def _load_index(self) -> dict[Any, str]:
+        if not _is_intact(self._index_path):
+            return {}
+        try:
+            return cast(dict[Any, str], super()._load_index())
+        except Exception:  # noqa: BLE001 - Intact files of other software may contain anything.
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        if not _is_intact(self._data_path(name)):
+            raise FileNotFoundError(name)  # numba then compiles the kernel.
+        return super()._load_data(name)
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        with super()._open_for_write(filepath) as file:
+            content = io.BytesIO()
+            yield content
+            file.write(content.getvalue() + _checksum(content.getvalue()))
+
+
+class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
+    """Cache of one kernel. A kernel that cannot be read or written is compiled by each process."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = _CacheFiles(
+            self.cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
+        )
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # noqa: BLE001 - As in `_load_index`.
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        # For example, a folder has the name of the file. The compiled kernel works without it.
+        with suppress(OSError):
+            super().save_overload(sig, data)
 
 
 _ROOT = 0
@@ -133,11 +221,16 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
     callable
         The compiled function, with the same signature for the type checker.
     """
+    compiled: Any = numba.njit(nogil=True)(function)
     folder, previous = cache_folder(), config.CACHE_DIR
-    try:
-        config.CACHE_DIR = str(folder or "")
-        compiled = numba.njit(cache=folder is not None, nogil=True)(function)
-    finally:
+    if folder is not None:
+        # RuntimeError means that no folder at all can be written.
+        with suppress(OSError, RuntimeError):
+            config.CACHE_DIR = str(folder)
+            cache = _KernelCache(function)
+            # If this folder cannot be written, numba chooses one next to the source.
+            if Path(cache.cache_path).is_relative_to(folder):
+                compiled._cache = cache
         config.CACHE_DIR = previous  # Other packages keep their own folder.
     return cast(Callable[_Parameters, _Result], compiled)
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import pickle
+import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +94,105 @@ def test_a_link_to_another_place_is_not_copied(
     folder = own_of_a_stranger(shared, tmp_path, monkeypatch)
     assert folder is not None
     assert not (folder / "ptd_1" / "b.nbc").exists()
+
+
+def twice(value: int) -> int:
+    return 2 * value
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of this user, with the machine code of `twice`."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))
+    kernel.cache_folder.cache_clear()
+    assert compilations() == 1
+    folder = kernel.cache_folder()
+    assert folder is not None
+    assert folder.is_relative_to(tmp_path / "own")
+    yield folder
+    monkeypatch.undo()
+    kernel.cache_folder.cache_clear()
+
+
+def compilations() -> int:
+    """How often `twice` is compiled where a new process calls it."""
+    fresh: Any = kernel.kernel(twice)
+    assert fresh(21) == 42
+    return sum(fresh.stats.cache_misses.values())
+
+
+def of_another_version(content: bytes) -> bytes:
+    """An index as another version of numba writes it, followed by what this one cannot unpickle."""
+    return pickle.dumps("0.1.0") + b"unknown" + content[-3:]
+
+
+def with_a_checksum(content: bytes) -> bytes:
+    """A file that was written completely, but whose content this software does not know."""
+    return b"other" + kernel._checksum(b"other")
+
+
+def with_a_flipped_bit(content: bytes) -> bytes:
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"",
+        lambda content: content[: len(content) // 2],
+        lambda content: bytes(len(content)),
+        lambda content: b"garbage" * 99,
+        with_a_flipped_bit,
+        with_a_checksum,
+        of_another_version,
+    ],
+    ids=["empty", "half", "zeros", "garbage", "bit", "unknown", "version"],
+)
+def test_a_damaged_file_is_compiled_again(
+    damage: Callable[[bytes], bytes],
+    suffix: str,
+    own: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert compilations() == 0
+    (file,) = own.rglob(f"*.twice*{suffix}")
+    file.write_bytes(damage(file.read_bytes()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert compilations() == 1
+    assert compilations() == 0
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+def test_a_folder_in_place_of_a_file_leaves_the_kernel_usable(suffix: str, own: Path) -> None:
+    (file,) = own.rglob(f"*.twice*{suffix}")
+    file.unlink()
+    file.mkdir()
+    assert compilations() == 1
+    assert file.is_dir()
+
+
+def test_a_file_in_place_of_the_folder_of_a_module_leaves_the_kernel_usable(own: Path) -> None:
+    """numba's own choice would be a folder next to the source."""
+    (file,) = own.rglob("*.twice*.nbi")
+    shutil.rmtree(file.parent)
+    file.parent.touch()
+    fresh: Any = kernel.kernel(twice)
+    assert fresh(21) == 42
+    assert fresh.stats.cache_path is None
+
+
+def test_damaged_files_and_marks_are_discarded(own: Path) -> None:
+    (own / "auto-dim.compiled").touch()
+    assert kernel.discard_damaged() == 0
+    (own / "notes.txt").touch()
+    (index,), (code,) = own.rglob("*.twice*.nbi"), own.rglob("*.twice*.nbc")
+    code.write_bytes(b"")
+    assert kernel.discard_damaged() == 1
+    assert sorted(p for p in own.rglob("*") if p.is_file()) == [own / "notes.txt", index]
 
 
 def reaches_python(user: int) -> bool:

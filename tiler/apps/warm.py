@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ptd.kernel import cache_folder, compiled_count
+from ptd.kernel import cache_folder, compiled_count, discard_damaged
 from ptd.methods import METHODS
 from ptd.precompile import is_compiled
 from tiler.errors import ConfigError, ProcessingError
@@ -48,6 +48,7 @@ def warm(methods: Sequence[str]) -> WarmResult:
         raise ConfigError(
             "no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one"
         )
+    discard_damaged()
     n_before = compiled_count()
     needed_kernels = []
     for method in methods:
