@@ -47,7 +47,7 @@ __all__ = [
 
 # The variables of this module are made at run time, so they have no types.
 config: Any = numba_config
-# Its functions have no types.
+# The functions of this module have no types.
 caching: Any = numba_caching
 # numba would read a file of settings in the current folder. A file next to the clouds must not
 # change results.
@@ -70,7 +70,7 @@ def cache_folder() -> Path | None:
     folders = [parent / "tiler-kernels" / digest.hexdigest() for parent in _parents()]
     shared = [folder for folder in folders if _trusted(folder)]
     for folder in folders:
-        if shared and not folder.exists() and _refusal(folder) is None:
+        if shared and not os.path.exists(folder) and _refusal(folder) is None:
             _copy_cache(shared[0], folder)
         if _usable(folder):
             return folder
@@ -80,7 +80,7 @@ def cache_folder() -> Path | None:
 def cache_refusal() -> str | None:
     """Return why a preferred folder of machine code is not used, with a remedy, or None.
 
-    Folders that this user cannot write are no reason.
+    Folders that this user cannot write are skipped without a reason.
     """
     used = cache_folder()
     for parent in _parents():
@@ -203,13 +203,13 @@ _MAX_LINKS = 40
 
 def _trusted(path: Path) -> bool:
     """Return whether only root can change a path: root owns it and its parents, and only root can write them."""
-    return path.exists() and _open_part(path, {_ROOT}) is None
+    return os.path.exists(path) and _open_part(path, {_ROOT}) is None
 
 
 def _open_part(path: Path, owners: set[int]) -> Path | None:
     """Return the first part of a path that others than the ``owners`` can change, or None.
 
-    A part is a folder, a link or the path itself. Parts that do not exist yet are no risk, since
+    A part is a folder, a link or the path itself. Parts that do not exist yet are safe, since
     this process makes them. Others cannot rename entries of a folder with the sticky bit, such as ``/tmp``, unless the
     entries are theirs.
     """
@@ -230,7 +230,7 @@ def _open_part(path: Path, owners: set[int]) -> Path | None:
                 is_sticky = status.st_mode & stat.S_ISVTX and waiting
                 if status.st_mode & _WRITABLE and not is_sticky:
                     return here
-        except OSError:  # It does not exist, or cannot be used anyway.
+        except OSError:  # The part does not exist, or cannot be used anyway.
             return None
         if not waiting or n_links > _MAX_LINKS:
             return None
@@ -269,9 +269,7 @@ def _refusal(folder: Path) -> str | None:
         entry = _open_entry(folder, owners)
         if entry is None:
             return None
-        return (
-            f"{entry}: other users can change it, {kept}; delete {folder}, which is made again"
-        )
+        return f"{entry}: other users can change it, {kept}; delete {folder}, and the next run makes it again"
     own = "set NUMBA_CACHE_DIR to a folder that only you can change"
     owner = part.lstat().st_uid
     if owner not in owners:
@@ -305,7 +303,7 @@ def _untrusted(folder: str, names: list[str]) -> list[str]:
 
 def _make_folder(folder: Path, mode: int = 0o755) -> None:
     """Make a folder and its parents, which other users cannot write for any umask."""
-    if not folder.parent.exists():
+    if not os.path.exists(folder.parent):
         _make_folder(folder.parent)
     folder.mkdir(mode=mode, exist_ok=True)
 

@@ -11,6 +11,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numba
@@ -101,9 +102,20 @@ def twice(value: int) -> int:
     return 2 * value
 
 
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hide the caches of this machine: those of root would be copied."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    temporary = SimpleNamespace(
+        gettempdir=lambda: str(tmp_path / "temporary"),
+        TemporaryDirectory=tempfile.TemporaryDirectory,
+    )
+    monkeypatch.setattr(kernel, "tempfile", temporary)
+
+
 @pytest.fixture
 def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder of this user, with the machine code of `twice`."""
+    alone(tmp_path, monkeypatch)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))
     kernel.cache_folder.cache_clear()
     assert compilations() == 1
@@ -199,14 +211,14 @@ def test_damaged_files_and_marks_are_discarded(own: Path) -> None:
 @pytest.fixture
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder for NUMBA_CACHE_DIR, next to the folder of the user's cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    alone(tmp_path, monkeypatch)
     yield tmp_path
     monkeypatch.undo()
     kernel.cache_folder.cache_clear()
 
 
 def chosen(parent: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str | None]:
-    """Name of the folder in `places` that has the cache, and what the user is told."""
+    """Name of the folder in `places` that has the cache, and the note for the user."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(parent))
     kernel.cache_folder.cache_clear()
     folder = kernel.cache_folder()
@@ -305,11 +317,8 @@ def test_files_and_folders_of_another_user_are_refused(
     assert "delete" in told if "entry" in place else "set NUMBA_CACHE_DIR" in told
 
 
-def test_code_of_another_user_does_not_run(
-    own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A checksum is no protection, since the other user can compute it as well."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+def test_code_of_another_user_does_not_run(own: Path, tmp_path: Path) -> None:
+    """A checksum does not protect, since the other user can compute it as well."""
     (index,) = own.rglob("*.twice*.nbi")
     harm = b"cos\nsystem\n(S'touch " + os.fsencode(tmp_path / "harm") + b"'\ntR."
     content = pickle.dumps(numba.__version__) + harm
@@ -324,10 +333,19 @@ def test_code_of_another_user_does_not_run(
     assert (tmp_path / "harm").exists(), "the test would not notice the harm"
 
 
+def test_a_path_that_the_system_refuses_is_skipped(
+    places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The home folder of another user may be unreadable as well."""
+    name, _ = chosen(places / ("n" * 300) / "a", monkeypatch)
+    assert name == "home"
+    assert not kernel._trusted(places / ("n" * 300))
+
+
 def test_without_owners_of_files_each_folder_is_used(
     places: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As on Windows."""
+    """Windows has no owners."""
     (places / "shared").mkdir()
     (places / "shared").chmod(0o777)
     monkeypatch.delattr(os, "getuid")
@@ -339,7 +357,6 @@ def test_a_user_without_a_home_keeps_kernels_among_the_temporary_files(
 ) -> None:
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
-    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(places / "temporary"))
     monkeypatch.chdir(places)
     (places / "file").touch()
     assert chosen(places / "file", monkeypatch) == (f"cache-{os.getuid()}", None)
