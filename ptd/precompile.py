@@ -120,7 +120,7 @@ def why_not_compiled(name: str) -> str:
     """Return a text that explains why the kernels with the mark ``name`` are not compiled yet."""
     folder = cache_folder()
     if folder is None:
-        return "no folder for machine code can be written, so each process compiles for itself"
+        return "no folder for machine code is safe and can be written, so each process compiles for itself"
     if any(folder.glob("*.compiled")):
         return f"those of {name} have not been compiled here yet; each method and kind of cloud has its own"
     if any(other != folder for other in folder.parent.iterdir()):

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ptd.kernel import cache_refusal
 from tiler.config import RunConfig
 from tiler.core.results import LeftOut
 from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, exit_code_of
@@ -212,6 +213,8 @@ def _tell(job: Job, until: str) -> None:
     ]
     for text in (*left_out, *plan.warnings):
         listener(Warned(text))
+    if refusal := cache_refusal():
+        job.note(refusal)
     if not (limits_memory() or plan.config.in_process):
         job.note(
             "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"

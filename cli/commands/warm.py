@@ -20,12 +20,16 @@ def command(methods: tuple[str, ...], as_json: bool) -> None:
     Compiles the kernels of each METHOD (of `auto` if you give none) and of the rasters, on all
     cores. Without this command, the first run on a machine compiles the kernels that it needs
     while it reads the points. The machine code is stored in NUMBA_CACHE_DIR if that is set,
-    else in the user's cache folder.
+    else in the user's cache folder. A folder that other users can change is not used.
     """
     from tiler.apps.warm import warm
 
     warmed = warm(methods or ("auto",))
+    if warmed.refused:
+        write_line(f"tiler: warning: {warmed.refused}", error=True)
     if as_json:
-        print_json(asdict(warmed))
+        facts = asdict(warmed)
+        del facts["refused"]
+        print_json(facts)
         return
     write_line(f"compiled  {warmed.compiled} kernels, {warmed.kernels} are in {warmed.folder}")

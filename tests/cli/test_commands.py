@@ -446,3 +446,14 @@ def test_warm_prints_its_result_as_json(
         "kernels": 7,
         "compiled": 2,
     }
+
+
+def test_warm_warns_of_a_refused_folder(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = WarmResult("cache", 7, 2, "/open: other users can write to it")
+    monkeypatch.setattr("tiler.apps.warm.warm", lambda methods: result)
+    assert main(["warm", "classic"]) == 0
+    told = capsys.readouterr()
+    assert told.err == "tiler: warning: /open: other users can write to it\n"
+    assert told.out.startswith("compiled  2 kernels")

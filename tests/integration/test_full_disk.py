@@ -239,13 +239,12 @@ def test_an_out_that_rasters_cannot_be_written_to_is_refused(
     assert not out.exists()
 
 
-def test_an_event_log_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
+def test_an_event_log_on_a_full_disk_is_one_line() -> None:
     if not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full here")
-    (tmp_path / "events.jsonl").symlink_to("/dev/full")
     with (
         pytest.raises(DiskFullError, match="No space left on device"),
-        EventLog(tmp_path / "events.jsonl") as log,
+        EventLog(Path("/dev/full")) as log,
     ):
         log(Note("a"))
 

@@ -98,6 +98,17 @@ def test_what_was_left_out_is_warned_of_and_in_the_exit_code(tmp_path: Path) -> 
     assert any(text.startswith(f"{broken}: left out: ") for text in content["warnings"])
 
 
+def test_a_refused_folder_of_kernels_is_noted_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = "/open: other users can write to it; set NUMBA_CACHE_DIR to another folder"
+    monkeypatch.setattr("tiler.pipeline.cache_refusal", lambda: line)
+    cloud, out = clouds.write(tmp_path / "a.laz", clouds.city(40)), tmp_path / "out"
+    do(cloud, out, until="ingest")
+    assert read(out)["notes"].count(line) == 1
+    assert (out / "events.jsonl").read_text().count(line) == 1
+
+
 @pytest.mark.parametrize(
     ("error", "state", "code"),
     [

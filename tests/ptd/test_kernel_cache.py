@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import os
+import pickle
+import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numba
 import pytest
 
 from ptd import kernel
@@ -91,6 +96,271 @@ def test_a_link_to_another_place_is_not_copied(
     folder = own_of_a_stranger(shared, tmp_path, monkeypatch)
     assert folder is not None
     assert not (folder / "ptd_1" / "b.nbc").exists()
+
+
+def twice(value: int) -> int:
+    return 2 * value
+
+
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hide the caches of this machine: those of root would be copied."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    temporary = SimpleNamespace(
+        gettempdir=lambda: str(tmp_path / "temporary"),
+        TemporaryDirectory=tempfile.TemporaryDirectory,
+    )
+    monkeypatch.setattr(kernel, "tempfile", temporary)
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of this user, with the machine code of `twice`."""
+    alone(tmp_path, monkeypatch)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))
+    kernel.cache_folder.cache_clear()
+    assert compilations() == 1
+    folder = kernel.cache_folder()
+    assert folder is not None
+    assert folder.is_relative_to(tmp_path / "own")
+    yield folder
+    monkeypatch.undo()
+    kernel.cache_folder.cache_clear()
+
+
+def compilations() -> int:
+    """How often `twice` is compiled where a new process calls it."""
+    fresh: Any = kernel.kernel(twice)
+    assert fresh(21) == 42
+    return sum(fresh.stats.cache_misses.values())
+
+
+def of_another_version(content: bytes) -> bytes:
+    """An index as another version of numba writes it, followed by what this one cannot unpickle."""
+    return pickle.dumps("0.1.0") + b"unknown" + content[-3:]
+
+
+def with_a_checksum(content: bytes) -> bytes:
+    """A file that was written completely, but whose content this software does not know."""
+    return b"other" + kernel._checksum(b"other")
+
+
+def with_a_flipped_bit(content: bytes) -> bytes:
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"",
+        lambda content: content[: len(content) // 2],
+        lambda content: bytes(len(content)),
+        lambda content: b"garbage" * 99,
+        with_a_flipped_bit,
+        with_a_checksum,
+        of_another_version,
+    ],
+    ids=["empty", "half", "zeros", "garbage", "bit", "unknown", "version"],
+)
+def test_a_damaged_file_is_compiled_again(
+    damage: Callable[[bytes], bytes],
+    suffix: str,
+    own: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert compilations() == 0
+    (file,) = own.rglob(f"*.twice*{suffix}")
+    file.write_bytes(damage(file.read_bytes()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert compilations() == 1
+    assert compilations() == 0
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+def test_a_folder_in_place_of_a_file_leaves_the_kernel_usable(suffix: str, own: Path) -> None:
+    (file,) = own.rglob(f"*.twice*{suffix}")
+    file.unlink()
+    file.mkdir()
+    assert compilations() == 1
+    assert file.is_dir()
+
+
+def test_a_file_in_place_of_the_folder_of_a_module_leaves_the_kernel_usable(own: Path) -> None:
+    """numba's own choice would be a folder next to the source."""
+    (file,) = own.rglob("*.twice*.nbi")
+    shutil.rmtree(file.parent)
+    file.parent.touch()
+    fresh: Any = kernel.kernel(twice)
+    assert fresh(21) == 42
+    assert fresh.stats.cache_path is None
+
+
+def test_damaged_files_and_marks_are_discarded(own: Path) -> None:
+    (own / "auto-dim.compiled").touch()
+    assert kernel.discard_damaged() == 0
+    (own / "notes.txt").touch()
+    (index,), (code,) = own.rglob("*.twice*.nbi"), own.rglob("*.twice*.nbc")
+    code.write_bytes(b"")
+    assert kernel.discard_damaged() == 1
+    assert sorted(p for p in own.rglob("*") if p.is_file()) == [own / "notes.txt", index]
+
+
+@pytest.fixture
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder for NUMBA_CACHE_DIR, next to the folder of the user's cache."""
+    alone(tmp_path, monkeypatch)
+    yield tmp_path
+    monkeypatch.undo()
+    kernel.cache_folder.cache_clear()
+
+
+def chosen(parent: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str | None]:
+    """Name of the folder in `places` that has the cache, and the note for the user."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(parent))
+    kernel.cache_folder.cache_clear()
+    folder = kernel.cache_folder()
+    assert folder is not None
+    return folder.parent.parent.name, kernel.cache_refusal()
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o757])
+@pytest.mark.parametrize("below", ["", "team/mine"])
+def test_a_folder_in_an_open_folder_is_refused(
+    mode: int, below: str, places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared = places / "shared"
+    shared.mkdir()
+    shared.chmod(mode)
+    name, told = chosen(shared / below, monkeypatch)
+    assert name == "home"
+    assert list(shared.iterdir()) == []
+    assert told is not None
+    assert told.startswith(f"{shared}: other users can write to it")
+    assert "\n" not in told
+    command = told.partition("run `")[2].partition("`")[0]
+    subprocess.run(command.split(), check=True)
+    assert chosen(shared / below, monkeypatch) == (below[5:] or "shared", None)
+
+
+@pytest.mark.parametrize("umask", [0, 0o002, 0o022, 0o077])
+def test_a_new_folder_is_closed_for_any_umask(
+    umask: int, places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = os.umask(umask)
+    try:
+        for _ in range(2):
+            assert chosen(places / "a" / "b", monkeypatch) == ("b", None)
+            assert compilations() in (0, 1)
+    finally:
+        os.umask(before)
+    assert compilations() == 0
+
+
+def test_the_sticky_bit_protects_own_folders(
+    places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scratch = places / "scratch"
+    scratch.mkdir()
+    scratch.chmod(0o1777)
+    assert chosen(scratch / "mine", monkeypatch) == ("mine", None)
+    (scratch / "mine" / "tiler-kernels").chmod(0o1777)
+    # Entries of a folder with the sticky bit may be those of any user.
+    (cache,) = (scratch / "mine" / "tiler-kernels").iterdir()
+    assert chosen(scratch / "mine", monkeypatch)[0] == "mine"
+    cache.chmod(0o1777)
+    assert chosen(scratch / "mine", monkeypatch)[0] == "home"
+
+
+@pytest.mark.parametrize("link", ["shared/way", "way"])
+def test_links_are_followed_to_what_they_lead_to(
+    link: str, places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, mode in (("shared", 0o777), ("closed", 0o755)):
+        (places / name).mkdir()
+        (places / name).chmod(mode)
+    end = "../closed" if link.startswith("shared") else "shared"
+    (places / link).symlink_to(end)
+    name, told = chosen(places / link, monkeypatch)
+    assert name == "home"
+    assert told is not None
+    assert told.startswith(f"{places / 'shared'}: ")
+    (places / "round").symlink_to("round")
+    assert chosen(places / "round", monkeypatch)[0] == "home"
+    (places / "good").symlink_to("closed/../closed")
+    assert chosen(places / "good", monkeypatch) == ("good", None)
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can give files away"
+)
+@pytest.mark.parametrize("place", ["", "mine", "mine/tiler-kernels", "cache", "cache/entry"])
+def test_files_and_folders_of_another_user_are_refused(
+    place: str, places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parent = places / "foreign" / "mine"
+    assert chosen(parent, monkeypatch)[0] == "mine"
+    (cache,) = (parent / "tiler-kernels").iterdir()
+    (cache / "entry").touch()
+    path = (
+        cache.joinpath(*place.split("/")[1:])
+        if "cache" in place
+        else places / "foreign" / place
+    )
+    os.chown(path, 65534, -1)
+    name, told = chosen(parent, monkeypatch)
+    assert name == "home"
+    assert told is not None
+    assert told.startswith(f"{path}: ")
+    assert "delete" in told if "entry" in place else "set NUMBA_CACHE_DIR" in told
+
+
+def test_code_of_another_user_does_not_run(own: Path, tmp_path: Path) -> None:
+    """A checksum does not protect, since the other user can compute it as well."""
+    (index,) = own.rglob("*.twice*.nbi")
+    harm = b"cos\nsystem\n(S'touch " + os.fsencode(tmp_path / "harm") + b"'\ntR."
+    content = pickle.dumps(numba.__version__) + harm
+    index.write_bytes(content + kernel._checksum(content))
+    own.chmod(0o777)
+    kernel.cache_folder.cache_clear()
+    assert compilations() == 1
+    assert not (tmp_path / "harm").exists()
+    own.chmod(0o700)
+    kernel.cache_folder.cache_clear()
+    assert compilations() == 1
+    assert (tmp_path / "harm").exists(), "the test would not notice the harm"
+
+
+def test_a_path_that_the_system_refuses_is_skipped(
+    places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The home folder of another user may be unreadable as well."""
+    name, _ = chosen(places / ("n" * 300) / "a", monkeypatch)
+    assert name == "home"
+    assert not kernel._trusted(places / ("n" * 300))
+
+
+def test_without_owners_of_files_each_folder_is_used(
+    places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows has no owners."""
+    (places / "shared").mkdir()
+    (places / "shared").chmod(0o777)
+    monkeypatch.delattr(os, "getuid")
+    assert chosen(places / "shared", monkeypatch) == ("shared", None)
+
+
+def test_a_user_without_a_home_keeps_kernels_among_the_temporary_files(
+    places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    monkeypatch.chdir(places)
+    (places / "file").touch()
+    assert chosen(places / "file", monkeypatch) == (f"cache-{os.getuid()}", None)
+    assert not (places / "~").exists()
 
 
 def reaches_python(user: int) -> bool:

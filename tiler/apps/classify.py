@@ -24,7 +24,7 @@ from tiler.filter import LABELS
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
 from tiler.io.locations import as_path, is_url, location, state_at
-from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.overwrite_check import Target, check_links, check_targets
 from tiler.io.result_folder import COPC_SUFFIX, STORE
 from tiler.observe.events import Listener, Note, ignore_events
 from tiler.pipeline import run
@@ -160,6 +160,7 @@ def classify_files(
         store = open_store(str(Path(scratch) / STORE))
         targets = {path: folder / name for path, name in result.plan.inputs.cloud_names.items()}
         check_targets([Target("", target) for target in targets.values()], targets)
+        check_links("", folder, map(str, result.plan.inputs.cloud_names.values()))
         works = list(_works(store, result.plan, targets))
         for work in works:
             Path(work.out).parent.mkdir(parents=True, exist_ok=True)

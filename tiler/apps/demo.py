@@ -12,7 +12,9 @@ from typing import Any
 from tiler.apps.evaluate import Scene, evaluate_dtm, evaluate_scenes
 from tiler.apps.evaluate.results import DtmScores, SceneReport
 from tiler.config import RunConfig
+from tiler.core.links import link_error
 from tiler.errors import ConfigError, write_error
+from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import CLASSIFIED, EVALUATION
 from tiler.observe.events import Listener, Note
 from tiler.pipeline import run
@@ -88,6 +90,9 @@ def _validate_own_files(out: Path, config: RunConfig) -> None:
     """Mark the folder as that of a demo. Raise ConfigError if foreign files would be replaced."""
     mark = out / "input" / MARK
     demo_paths = [*demo_files(out / "input"), out / EVALUATION]
+    check_links("-o", out, [str(Path(path).relative_to(out)) for path in demo_paths])
+    if mark.is_symlink():
+        raise link_error(mark, "-o")
     there = [path for path in demo_paths if os.path.lexists(path)]
     if there and not mark.is_file() and not config.force:
         raise ConfigError(

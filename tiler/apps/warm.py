@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ptd.kernel import cache_folder, compiled_count
+from ptd.kernel import cache_folder, cache_refusal, compiled_count, discard_damaged
 from ptd.methods import METHODS
 from ptd.precompile import is_compiled
 from tiler.errors import ConfigError, ProcessingError
@@ -23,11 +23,15 @@ from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
 
 @dataclass(frozen=True)
 class WarmResult:
-    """Folder of the machine code, number of kernels in it, and number of kernels compiled by this call."""
+    """Folder of the machine code, number of kernels in it, and number of kernels compiled by this call.
+
+    ``refused`` is the reason why a preferred folder is not used, if there is one.
+    """
 
     folder: str
     kernels: int
     compiled: int
+    refused: str | None = None
 
 
 def warm(methods: Sequence[str]) -> WarmResult:
@@ -36,7 +40,7 @@ def warm(methods: Sequence[str]) -> WarmResult:
     Raises
     ------
     ConfigError
-        A method is unknown, or no folder can be written.
+        A method is unknown, or no folder is safe and can be written.
     ProcessingError
         The compiler crashes.
     """
@@ -46,8 +50,10 @@ def warm(methods: Sequence[str]) -> WarmResult:
     folder = cache_folder()
     if folder is None:
         raise ConfigError(
-            "no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one"
+            cache_refusal()
+            or "no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one"
         )
+    discard_damaged()
     n_before = compiled_count()
     needed_kernels = []
     for method in methods:
@@ -63,7 +69,7 @@ def warm(methods: Sequence[str]) -> WarmResult:
             f"compiling kernels: the process {died}; free some memory and try again"
         ) from died
     count = compiled_count()
-    return WarmResult(str(folder), count, count - n_before)
+    return WarmResult(str(folder), count, count - n_before, cache_refusal())
 
 
 def _compile(guard: ChildProcess, kernels: Kernels) -> None:

@@ -36,7 +36,7 @@ from tiler.export.cloud_frame import (
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.records import CloudRecord
 from tiler.export.work import WriteClassified
-from tiler.io.atomic_files import partial_path, replace_file, sync_folder
+from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
 from tiler.io.las.columns import class_and_flags, write_classes
 from tiler.io.las.copc_writer import CopcWriter
@@ -121,10 +121,11 @@ def _write(
     crs = new_crs(header, work, store.meta.frame.crs_wkt)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
+        clear_partial(partial)
         block_bytes = BLOCK_BYTES
         if work.ranges:  # Only a part of the file is read.
             block_bytes = _FEW_BYTES
-        with open_location(header.path, block_bytes) as source, open(partial, "w+b") as target:
+        with open_location(header.path, block_bytes) as source, open(partial, "x+b") as target:
             if work.copc:
                 notes = write_copc_front(header, source, target, crs)
                 with CopcWriter(target, form, str(out.parent)) as copc:

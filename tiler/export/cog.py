@@ -30,7 +30,7 @@ from tiler.errors import ProcessingError
 from tiler.export.output_files import new_file
 from tiler.export.records import RasterFileRecord
 from tiler.export.work import ProductFile, WriteCog
-from tiler.io.atomic_files import partial_path, replace_file, sync_folder
+from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
 from tiler.io.geotiff import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
 from tiler.store import TileStore, open_store
 
@@ -111,6 +111,9 @@ def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
     """Write a raster to a file on this machine."""
     plain = partial_path(target, "plain")
     partial = partial_path(target, "cog")
+    with raster_errors(target):
+        clear_partial(plain)
+        clear_partial(partial)
     try:
         statistics = _write_plain(store, work, plain)
         _copy_as_cog(plain, partial, work.compress, _product(work))

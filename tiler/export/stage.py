@@ -45,6 +45,7 @@ from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.points import Source
 from tiler.io.locations import is_url, joined, sizes_at
+from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -93,6 +94,8 @@ def export(
     tasks = _file_tasks(job, gridding, sources, spooled, labelled, corrections)
     basis, paths = _basis(gridding), _paths(gridding, tasks, out)
     earlier = dict(job.results.digests)
+    # The plan checked this as well, but the run may have taken hours since.
+    check_links("-o", out, paths.values())
     archive_outdated(job, paths, basis)
     # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
     _make_folders([*tasks.cogs, *tasks.drawn], out)

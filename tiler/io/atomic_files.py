@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tiler.core.digests import digest_of_bytes
+from tiler.core.links import without_links
 from tiler.errors import first_line
 
 _ONE_MORE_BYTES = 1 << 22
@@ -23,6 +24,9 @@ moment."""
 
 SCRATCH_PREFIX = ".tiler-"
 """Prefix of the names of temporary files and folders outside of a store."""
+
+_DERIVED_SUFFIXES = (".ovr", ".ovr.tmp", ".msk", ".msk.ovr.tmp", ".aux.xml", "-journal", "-wal")
+"""Suffixes, after the name of a temporary file, of the files that GDAL and SQLite write next to it."""
 
 
 def name_bytes(path: str | Path) -> int:
@@ -47,10 +51,25 @@ def partial_path(target: Path, kind: str = "") -> Path:
     return target.with_name(name)
 
 
+def clear_partial(partial: Path) -> None:
+    """Remove what is at a temporary path before a file is written there. Raise OSError if this fails.
+
+    It is a file of a killed run, or a link that another user made, since the name is known. A
+    write through such a link would change the file to which it leads. GDAL and SQLite would also
+    write through links with the names of their further files.
+    """
+    partial.unlink(missing_ok=True)
+    for suffix in _DERIVED_SUFFIXES:
+        derived = partial.with_name(f"{partial.name}{suffix}")
+        if os.path.lexists(derived):
+            derived.unlink(missing_ok=True)
+
+
 @contextmanager
 def atomic_path(target: Path) -> Iterator[Path]:
     """Yield a temporary path for a file that replaces ``target`` if the block succeeds."""
     partial = partial_path(target)
+    clear_partial(partial)
     try:
         yield partial
         replace_file(partial, target)
@@ -87,7 +106,7 @@ def cause_of(partial: Path, error: BaseException) -> Exception:
     """
     try:
         if is_scratch(partial.name) and partial.exists():
-            with open(partial, "ab") as stream:
+            with open(partial, "ab", opener=without_links) as stream:
                 stream.write(bytes(_ONE_MORE_BYTES))
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -100,7 +119,7 @@ def cause_of(partial: Path, error: BaseException) -> Exception:
 
 def write_atomic(target: Path, content: bytes) -> None:
     """Write a file that gets its name once it is complete and on the disk. Raise OSError if this fails."""
-    with atomic_path(target) as partial, open(partial, "wb") as stream:
+    with atomic_path(target) as partial, open(partial, "xb") as stream:
         stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from tiler.core.links import link_error
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import is_url, plain_scheme
@@ -94,6 +95,28 @@ def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) 
         if other_path == folder_path or other_path.startswith(folder_path.rstrip("/") + "/"):
             relation = "is the same as" if other_path == folder_path else "contains"
             raise ConfigError(f"{option} {folder}: {relation} {other}; give another folder")
+
+
+def check_links(option: str, out: str | Path, names: Iterable[str]) -> None:
+    """Raise ConfigError if a folder in OUT to which a command will write is a link.
+
+    OUT itself may be a link, as the user gives it. Links in OUT may be those of other users who can write there.
+
+    Parameters
+    ----------
+    option : str
+        Option with which the user gives the folder, or empty for an argument.
+    out : str or Path
+        Path or URL of the folder.
+    names : iterable of str
+        Files that the command will write, as paths in OUT.
+    """
+    if is_url(real_place(out)):
+        return
+    folders = {folder for name in names for folder in Path(name).parents}
+    for folder in sorted(folders - {Path()}):
+        if Path(out, folder).is_symlink():
+            raise link_error(Path(out, folder), option)
 
 
 def real_place(place: str | Path) -> str:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
+from tiler.core.links import link_error, without_links
 from tiler.errors import write_error
 from tiler.observe.events import Event
 
@@ -26,16 +27,20 @@ class EventLog:
 
     Raises
     ------
+    ConfigError
+        The path is a link, through which nothing is written.
     ProcessingError
         The file cannot be written, now or during a later call.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        if path.is_symlink():
+            raise link_error(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             # Without a buffer, closing the file does not repeat a failed write.
-            self._stream = open(path, "a+b", buffering=0)  # noqa: SIM115 - `close` closes the file.
+            self._stream = open(path, "a+b", buffering=0, opener=without_links)  # noqa: SIM115 - `close` closes the file.
             if self._stream.tell() > 0:
                 self._stream.seek(-1, 2)
                 if self._stream.read(1) != b"\n":

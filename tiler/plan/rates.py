@@ -61,10 +61,9 @@ def remember(plan: Plan, stages: Mapping[str, StageResult]) -> None:
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(
-            json.dumps({"version": __version__, "seconds_per_million": known}, indent=1),
-            "utf-8",
-        )
+        partial.unlink(missing_ok=True)
+        with open(partial, "x", encoding="utf-8") as file:
+            json.dump({"version": __version__, "seconds_per_million": known}, file, indent=1)
         replace_file(partial, path)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.links import link_error
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import name_prefix
 from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
@@ -19,7 +20,13 @@ from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.journals import validate_closed
 from tiler.io.locations import joined
-from tiler.io.overwrite_check import Target, check_folder, check_targets, same_file
+from tiler.io.overwrite_check import (
+    Target,
+    check_folder,
+    check_links,
+    check_targets,
+    same_file,
+)
 from tiler.io.result_folder import (
     BRIDGES,
     CLASSIFIED,
@@ -119,6 +126,7 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
         locations += [joined(folder, name) for name in (RUN, EVENTS, REPORT)]
     reads: list[str | Path] = [*paths, *other_inputs(plan.config)]
     check_targets([Target("", location) for location in locations], reads)
+    _validate_links(plan, products, file_names)
     validate_closed(products, {*file_names, *earlier})
     if plan.config.force:
         return
@@ -132,6 +140,18 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
             f"-o {products}: {listed(foreign_paths, MAX_LISTED)}: already exists and was not written by a "
             "run in this folder; use another -o, or --force to replace them"
         )
+
+
+def _validate_links(plan: Plan, products: str, file_names: Sequence[str]) -> None:
+    """Raise ConfigError if a run would write through a link in OUT."""
+    events = local_folder(products) / EVENTS
+    if events.is_symlink():
+        raise link_error(events, "-o")
+    # The names of sheets and of archived files are not known yet.
+    folders = [OUTDATED]
+    if plan.config.sheets is not None:
+        folders += [*plan.config.exported, SHEET_ITEMS]
+    check_links("-o", products, [*file_names, *(f"{folder}/x" for folder in folders)])
 
 
 def _targets(plan: Plan) -> list[str]:

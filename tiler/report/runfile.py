@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from tiler.core.links import without_links
 from tiler.core.stage_names import stage_title
 from tiler.errors import write_error
 from tiler.io.atomic_files import write_atomic
@@ -32,7 +33,7 @@ def record_end(out: Path, state: str, exit_code: int) -> None:
         b'"state": "running"': f'"state": "{state}"',
         b'"exit_code": null': f'"exit_code": {exit_code}',
     }
-    with suppress(OSError), open(out / RUN, "r+b") as file:
+    with suppress(OSError), open(out / RUN, "r+b", opener=without_links) as file:
         text = file.read()
         for before, after in changes.items():
             at = text.rfind(before)

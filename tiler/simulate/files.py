@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tiler.errors import ConfigError, ProcessingError
-from tiler.io.atomic_files import partial_path, replace_file
+from tiler.io.atomic_files import clear_partial, partial_path, replace_file
 from tiler.observe.events import Listener, StageFinished, StageStarted, TaskDone, ignore_events
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm
@@ -172,6 +172,8 @@ def write_scene(
     site = spec.make_site()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        clear_partial(part)
+        clear_partial(dtm_part)
         counts = _write_cloud(
             part, path.suffix.lower() == ".laz", site, spec.make_sensor(), listener
         )

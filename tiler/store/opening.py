@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from tiler.core.links import link_error
 from tiler.errors import ConfigError, ForeignStoreError, StoreError
 from tiler.store import layout, lock
 from tiler.store.meta import StoreMeta
@@ -71,11 +72,18 @@ def held_store(url: str) -> Iterator[lock.Lease]:
     ------
     ForeignStoreError
         The URL contains something other than a store. Nothing is written.
+    ConfigError
+        A folder of the store is a link. The store itself may be one.
     LockedError
         Another run holds the lock.
     """
     storage = Storage(url)
     _is_a_store(storage)
+    root = storage.root
+    folders = [] if root is None else [root / name for name in layout.FOLDERS]
+    for folder in folders:
+        if folder.is_symlink():
+            raise link_error(folder)
     with lock.locked(storage) as lease:
         yield lease
 

@@ -25,6 +25,7 @@ from tiler.export.records import FileRecord
 from tiler.ingest.tasks.fingerprints import file_digests
 from tiler.io.journals import validate_closed
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
+from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import OUTDATED, below, mosaic_file
 from tiler.runs.job import Job
 
@@ -151,7 +152,7 @@ def _inside(out: str, path: str) -> bool:
 def archive(job: Job, paths: Sequence[str]) -> str:
     """Move files of OUT and their sidecars into one folder in which none of their names exists.
 
-    Return the path of the folder in OUT. Raise ConfigError if one of them is an open GeoPackage.
+    Return the path of the folder in OUT. Raise ConfigError if one of them is an open GeoPackage, or a folder is a link.
     """
     out, folder, number = job.products, OUTDATED, 1
     validate_closed(out, paths)
@@ -159,6 +160,7 @@ def archive(job: Job, paths: Sequence[str]) -> str:
     while _taken(out, [joined(out, folder, path) for path in paths]):
         number += 1
         folder = f"{OUTDATED}/{number}"
+    check_links("-o", out, [*paths, *(f"{folder}/{path}" for path in paths)])
     for path in paths:
         _move(out, path, joined(out, folder, path))
     return folder
