@@ -42,7 +42,7 @@ def raster_crs(wkt: str | None) -> str | None:
     horizontal, vertical = split(CRS.from_wkt(wkt))
     if horizontal is None or vertical is None or vertical.is_vertical:
         return wkt
-    code = horizontal.to_epsg()
+    code = horizontal.to_epsg(min_confidence=100)
     return (horizontal if code is None else CRS.from_epsg(code)).to_wkt()
 
 

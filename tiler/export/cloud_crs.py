@@ -6,6 +6,7 @@ import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
@@ -86,9 +87,15 @@ def crs_to_write(info: SourceInfo, run_wkt: str | None, given: str | None) -> st
     """
     if not info.has_crs:
         return run_wkt
-    if given is None or vertical_name(run_wkt) is None:
+    if given is None or not _gives_heights(given) or vertical_name(run_wkt) is None:
         return None
     return run_wkt if vertical_name(info.georeference.wkt) is None else None
+
+
+@lru_cache(maxsize=4)
+def _gives_heights(crs: str) -> bool:
+    """Return whether a text of ``--crs`` names a CRS with heights."""
+    return crs.strip().lower() != "none" and split(CRS.from_user_input(crs))[1] is not None
 
 
 def without_crs(records: Sequence[Vlr]) -> list[Vlr]:

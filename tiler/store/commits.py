@@ -76,7 +76,8 @@ class CommitStore(StorePart):
 
         Stages that write files outside the store have commits for each place of these files. ``owner`` identifies one.
         """
-        before = self._storage.get_json(layout.state_key(OWNER))
+        # A digest, since passwords and tokens in a URL are neither stored nor part of a digest.
+        before, owner = self._storage.get_json(layout.state_key(OWNER)), digest_of(owner)
         if before == owner:
             return
         for stage in stages if before is not None else ():
@@ -99,4 +100,4 @@ class CommitStore(StorePart):
 
 
 def _kept_key(stage: str, owner: str) -> str:
-    return layout.state_key(f"{stage}-{digest_of(owner)}")
+    return layout.state_key(f"{stage}-{owner}")

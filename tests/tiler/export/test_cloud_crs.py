@@ -11,7 +11,8 @@ import pytest
 from pyproj import CRS
 
 from tests.tiler.export.test_classified import export
-from tiler.export.cloud_crs import geotiff_keys
+from tiler.export.cloud_crs import crs_to_write, geotiff_keys
+from tiler.inputs import inspect
 from tiler.inputs.georeference import georeference
 from tiler.io.las.headers import read_header
 
@@ -89,6 +90,18 @@ def test_records_that_cannot_be_read_are_replaced(
     memory_store.meta.frame = type(memory_store.meta.frame)(crs_wkt=wkt)
     export(path, tmp_path / "a.copc.laz", (), wkt=wkt, copc=True)
     assert laspy.read(tmp_path / "a.copc.laz").header.parse_crs().to_epsg() == 25832
+
+
+@pytest.mark.parametrize(
+    ("given", "is_written"),
+    [(None, False), ("none", False), ("EPSG:25832", False), ("EPSG:25832+5783", True)],
+)
+def test_only_a_given_crs_with_heights_adds_them(
+    given: str | None, is_written: bool, make_cloud: Any
+) -> None:
+    """The run may have heights from another file."""
+    info, run = inspect(make_cloud("a.laz", crs="EPSG:25832")), CRS("EPSG:25832+5783").to_wkt()
+    assert crs_to_write(info, run, given) == (run if is_written else None)
 
 
 def test_keys_name_what_epsg_has_numbers_for() -> None:

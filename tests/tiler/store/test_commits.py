@@ -65,6 +65,13 @@ def test_each_owner_has_commits_of_its_own(store: TileStore) -> None:
     assert len(store.committed("grid")) == 1
 
 
+def test_another_token_in_a_url_is_no_other_owner(store: TileStore) -> None:
+    first = store.committed("filter")
+    for token in ("a", "a", "b"):
+        store.keep_apart(["filter"], f"https://user:{token}@host/out?X-Amz-Signature={token}")
+        assert store.committed("filter") == first
+
+
 def test_state_comes_back(store: TileStore) -> None:
     assert store.get_state("plan") is None
     store.put_state("plan", {"tiles": [1, 2], "ä": None})
