@@ -25,7 +25,7 @@ PATHS: dict[str, Any] = {
     "statistics.survey.survey.looks_like": (str, type(None)), "filter.points": int, "filter.ground": int,
     "dtm.width": int, "dtm.height": int, "dtm.resolution_m": NUMBER, "dtm.filled": int, "contours.interval": NUMBER,
     "above_returns.pixels": int, "above_returns.number": int, "above_returns.worst": list,
-    "implausible": list,
+    "implausible": list, "without_returns": list,
     "sigma.kind": str, "sigma.open.pixels": int, "sigma.open.rmse_m": NUMBER,
     "outputs": dict, "stages.<name>.seconds": NUMBER, "stages.<name>.peak_rss_bytes": int, "seconds": NUMBER,
     "peak_rss_bytes": int,

@@ -24,7 +24,7 @@ CONTOURS, SPOTS = "contours", "spots"
 VECTOR_PRODUCTS = (CONTOURS, SPOTS)
 """Vector products: GeoPackages of lines and of points."""
 
-# A coarse cell of the survey (`tiler.grid.coverage`) has one of the next four values.
+# A coarse cell of the survey (`tiler.grid.coverage`) has one of the next five values.
 BEYOND = 0
 """Cell outside the survey."""
 BORDER = 1
@@ -34,6 +34,9 @@ SURVEYED = 2
 VOID = 3
 """Cell inside the survey, in a gap without points that is wider than the gaps that are
 bridged."""
+BARE = 4
+"""Cell inside the survey, in a gap without points that is bridged, but wider than four times the spacing of the points
+around it."""
 
 HEIGHT = "height"
 """Value of `Product.unit` for bands in the vertical unit of the CRS."""

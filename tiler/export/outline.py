@@ -14,7 +14,7 @@ from affine import Affine
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.map_lines import rings_of
-from tiler.core.products import SURVEYED, VOID
+from tiler.core.products import BARE, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.export.output_files import new_file
 from tiler.export.records import OutlineFileRecord
@@ -85,7 +85,7 @@ def _polygons(
     are left out, even if facets span it.
     """
     cells = coarse_values(store, work.survey, work.coarse, work.spec, block)
-    covered = cells == SURVEYED
+    covered = (cells == SURVEYED) | (cells == BARE)
     if not covered.all():
         heights = store.read_block(work.terrain, block) != np.float32(NODATA)
         covered |= heights & (cells != VOID)

@@ -5,6 +5,9 @@ the survey: 20 m, or more where points are sparse (`gaps_of`). They are closed b
 diameter. Enclosed areas of any width belong to the survey too. All other cells are outside.
 Each block is closed separately, with a margin. Its open areas are joined with those of its
 neighbours to find the enclosed areas (`tiler.grid.tasks.survey`).
+
+Gaps that are closed, but wider than four times the spacing of the points around them, are places without returns
+(`bare_cells`).
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.classes import WATER
-from tiler.core.products import BEYOND, BORDER, SURVEYED, VOID
+from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, block_runs, padded
@@ -37,6 +40,14 @@ MIN_GAP = 6
 ENOUGH_CELLS = 4
 """Points are not sparse if occupied squares of half a gap's width have at least this many
 occupied cells on average."""
+MIN_BARE = 2.0
+"""Least distance in cells from a cell in the middle of a place without returns to a cell with points. In a gap of
+three cells it is 2."""
+BARE_SPACINGS = 4
+"""Least width of a place without returns, in spacings of the points, by the rule of many specifications for laser
+scans (USGS Lidar Base Specification: data voids)."""
+BARE_GAP = -2.0
+"""Value of a raster of open areas for a closed cell in a place without returns."""
 NO_PIECE = -1.0
 """Value of a raster of open areas for a block that was not written: it is open everywhere."""
 
@@ -51,11 +62,14 @@ class CloseBlock(BlockWork):
         Name of the raster of occupied cells.
     gap, max_gap : float
         Widest gap in cells where points are dense, and where they are sparse.
+    marks_bare : bool
+        Whether closed cells in places without returns are marked as `BARE_GAP`.
     """
 
     occupancy: str
     gap: float
     max_gap: float
+    marks_bare: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,12 +140,21 @@ def close_block(store_url: str, work: CloseBlock) -> OpenAreasRecord:
     """
     store, block = open_store(store_url), work.block
     pad = max(WINDOW, 2 * int(np.ceil(work.max_gap / 2)) + 2)
-    occupied = read_cells(store, work.occupancy, work.spec, padded(block, pad)) != 0
-    gaps = gaps_of(occupied[pad - WINDOW : pad + block.height + WINDOW, pad - WINDOW : pad + block.width + WINDOW],
-                   work.gap, work.max_gap)  # fmt: skip
+    counts = np.abs(read_cells(store, work.occupancy, work.spec, padded(block, pad)))
+    occupied = counts != 0
+    # The windows of the block, and one more on each side.
+    surroundings = (
+        slice(pad - WINDOW, pad + block.height + WINDOW),
+        slice(pad - WINDOW, pad + block.width + WINDOW),
+    )
+    gaps = gaps_of(occupied[surroundings], work.gap, work.max_gap)
     closed = closed_cells(occupied, gaps, pad)
     labels, sides = label_block(~closed, corners=False)
     values = labels.astype(np.float32)
+    if work.marks_bare:
+        values[bare_cells(occupied, spacings_of(counts[surroundings], gaps), pad) & closed] = (
+            BARE_GAP
+        )
     store.write_block(work.name, block, values)
     inner = occupied[pad : pad + block.height, pad : pad + block.width]
     held = inner.reshape(len(gaps), WINDOW, -1, WINDOW).any(axis=(1, 3))
@@ -192,6 +215,56 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
     return min(gap, most)
 
 
+def spacings_of(
+    counts: npt.NDArray[np.float32], gaps: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return the mean spacing of the points in each window and the eight around it, in cells; infinite without points.
+
+    The area of the points is that of occupied squares of half a gap's width, as in `gap_of`.
+
+    Parameters
+    ----------
+    counts : float32, shape (height, width)
+        Number of points in the cells of whole windows. The outermost windows are only neighbours.
+    gaps : float64, shape (height / 128 - 2, width / 128 - 2)
+        See `gaps_of`.
+    """
+    spacings = np.full(gaps.shape, np.inf)
+    for row, col in np.ndindex(gaps.shape):
+        near = counts[row * WINDOW : (row + 3) * WINDOW, col * WINDOW : (col + 3) * WINDOW]
+        side = int(gaps[row, col] / 2)
+        squares = near
+        for axis, length in enumerate(near.shape):
+            squares = np.add.reduceat(squares, np.arange(0, length, side), axis=axis)
+        if n_points := float(squares.sum()):
+            spacings[row, col] = np.sqrt(np.count_nonzero(squares) * side**2 / n_points)
+    return spacings
+
+
+def bare_cells(occupied: Bools, spacings: npt.NDArray[np.float64], pad: int) -> Bools:
+    """Return a mask of the cells of a block in gaps without points that are wider than `BARE_SPACINGS` spacings.
+
+    Parameters
+    ----------
+    occupied : bool, shape (height + 2 pad, width + 2 pad)
+    spacings : float64, shape (height / 128, width / 128)
+        See `spacings_of`.
+    pad : int
+        Margin around the block in cells.
+    """
+    # The middle of a gap of n cells is (n + 1) / 2 cells from cells with points.
+    depths = np.clip(BARE_SPACINGS / 2 * spacings + 0.5, MIN_BARE, pad / 2)
+    depth = np.pad(np.kron(depths, np.ones((WINDOW, WINDOW))), pad, mode="edge")
+    if not occupied.any():
+        return np.zeros(spacings.shape, np.bool_).repeat(WINDOW, 0).repeat(WINDOW, 1)
+    middle = scipy.ndimage.distance_transform_edt(~occupied) >= depth
+    inner = np.s_[pad:-pad, pad:-pad]
+    if not middle.any():
+        return middle[inner]
+    bare: Bools = ~occupied & (scipy.ndimage.distance_transform_edt(~middle) < depth)
+    return bare[inner]
+
+
 def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bools:
     """Return a mask of the cells of a block that have points or lie in a gap that belongs to the survey.
 
@@ -232,7 +305,8 @@ def survey_block(store_url: str, work: SurveyBlock) -> SurveyRecord:
     enclosed = (opened > 0) & ~cells_of(store, work.opened, spec, window, work.outside)
     for first_cell in work.empty:
         enclosed[part_of(window, *first_cell)] = True
-    values = survey_values(opened == 0, enclosed)[1:-1, 1:-1].astype(np.float32)
+    bare = opened == BARE_GAP
+    values = survey_values((opened == 0) | bare, enclosed, bare)[1:-1, 1:-1].astype(np.float32)
     store.write_block(work.name, block, values)
     inside = values >= SURVEYED
     return SurveyRecord(
@@ -244,16 +318,18 @@ def survey_block(store_url: str, work: SurveyBlock) -> SurveyRecord:
     )
 
 
-def survey_values(closed: Bools, enclosed: Bools) -> npt.NDArray[np.uint8]:
+def survey_values(closed: Bools, enclosed: Bools, bare: Bools) -> npt.NDArray[np.uint8]:
     """Return the values of the cells of a survey, see `tiler.core.products.BEYOND`.
 
     Parameters
     ----------
-    closed, enclosed : bool, shape (height, width)
-        Cells with points or in narrow gaps, and cells that are enclosed by them.
+    closed, enclosed, bare : bool, shape (height, width)
+        Cells with points or in narrow gaps, cells that are enclosed by them, and closed cells far from returns.
     """
     whole = closed | enclosed
     inner = scipy.ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))
-    values = np.select([inner & ~closed, inner, whole], [VOID, SURVEYED, BORDER], BEYOND)
+    values = np.select(
+        [inner & ~closed, inner & bare, inner, whole], [VOID, BARE, SURVEYED, BORDER], BEYOND
+    )
     survey: npt.NDArray[np.uint8] = values.astype(np.uint8)
     return survey

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tiler.core.digests import NOT_IN_DIGEST
-from tiler.core.products import BEYOND, SURVEYED
+from tiler.core.products import BEYOND, SURVEYED, VOID
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.block import edit_heights
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import padded
-from tiler.grid.holes import holes_of_block
+from tiler.grid.holes import hole_cells, holes_of_block
 from tiler.grid.records import OutlineRecord
 from tiler.grid.work import BlockWork
 from tiler.store import coarse_values, open_store
@@ -86,6 +86,10 @@ def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
     if work.cut:
         heights[beyond] = nodata
     store.write_block(work.name, block, heights)
+    bare = (cells[1:-1, 1:-1] >= VOID) & (heights != nodata)
+    bare &= spec.inside(block, store.area(work.area))
+    if waters is not None:
+        bare &= ~wet
     lost = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
     holes = holes_of_block(
         store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area)
@@ -100,4 +104,5 @@ def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
         voided=holes.n_voided,
         holes=holes.cells,
         edit_holes=holes.by_edit,
+        bare=hole_cells(bare, block, cells < SURVEYED),
     )

@@ -91,6 +91,8 @@ class OutlineRecord(BlockRecord):
         Cells with other pixels without a height, see `tiler.grid.holes.hole_cells`.
     edit_holes : list of [number, pixels]
         Number (name) of each edit in the block, and count of its pixels without a height.
+    bare : list of [pixels, row, col, last_row, last_col, pixels at the border]
+        Cells with pixels in places without returns that have a height and are not in water.
     """
 
     cut: int
@@ -99,6 +101,7 @@ class OutlineRecord(BlockRecord):
     voided: int
     holes: list[list[int]]
     edit_holes: list[list[int]]
+    bare: list[list[int]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -98,7 +98,7 @@ def grid(
     job.results.dtm = replace(job.results.dtm, filled=_delivered_heights(gridding, "dtm"))
     _report_outline(job, gridding)
     if "dtm-outlined" in gridding.made:
-        report_voids(job, gridding.spec, gridding.made["dtm-outlined"])
+        report_voids(job, gridding, gridding.made["dtm-outlined"])
     report_above(job, gridding.spec, gridding.made[ABOVE])
     report_implausible(job, gridding.spec, gridding.made[ABOVE])
     if "dsm" in gridding.made:

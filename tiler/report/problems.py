@@ -199,6 +199,15 @@ def _all_voids(run: Run) -> Iterator[Problem]:
         yield Problem(what, place_of(void["bounds"]), why, remedy, void["area_m2"])
 
 
+def _without_returns(run: Run) -> Iterator[Problem]:
+    for place in run.get("without_returns", ()):
+        why = f"{_area(run, place['area_m2'])} without returns: the terrain there is interpolated from its rim"
+        remedy = "ask for the missing strip, or use --edits with action void to leave it without heights"
+        yield Problem(
+            "place without returns", place_of(place["bounds"]), why, remedy, place["area_m2"]
+        )
+
+
 def _edits(run: Run) -> Iterator[Problem]:
     """Yield edits that leave holes although the user did not ask for them, and edits that changed nothing."""
     for edit in run.get("edits") or ():
@@ -261,6 +270,7 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _warnings,
     _objects,
     _voids,
+    _without_returns,
     _edits,
     _water,
     _canopy,

@@ -23,6 +23,7 @@ from tiler.core.terrain_results import (
     SpotCounts,
     SurfaceResult,
     TerrainResult,
+    VoidResult,
     VoidsResult,
     WaterResult,
 )
@@ -94,6 +95,7 @@ class Results:
     mask: dict[str, int]
     sigma: SigmaResult
     voids: VoidsResult
+    without_returns: list[VoidResult]
     above_returns: AboveResult
     implausible: list[Implausible]
     contours: ContourResult

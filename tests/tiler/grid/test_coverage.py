@@ -14,7 +14,15 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import BEYOND, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.grid.coarse import coarse_raster
-from tiler.grid.coverage import WINDOW, closed_cells, gap_of, gaps_of, survey_values
+from tiler.grid.coverage import (
+    WINDOW,
+    bare_cells,
+    closed_cells,
+    gap_of,
+    gaps_of,
+    spacings_of,
+    survey_values,
+)
 from tiler.store import coarse_cells
 
 SIDE = 160
@@ -30,7 +38,7 @@ def survey_of(occupied: np.ndarray, gap: float) -> np.ndarray:
     gaps = np.full((size // WINDOW, size // WINDOW), float(gap))
     closed = np.pad(closed_cells(square, gaps, pad), 1)
     enclosed = ndimage.binary_fill_holes(closed) & ~closed
-    return survey_values(closed, enclosed)[1 : 1 + height, 1 : 1 + width]
+    return survey_values(closed, enclosed, np.zeros_like(closed))[1 : 1 + height, 1 : 1 + width]
 
 
 def turned(angle_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -114,6 +122,33 @@ def test_each_window_has_the_gap_of_its_points() -> None:
         gaps_of(np.where(np.arange(shape[1]) < 5 * WINDOW, dense, False), 10.0, 50.0)[0, :3]
         == 10
     ).all()
+
+
+def bare_of(counts: np.ndarray, gap: float = 10) -> np.ndarray:
+    """Places without returns of some cells with numbers of points, one block of one window without neighbours."""
+    around = np.pad(counts, WINDOW).astype(np.float32)
+    spacings = spacings_of(around, np.full((1, 1), gap))
+    return bare_cells(around != 0, spacings, WINDOW)
+
+
+@pytest.mark.parametrize("per_cell", [0.25, 1, 4, 40])
+def test_a_gap_is_bare_if_it_is_wider_than_four_spacings(per_cell: float) -> None:
+    """Also in gaps of random points, nothing is bare."""
+    rng = np.random.default_rng(5)
+    counts = rng.poisson(per_cell, (WINDOW, WINDOW))
+    assert not bare_of(counts)[4:-4, 4:-4].any()
+    limit = max(3, 4 / np.sqrt(per_cell))
+    for width in (*range(1, 8), 12):
+        strip = (COL[:WINDOW, :WINDOW] >= 60) & (COL[:WINDOW, :WINDOW] < 60 + width)
+        strip &= (ROW[:WINDOW, :WINDOW] > 30) & (ROW[:WINDOW, :WINDOW] < 70)
+        found = bare_of(np.where(strip, 0, counts))[4:-4, 4:-4]
+        strip = strip[4:-4, 4:-4]
+        if width >= limit + 1:
+            assert found[strip].mean() > 0.8
+        # Random points near the strip may be missing, too.
+        if width <= limit / 2:
+            assert not found.any()
+        assert not (found & ~ndimage.binary_dilation(strip, iterations=3)).any()
 
 
 def test_a_strip_fills_a_third_of_its_box() -> None:

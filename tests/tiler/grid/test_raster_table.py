@@ -47,7 +47,7 @@ def test_nothing_is_made_that_no_product_needs() -> None:
         "water-cells",
     ]
     assert names(["slope"], water="auto") == ["dtm", *survey, *search, "dtm-outlined", "slope"]
-    assert names(["ndsm"]) == ["dtm", "dsm", "ndsm"]
+    assert names(["ndsm"]) == ["dtm", *survey, "dsm", "ndsm"]
     assert names(["mask"]) == ["dtm", *survey, "canopy", "mask"]
     filled = ["dtm", *survey, "dtm-voids", "dtm-filled"]
     assert names(["slope"], "fill") == [*filled, "slope"]

@@ -15,6 +15,7 @@ from tests.tiler.grid.test_above import above_work
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
+from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid import DistanceBlock, SurfaceBlock, above_block
@@ -33,6 +34,8 @@ def surface_work(scene: Scene, spec: RasterSpec, block: Block, **options: Any) -
         "block": block,
         "data": scene.data,
         "rule": FINAL,
+        "survey": "survey",
+        "coarse": RasterSpec.covering(Lattice(PIXEL), scene.data),
     }
     usual = {"max_edge": Fraction(50_000), "halo": 0, "reach": 1, "spike": Fraction(5000)}
     return SurfaceBlock(**{**where, **usual, **options})
@@ -44,7 +47,11 @@ def dsm(
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
     heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
     for b in spec.blocks(block):
-        part, _, record = surface_heights(scene.store, surface_work(scene, spec, b, **options))
+        work, bare = (
+            surface_work(scene, spec, b, **options),
+            np.zeros((b.height, b.width), bool),
+        )
+        part, _, record = surface_heights(scene.store, work, bare)
         heights[b.row : b.row + b.height, b.col : b.col + b.width] = part
         records.append(record)
     return heights, records
@@ -120,6 +127,8 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     scene = make_scene(xyz, labels)
     spec = scene.grid_into_store("dtm", PIXEL)
     scene.store.create_raster("dsm", spec.height, spec.width)
+    coarse = RasterSpec.covering(Lattice(PIXEL), scene.data)
+    scene.store.create_raster("survey", coarse.height, coarse.width, fill=SURVEYED)
     (block,) = spec.blocks(512)
     surface_block(scene.store.url, surface_work(scene, spec, block))
     above = above_block(scene.store.url, above_work(spec, block))

@@ -127,7 +127,9 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
             edits=OF_PIXELS,
             follows_lines=True,
         ),
-        RasterStep("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _nodata("dsm")),
+        RasterStep(
+            "dsm", (dtm, "survey"), surface_block, Grid.PIXELS, surface_tasks, _nodata("dsm")
+        ),
         RasterStep(
             "ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _nodata("ndsm")
         ),

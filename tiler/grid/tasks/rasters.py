@@ -85,16 +85,34 @@ def distance_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 def surface_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the surface could reach, with the terrain as lower limit."""
     plan, counts = context.plan, context.plan.frame.counts
-    choice = _highest(raster, context)
-    make = _on_tin(SurfaceBlock, context, **choice)
+    terrain, survey = raster.inputs
+    choice = _highest(terrain, context)
     margin = full_halo(counts(plan.config.max_edge))
     margin += math.ceil((choice["reach"] + 1) * counts(plan.grid.resolution))
-    return _block_tasks(raster, context, make, margin)
+    make = _on_tin(
+        SurfaceBlock,
+        context,
+        survey=survey,
+        coarse=context.coarse,
+        waters=context.water_key,
+        **choice,
+    )
+    for block, near in _near(context, context.spec, margin).items():
+        work = make(name=raster.name, spec=context.spec, block=block, rule=context.rule)
+        yield context.block_task(
+            raster,
+            work,
+            context.label_digests(near),
+            context.checksums(terrain, [block.name]),
+            context.coarse_checksums(survey, block),
+            context.waters.digest(context.spec.block_bounds(block)),
+            points=context.n_points(near),
+        )
 
 
 def above_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with points. A task also reads points and pixels just outside the block."""
-    spec, choice = context.spec, _highest(raster, context)
+    spec, choice = context.spec, _highest(raster.inputs[0], context)
     margin = math.ceil(choice["reach"] * spec.lattice.size)
     for block, near in _near(context, spec, margin).items():
         work = AboveBlock(
@@ -115,9 +133,8 @@ def above_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
         )
 
 
-def _highest(raster: RasterStep, context: GridContext) -> dict[str, Any]:
+def _highest(terrain: str, context: GridContext) -> dict[str, Any]:
     """Return the arguments of `tiler.grid.highest.ReturnsBlock` that are the same for all blocks."""
-    (terrain,) = raster.inputs
     return {
         "spike": context.plan.config.spike / context.plan.frame.metres_z,
         "reach": reach_pixels(context.plan.grid.resolution),

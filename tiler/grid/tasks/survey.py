@@ -52,7 +52,7 @@ SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 
 def survey_gaps(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block that gaps of the survey can extend into."""
-    return _close_tasks(raster, context, float(GAP_M / context.coarse_m))
+    return _close_tasks(raster, context, float(GAP_M / context.coarse_m), marks_bare=True)
 
 
 def domain_gaps(raster: RasterStep, context: GridContext) -> Iterator[Task]:
@@ -62,7 +62,9 @@ def domain_gaps(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     return _close_tasks(raster, context, float(context.plan.config.max_edge / context.coarse_m))
 
 
-def _close_tasks(raster: RasterStep, context: GridContext, gap: float) -> Iterator[Task]:
+def _close_tasks(
+    raster: RasterStep, context: GridContext, gap: float, marks_bare: bool = False
+) -> Iterator[Task]:
     """Yield the tasks that close gaps up to ``gap`` cells, or up to ``--max-edge`` where points are sparse."""
     coarse = context.coarse
     (occupancy,) = raster.inputs
@@ -76,7 +78,7 @@ def _close_tasks(raster: RasterStep, context: GridContext, gap: float) -> Iterat
     for place in near_places(coarse, occupied, reach_blocks):
         work = CloseBlock(
             name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), occupancy=occupancy,
-            gap=min(gap, max_gap), max_gap=max_gap,
+            gap=min(gap, max_gap), max_gap=max_gap, marks_bare=marks_bare,
         )  # fmt: skip
         inputs = context.checksums(
             occupancy, block_names(near_places(coarse, [place], reach_blocks))

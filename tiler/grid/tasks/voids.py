@@ -17,19 +17,22 @@ from tiler.core.records import records_of
 from tiler.core.terrain_results import VoidResult, VoidsResult
 from tiler.grid import CELL_PIXELS
 from tiler.grid.records import OutlineRecord
+from tiler.grid.tasks.gridding import GridContext
 from tiler.runs.job import Job
 from tiler.store import Commits
 
 MAX_LISTED = 1000
 """run.json lists at most this many voids, the largest ones."""
+MIN_BARE_CELLS = 2
+"""Least side in cells of the survey of a square with the area of a place without returns."""
 TOUCHING = 1.5
 """Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch,
 too."""
 
 
-def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
-    """Add to run.json the voids of the delivered terrain, and the pixels without a height inside each edit."""
-    records = records_of(OutlineRecord, outlined)
+def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
+    """Add to run.json the voids of the delivered terrain, places without returns, and the holes inside each edit."""
+    records, spec = records_of(OutlineRecord, outlined), gridding.spec
     hole_pixels: Counter[int] = Counter()
     for record in records:
         for edit, n_pixels in record.edit_holes:
@@ -48,6 +51,11 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
         number=len(voids),
         largest=voids[:MAX_LISTED],
     )
+    bare = chain.from_iterable(record.bare for record in records)
+    # What water or the border leaves of a place may be smaller.
+    min_m2 = (MIN_BARE_CELLS * float(gridding.coarse_m)) ** 2
+    places = [p for p in voids_of(bare, spec, pixel_m2) if p.area_m2 >= min_m2]
+    job.results.without_returns = places[:MAX_LISTED]
 
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
