@@ -232,7 +232,7 @@ def spacings_of(
     spacings = np.full(gaps.shape, np.inf)
     for row, col in np.ndindex(gaps.shape):
         near = counts[row * WINDOW : (row + 3) * WINDOW, col * WINDOW : (col + 3) * WINDOW]
-        side = int(gaps[row, col] / 2)
+        side = max(int(gaps[row, col] / 2), 1)
         squares = near
         for axis, length in enumerate(near.shape):
             squares = np.add.reduceat(squares, np.arange(0, length, side), axis=axis)
