@@ -94,6 +94,20 @@ def test_spikes_noise_and_withheld_points_are_left_out(make_scene) -> None:
     assert 0 < higher.sum() <= np.isin(labels[-len(rows) :], (1, 2)).sum()
 
 
+def test_a_group_above_any_structure_is_left_out(make_scene) -> None:
+    """The points of a cloud or an aircraft support one another, like the points of a tower."""
+    xyz = scattered(20_000, 120_000)
+    under = (abs(xyz[:, :2] - 60_000) < 5_000).all(axis=1)
+    labels = np.r_[np.full(len(xyz), 2), np.ones(under.sum())].astype(np.uint8)
+
+    def with_group(height_m: int) -> np.ndarray:
+        group = xyz[under] + [1, 1, height_m * 1000]
+        return dsm(make_scene(np.concatenate((xyz, group)), labels))[0]
+
+    assert with_group(1100).tobytes() == dsm(make_scene(xyz))[0].tobytes()
+    assert with_group(900).max() > 850
+
+
 @pytest.mark.parametrize(
     "shape", [lambda p: p, void, l_shape, islands], ids=["full", "void", "l", "islands"]
 )
