@@ -29,15 +29,15 @@ from ptd.ground.connected import EAST, NORTH, connected_surfaces
 from ptd.ground.morphology import EMPTY, Bool, CellRaster
 from ptd.kernel import kernel
 
-_AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
+AREA, OTHERS, PAST, FALLS, UNSEEN, BORDER = 0, 1, 2, 3, 11, 12
 """Columns of the counts of each surface.
 
-- `_AREA`: cells.
-- `_FALLS`: rays that met lower ground.
-- `_OTHERS`: rays that met other ground.
-- `_PAST`: rays hidden by a roof found before.
-- `_UNSEEN`: rays that met no ground.
-- From `_BORDER` on: rays that leave the data, one column per direction.
+- `AREA`: cells.
+- `OTHERS`: rays that met other ground.
+- `PAST`: rays hidden by a roof found before.
+- From `FALLS` on: rays that met lower ground, one column per direction.
+- `UNSEEN`: rays that met no ground.
+- From `BORDER` on: rays that leave the data, one column per direction.
 """
 
 ROOF_CELL_M = 2.0
@@ -145,6 +145,11 @@ class Plateaus:
         )
 
     @property
+    def rays(self) -> Rays:
+        """The fields that determine the result of a ray."""
+        return Rays(self.view, self.fall, self.slope)
+
+    @property
     def reach(self) -> int:
         """Distance in cells beyond which heights do not change the result.
 
@@ -155,7 +160,7 @@ class Plateaus:
         return self.widest + max(self.gap, self.view) + 1
 
 
-class _Rays(NamedTuple):
+class Rays(NamedTuple):
     """Fields of `Plateaus` that determine the result of a ray, as an argument of kernels."""
 
     view: int
@@ -224,22 +229,21 @@ def plateaus(
     data = heights != EMPTY if data is None else data
     limit = math.floor(roof_rule.step) + 1  # heights are whole numbers
     surface, n = connected_surfaces(heights, limit, limit, roof_rule.gap)
-    looks, box = _looks(
+    looks, box = look_around(
         heights,
         surface,
         removed,
         data,
         passed,
         n,
-        _Rays(roof_rule.view, roof_rule.fall, roof_rule.slope),
+        roof_rule.rays,
     )
-    seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
-    unseen = looks[:, _UNSEEN] + border.sum(axis=1)
-    every = seen + unseen + looks[:, _PAST]
+    falls, border = looks[:, FALLS:UNSEEN].sum(axis=1), looks[:, BORDER:]
+    seen = falls + looks[:, OTHERS]
+    unseen = looks[:, UNSEEN] + border.sum(axis=1)
+    every = seen + unseen + looks[:, PAST]
     above = (
-        (seen > 0)
-        & (looks[:, _FALLS] >= roof_rule.share * seen)
-        & (unseen <= roof_rule.unseen * every)
+        (seen > 0) & (falls >= roof_rule.share * seen) & (unseen <= roof_rule.unseen * every)
     )
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     cut = border.sum(axis=1) > CUT * every
@@ -251,52 +255,52 @@ def plateaus(
 
 
 @kernel
-def _looks(
+def look_around(
     heights: Int32,
     surface: Int32,
     removed: Bool,
     data: Bool,
     passed: Bool,
     n: int,
-    rays: _Rays,
+    rays: Rays,
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
-    """Count the cells and rays of each surface (columns `_AREA` to `_BORDER` + 7), and find its bounding box."""
+    """Count the cells and rays of each surface (columns `AREA` to `BORDER` + 7), and find its bounding box."""
     view, fall, slope = rays
     rows, columns = heights.shape
-    looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
+    looks, box = np.zeros((n, BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
         for column in range(columns):
             number = surface[row, column]
             if number < 0:
                 continue
-            if looks[number, _AREA] == 0:
+            if looks[number, AREA] == 0:
                 box[number, :2], box[number, 2:] = row, column
-            looks[number, _AREA] += 1
+            looks[number, AREA] += 1
             box[number, 0], box[number, 1] = min(box[number, 0], row), max(box[number, 1], row)
             box[number, 2], box[number, 3] = (
                 min(box[number, 2], column),
                 max(box[number, 3], column),
             )
             for way in range(8):
-                met, joined = _BORDER + way, False
+                met, joined = BORDER + way, False
                 for steps in range(1, view + 1):
                     r, c = row + steps * NORTH[way], column + steps * EAST[way]
                     if r < 0 or c < 0 or r >= rows or c >= columns:
                         break
                     if surface[r, c] == number:
-                        met = _AREA
+                        met = AREA
                         break
-                    if met >= _BORDER and data[r, c]:
-                        met = _UNSEEN
+                    if met >= BORDER and data[r, c]:
+                        met = UNSEEN
                     joined |= steps <= BESIDE and removed[r, c]
                     if surface[r, c] >= 0 and not passed[r, c]:
                         lower = np.int64(heights[row, column]) - np.int64(heights[r, c])
                         if lower > fall + slope * steps:
-                            met = _FALLS
+                            met = FALLS + way
                         elif lower <= fall:
-                            met = _OTHERS
+                            met = OTHERS
                         break
-                if met != _AREA:
+                if met != AREA:
                     # A roof found before hides the ground here.
-                    looks[number, _PAST if joined and met >= _UNSEEN else met] += 1
+                    looks[number, PAST if joined and met >= UNSEEN else met] += 1
     return looks, box

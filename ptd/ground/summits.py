@@ -57,6 +57,12 @@ class _Limits(NamedTuple):
     cell: float
     z_ratio: float
 
+    @classmethod
+    def of(cls, scale: Scale, cell_m: float) -> _Limits:
+        return cls(
+            scale.counts(ROUGH_M), scale.counts(SIDE_M), scale.counts(cell_m), scale.z_ratio
+        )
+
 
 @kernel
 def _plane(
@@ -167,16 +173,22 @@ def _edges(
 
 
 @kernel
-def _steep(
-    keys: Int64, slots: Int32, points: Xyz, chosen: Bool, limits: _Limits, known: UInt8
+def _smooth(
+    keys: Int64,
+    slots: Int32,
+    points: Xyz,
+    chosen: Bool,
+    limits: _Limits,
+    known: UInt8,
+    least: int,
 ) -> Bool:
-    """Return a mask of the chosen cells on smooth and steep surfaces."""
-    steep, slopes = np.zeros(keys.size, np.bool_), np.zeros(keys.size, np.float64)
+    """Return a mask of the chosen cells whose kind of surface is ``least`` or a later one (`_LEVEL`, `_STEEP`)."""
+    smooth, slopes = np.zeros(keys.size, np.bool_), np.zeros(keys.size, np.float64)
     for k in range(keys.size):
         if chosen[k]:
             row, column = divmod(keys[k], slots.shape[1])
-            steep[k] = _surface(slots, points, row, column, limits, known, slopes) == _STEEP
-    return steep
+            smooth[k] = _surface(slots, points, row, column, limits, known, slopes) >= least
+    return smooth
 
 
 def on_summits(
@@ -206,20 +218,34 @@ def on_summits(
     around : int
         Distance in cells, along rows and columns, of the edges that count: half the width of the widest object.
     """
-    slots = np.full(raster.shape[0] * raster.shape[1], -1, np.int32)
-    seen = np.flatnonzero(lost | ground)
-    slots[raster.keys[seen]] = seen
-    slots = slots.reshape(raster.shape)
-    limits = _Limits(
-        scale.counts(ROUGH_M), scale.counts(SIDE_M), scale.counts(cell_m), scale.z_ratio
-    )
+    slots, limits = _slots(raster, lost | ground), _Limits.of(scale, cell_m)
     edges, known = _edges(raster.keys, slots, points, lost, ground, limits)
     if not (edges == _CONTINUES).any():
         return np.zeros(lost.size, np.bool_)
     boxes = Boxes(raster.lowest(edges, edges != EMPTY))
     continued, n_edges = boxes.totals(around, raster.keys).T
     near: Bool = lost & (continued >= np.maximum(SHARE * n_edges, LEAST))
-    return _steep(raster.keys, slots, points, near, limits, known)
+    return _smooth(raster.keys, slots, points, near, limits, known, _STEEP)
+
+
+def on_smooth_surfaces(
+    points: Xyz, chosen: Bool, among: Bool, raster: CellRaster, scale: Scale, cell_m: float
+) -> Bool:
+    """Return a mask of the chosen cells at which the surface of the cells ``among`` is smooth: bool [n].
+
+    See `on_summits`. The result of a cell depends on points up to ``PLANES[-1][0]`` cells away.
+    """
+    known = np.zeros(chosen.size, np.uint8)
+    slots, limits = _slots(raster, among), _Limits.of(scale, cell_m)
+    return _smooth(raster.keys, slots, points, chosen, limits, known, _LEVEL)
+
+
+def _slots(raster: CellRaster, among: Bool) -> Int32:
+    """Return the index of the point of each cell, -1 without one: int32 [rows, columns]."""
+    slots = np.full(raster.shape[0] * raster.shape[1], -1, np.int32)
+    seen = np.flatnonzero(among)
+    slots[raster.keys[seen]] = seen
+    return slots.reshape(raster.shape)
 
 
 def without_thin(found: Bool, raster: CellRaster, reach: int) -> Bool:

@@ -194,8 +194,12 @@ def _is_small(problem: Problem) -> bool:
 def _all_voids(run: Run) -> Iterator[Problem]:
     for void in run.get("voids", {}).get("largest", ()):
         why = f"{counted(void['pixels'], 'pixel')} ({_area(run, void['area_m2'])}) without a height"
-        remedy = "use --voids fill to fill it from its boundary, or --edits with action void to accept it"
-        what = AT_BORDER if void.get("at_border") else "void inside the survey"
+        what, remedy = "void inside the survey", "use --voids fill to fill it from its boundary"
+        if void.get("at_border"):
+            # Filling needs a boundary on all sides.
+            what = AT_BORDER
+            remedy = "use --edits with action ground if land behind a wall was classified as a building"
+        remedy += ", or --edits with action void to accept it"
         yield Problem(what, place_of(void["bounds"]), why, remedy, void["area_m2"])
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ptd.frame import Scale
-from ptd.ground import low_noise, treetops
+from ptd.ground import low_noise, strips, treetops
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
@@ -224,7 +224,7 @@ class AutoParameters:
     @property
     def treetop_reach(self) -> int:
         """Distance in thinning cells beyond which points do not change the code of a cell in the pass `treetops`."""
-        return math.ceil(treetops.reach_m() / self.thin_cell_m)
+        return math.ceil(max(treetops.reach_m(), strips.REACH_M) / self.thin_cell_m)
 
     @property
     def halo_m(self) -> float:

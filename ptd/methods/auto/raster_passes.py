@@ -14,6 +14,7 @@ from ptd.ground.low_noise import low_noise
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.outliers import low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
+from ptd.ground.strips import on_strips
 from ptd.ground.summits import on_summits
 from ptd.ground.treetops import on_treetops
 from ptd.matched.step import is_matched
@@ -201,27 +202,35 @@ class RoofPass(LidarPass):
 
 @dataclass(frozen=True)
 class TreetopPass(LidarPass):
-    """Pass that classifies ground on crowns of slopes as roofs."""
+    """Pass that classifies ground on crowns of slopes as roofs, and strips of land at the border as ground."""
 
     params: AutoParameters
     name: str = "treetops"
-    title = "take out crowns on slopes"
+    title = "take out crowns on slopes, put back strips at the border"
     columns: tuple[str, ...] = ("labels",)
     influence_radius_m: float | None = None
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
     ) -> CellCodes:
-        """Compare small surfaces of ground with the plane of the ground around."""
+        """Compare small surfaces of ground with the plane of the ground around, and smooth ones at the border."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
-        ground, roofs = codes == GROUND, codes == ROOF
+        roof_rule = Plateaus.of(scale, p.roof_size_m)
+        ground, roofs, lost = codes == GROUND, codes == ROOF, codes == OBJECT
         for index, inner in blocks(x, y, cells, p.treetop_reach):
             block = Xyz(x[index], y[index], z[index])
             crowns = on_treetops(
                 block, ground[index], roofs[index], cells, p.thin_cell_m, scale
             )
             codes[index[crowns & inner]] = ROOF
-        stats = {"treetops": int(ground.sum() - (codes == GROUND).sum())}
+            strips = on_strips(
+                block, lost[index], ground[index], cells, p.thin_cell_m, roof_rule, scale
+            )
+            codes[index[strips & inner]] = GROUND
+        stats = {
+            "treetops": int((ground & (codes == ROOF)).sum()),
+            "strips": int((lost & (codes == GROUND)).sum()),
+        }
         return CellCodes(x, y, codes, cells, window.inside(cells, p.treetop_reach), stats)
