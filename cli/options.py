@@ -22,6 +22,7 @@ _METAVARS = {
     "classes": "N,N,...",
     "names": "NAME,...",
     "pairs": "NAME=VALUE",
+    "product_names": "PRODUCT=NAME,...",
     "bounds": "X0 Y0 X1 Y1",
     "int": "N",
     "preset": "NAME",

@@ -35,6 +35,10 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     did_nothing : bool
         Whether all results were up to date.
     """
+    # Modules of the report load libraries, and `tiler --help` must be fast.
+    from tiler.report.problems import kinds_text
+    from tiler.report.sections import share_with_height
+
     points = summary["counts"]["stored"]
     lines = ["nothing to do: all results are up to date"] if did_nothing else []
     files, dropped = len(summary["inputs"]), sum(summary["counts"]["dropped"].values())
@@ -57,14 +61,14 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         section = summary["dtm"]
         pixel = length_text(section["resolution_m"], unit)
         size = f"{section['width']:,} x {section['height']:,} pixels of {pixel}"
+        if "voids" in summary:
+            size += f", {share_with_height(summary['voids'])} of the survey has a height"
         lines.append(f"{name.split('.')[0].upper():12s}{joined(out, name)}, {size}")
     if rasters[1:]:
         lines.append(f"products    {', '.join(joined(out, name) for name in rasters[1:])}")
     lines.extend(made_lines(summary, out))
     if problems := summary.get("problems"):
-        lines.append(
-            f"problems    {len(problems):,}: {', '.join(dict.fromkeys(p['what'] for p in problems))}"
-        )
+        lines.append(f"problems    {kinds_text(problems)}")
     if summary.get("report"):
         lines.append(f"report      {joined(out, summary['report'])}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"

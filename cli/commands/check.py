@@ -155,6 +155,8 @@ def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _print_seams(seams: Mapping[str, Any]) -> None:
+    from tiler.report.accuracy import seams_text
+
     keys = ("mean_step", "largest_step", "mean_jump", "largest_jump")
     rows = [
         (
@@ -168,6 +170,7 @@ def _print_seams(seams: Mapping[str, Any]) -> None:
     columns = ("position", "pairs", "mean step", "largest step", "mean jump", "largest jump")
     edges = f"across edges of tiles of {seams['tile']:g} (unit of x and y)"
     print_table(f"steps between pixels, {seams['unit']}, {edges}", columns, rows)
+    write_line(seams_text(seams))
 
 
 def _print_strips(strips: Mapping[str, Any]) -> None:

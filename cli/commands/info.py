@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Any
 
 import click
 
@@ -41,7 +43,25 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
         print_json(description)
     else:
         density = description.pop("density_map", None)
-        print_facts(description)
+        print_facts(_in_words(description))
         if density is not None:
             for line in map_lines(density, sys.stdout.encoding):
                 write_line(line)
+
+
+def _in_words(description: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the description with the names that the report has for the counts of a run."""
+    from tiler.report.tables import COUNTED, LABELLED
+
+    terrain = {
+        "filled": "pixels with a height",
+        "marked": "pixels not certified",
+        "surveyed": "of the survey has a height",
+    }
+    names = {"counts": COUNTED, "filter": LABELLED, "dtm": terrain}
+    return {
+        key: {names[key].get(name, name): number for name, number in value.items()}
+        if key in names and isinstance(value, Mapping)
+        else value
+        for key, value in description.items()
+    }

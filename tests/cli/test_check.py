@@ -56,6 +56,27 @@ def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert any("NOT met" in line for line in out)
 
 
+@pytest.mark.parametrize(
+    ("step", "begin"),
+    [
+        (0.0, "No seam: steps at tile edges are "),
+        (
+            0.3,
+            "Seams: steps at tile edges are larger by 0.2998 metre than next to them (mean jump 0.3000 metre",
+        ),
+    ],
+)
+def test_a_sentence_says_whether_there_are_seams(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], step: float, begin: str
+) -> None:
+    noise = np.random.default_rng(1).normal(0, 0.0001, (120, 120))
+    write_surface(
+        tmp_path / "dtm.tif", lambda x, y: noise + step * ((x > 60) ^ (y > 60)), side=120
+    )
+    assert main(["check", str(tmp_path / "dtm.tif"), "--tile-size", "60"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith(begin)
+
+
 def test_a_requirement_that_fails_ends_with_5(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -156,9 +156,12 @@ def test_a_summary_tells_what_was_made() -> None:
         "sheets      3 sheets, OUT/sheets.gpkg",
         "edit        1 (not_ground): 7 of 9 points were ground, 0 are; 94,637 pixels without a height",
         "edit        2 (flat): 1 pixel",
-        "problems    3: void inside the survey, class kept",
+        "problems    3: void inside the survey (2), class kept",
         "time        1:30 min, 33.3 k points/s",
     ]
+    voids = {"surveyed_pixels": 40, "pixels": 3, "asked_pixels": 0}
+    lines = summary_lines({**SUMMARY, **MADE, "voids": voids}, "OUT")
+    assert lines[3].endswith("12 x 6 pixels of 2 ft, 92.5 % of the survey has a height")
     found = {"water": [{"kind": "lake"}, {"kind": "river"}, {"kind": "river"}], "bridges": [{}]}
     found["outputs"] = {"water.gpkg": 1, "bridges.gpkg": 1}
     lines = summary_lines({**SUMMARY, **found}, "OUT")

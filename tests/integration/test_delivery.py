@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 import laspy
@@ -16,7 +18,6 @@ import rasterio.shutil
 from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.core.mask_values import MASK_VALUES
-from tiler.errors import ConfigError
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +58,42 @@ def test_sheets_have_the_names_of_the_template_and_an_index(
             assert pyproj.CRS(raster.crs.to_wkt()).sub_crs_list[1].to_epsg() == 5783
     assert categories(tmp_path / "mask.vrt") == list(MASK_VALUES.values())
     assert do(cloud, tmp_path, sheet_name="{x_km:.2f}-{y_km:.2f}_{name}", **changes).did_nothing
-    with pytest.raises(
-        ConfigError, match="several products would have the same name; add {name} to it"
-    ):
-        do(cloud, tmp_path, sheet_name="{x}_{y}", **changes)
     do(cloud, tmp_path, **changes)
     assert not [p for p in tmp_path.glob("dtm/*.tif") if "-" in p.name]
+
+
+@pytest.mark.parametrize(
+    ("template", "begin"),
+    [
+        ("Blatt é {x} {y}", {"dtm": "Blatt é ", "mask": "Blatt é "}),
+        ("{name} {x}_{y}", {"dtm": "MNT ", "mask": "mask "}),
+    ],
+)
+def test_sheets_of_several_products_may_have_any_name(
+    cloud: Path, tmp_path: Path, template: str, begin: dict[str, str]
+) -> None:
+    """Names without a product, with blanks and accents, and with another name of a product."""
+    how = {"products": "dtm,mask", "sheets": "40", "sheet_name": template}
+    do(cloud, tmp_path, product_name="dtm=MNT", **how)
+    corners = {path.name.split(" ", 1)[-1] for path in tmp_path.glob("stac/*.json")}
+    assert len(corners) > 1
+    for product, start in begin.items():
+        files = sorted(path.name for path in (tmp_path / product).iterdir())
+        assert len(files) == len(corners)
+        assert all(name.startswith(start) for name in files)
+        _, _, _, (locations,) = pyogrio.raw.read(
+            tmp_path / "sheets.gpkg", layer=product, columns=["location"], read_geometry=False
+        )
+        assert sorted(locations) == [f"{product}/{name}" for name in files]
+        with rasterio.open(tmp_path / f"{product}.vrt") as mosaic:
+            assert {Path(path).name for path in mosaic.files[1:]} == set(files)
+    item = json.loads(min(tmp_path.glob("stac/*.json")).read_text())
+    for asset in item["assets"].values():
+        assert (tmp_path / "stac" / unquote(asset["href"])).is_file()
+    assert do(cloud, tmp_path, product_name="dtm=MNT", **how).did_nothing
+    (tmp_path / "mask" / files[0]).unlink()
+    assert not do(cloud, tmp_path, product_name="dtm=MNT", **how).did_nothing
+    assert (tmp_path / "mask" / files[0]).is_file()
 
 
 def test_rasters_have_no_vertical_crs_of_another_unit_than_their_heights(

@@ -148,6 +148,8 @@ def _commits(store: TileStore) -> dict[str, Commits]:
 
 def describe_result(folder: Path) -> dict[str, Any]:
     """Describe the OUT of a run from its run.json, and from its store if it still exists."""
+    from tiler.report.problems import kinds_text
+    from tiler.report.sections import share_with_height
     from tiler.store import store_exists
 
     try:
@@ -165,6 +167,10 @@ def describe_result(folder: Path) -> dict[str, Any]:
         "path": str(folder),
         **{name: run.get(name) for name in _RUN_FACTS},
     }
+    if isinstance(run.get("problems"), list):
+        description["problems"] = kinds_text(run["problems"]) if run["problems"] else "none"
+    if run.get("dtm") and run.get("voids"):
+        description["dtm"] = {**run["dtm"], "surveyed": share_with_height(run["voids"])}
     store = joined(str(folder), STORE)
     if store_exists(store):
         try:
@@ -180,10 +186,14 @@ def describe_raster(path: Path) -> dict[str, Any]:
 
     with open_raster(path, "neither a cloud nor a raster that can be read") as raster:
         wkt = raster.crs.to_wkt() if raster.crs else None
+        # A VRT is a small text, and its pixels are in other files.
+        sources = [Path(file) for file in raster.files[1:]] if raster.driver == "VRT" else []
+        files = [file for file in sources if file.is_file()]
         return {
             "kind": "raster",
             "path": str(path),
-            "size_bytes": path.stat().st_size,
+            "size_bytes": sum(file.stat().st_size for file in [path, *files]),
+            **({"source_files": len(sources)} if sources else {}),
             "driver": raster.driver,
             "width": raster.width,
             "height": raster.height,

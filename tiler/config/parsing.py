@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from tiler.core.nodata import parse_nodata
 from tiler.core.selection import parse_angle, parse_numbers, parse_returns, parse_sources
-from tiler.core.sheet_names import check_template
+from tiler.core.sheet_names import check_template, product_names
 from tiler.core.units import FARTHEST, parse_area, parse_length
 from tiler.errors import ConfigError
 
@@ -202,6 +202,9 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         return parse_files(spec.name, value)
     if kind == "template" and isinstance(value, str):
         return check_template(value)
+    if kind == "product_names" and isinstance(value, str):
+        product_names(value)
+        return value
     if kind == "int" and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
         raise ConfigError(f"{spec.name} {value!r}: must be a whole number above 0")
     if kind == "flag" and not isinstance(value, bool):
@@ -210,7 +213,8 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         raise ConfigError(
             f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}"
         )
-    if kind in ("text", "choice", "preset", "file", "template") and not isinstance(value, str):
+    texts_only = ("text", "choice", "preset", "file", "template", "product_names")
+    if kind in texts_only and not isinstance(value, str):
         raise ConfigError(f"{spec.name} {value!r}: must be text")
     return value
 

@@ -111,6 +111,12 @@ class RunConfig:
         "format: {x_km:04.0f}",
         kind="template",
     )
+    product_name: str | None = setting(
+        None,
+        "other names of products in the file names of their sheets (field name of sheet-name): dtm=MNT,dsm=MNS. "
+        "Only sheets have them; folders, VRTs and undivided rasters keep the names of the products",
+        kind="product_names",
+    )
     empty_sheets: bool = flag(False, "also write sheets that contain points but no heights")
     resolution: Fraction | None = length(
         None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from string import Formatter
 
+from tiler.core.products import PRODUCTS
 from tiler.errors import ConfigError
 
 DEFAULT = "{name}_{x}_{y}"
@@ -59,8 +60,43 @@ def name_prefix(template: str, product: str) -> str:
     return prefix
 
 
-def check_template(template: str) -> str:
-    """Return the template. Raise ConfigError if it does not give valid, different names."""
+def product_names(text: str | None) -> dict[str, str]:
+    """Return the names of all products in the names of sheets.
+
+    Parameters
+    ----------
+    text : str or None
+        Other names of some products, like ``dtm=MNT,dsm=MNS``.
+
+    Raises
+    ------
+    ConfigError
+        The text is not valid, has an unknown product, or gives a name that no file may have or that two products share.
+    """
+    names = {name: name for name in PRODUCTS}
+    for item in () if text is None else text.split(","):
+        product, sign, name = (part.strip() for part in item.partition("="))
+        if not sign:
+            raise ConfigError(f"product_name {text!r}: is not valid; give dtm=NAME,dsm=NAME")
+        if product not in names:
+            raise ConfigError(
+                f"product_name {text!r}: no product {product!r}; use {', '.join(PRODUCTS)}"
+            )
+        wrong = _wrong_with(name) if name else "is empty"
+        if wrong:
+            raise ConfigError(f"product_name {text!r}: {name!r} {wrong}; use another name")
+        names[product] = name
+    folded = [name.lower() for name in names.values()]
+    for name in names.values():
+        if folded.count(name.lower()) > 1:
+            raise ConfigError(
+                f"product_name {text!r}: several products have the name {name!r}; give each its own"
+            )
+    return names
+
+
+def check_template(template: str, product: str = "dtm") -> str:
+    """Return the template. Raise ConfigError if it does not give valid, different names to the sheets of a product."""
     try:
         fields = [field for _, field, _, _ in Formatter().parse(template) if field is not None]
         unknown = [field for field in fields if field not in FIELDS]
@@ -70,7 +106,7 @@ def check_template(template: str) -> str:
                 f"sheet_name {template!r}: no field {{{unknown[0]}}}; use {known}"
             )
         names = [
-            sheet_name(template, "dtm", *corner, 1000.0)
+            sheet_name(template, product, *corner, 1000.0)
             for corner in ((0, 0), (1000, 0), (0, 1000))
         ]
     except (ValueError, KeyError, IndexError) as error:

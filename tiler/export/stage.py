@@ -14,6 +14,7 @@ from tiler.core.terrain_results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
+from tiler.export import WriteCog, WriteText
 from tiler.export.records import (
     CloudRecord,
     ContoursRecord,
@@ -46,14 +47,14 @@ from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.points import Source
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links
-from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
+from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below, raster_file
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
 from tiler.store import Commits
 
 PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
-"""Endings of the files of products. Their tasks have the names of the files as keys."""
+"""Endings of the files of products. Their tasks have the names of the files as keys, except sheets."""
 
 
 @dataclass(frozen=True)
@@ -272,7 +273,9 @@ def _basis(gridding: GridContext) -> str:
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
     into = (
-        [str(config.sheets), config.sheet_name, config.empty_sheets] if config.sheets else None
+        [str(config.sheets), config.sheet_name, config.product_name, config.empty_sheets]
+        if config.sheets
+        else None
     )
     water = gridding.water_key
     return digest_of(
@@ -288,10 +291,19 @@ def _basis(gridding: GridContext) -> str:
 
 def _files(tasks: list[Task]) -> dict[str, str]:
     """Return the path or URL of the file that each task writes, by the key of the task."""
-    return {
-        t.key: joined(t.arguments.out, t.key) if t.key.endswith(PRODUCTS) else t.arguments.out
-        for t in tasks
-    }
+    return {task.key: _file(task) for task in tasks}
+
+
+def _file(task: Task) -> str:
+    work = task.arguments
+    if not task.key.endswith(PRODUCTS):
+        return str(work.out)
+    name = task.key
+    if isinstance(work, WriteCog):
+        name = raster_file(work.name)
+    elif isinstance(work, WriteText):
+        name = work.name
+    return joined(work.out, name)
 
 
 def _write(

@@ -120,6 +120,10 @@ def _without_use(plan: Plan) -> list[str]:
         )
     if plan.config.sheet_name != SHEET_NAME and plan.config.sheets is None:
         warnings.append("--sheet-name has no effect without --sheets")
+    if plan.config.product_name and plan.config.sheets is None:
+        warnings.append("--product-name has no effect without --sheets")
+    elif plan.config.product_name and "{name" not in plan.config.sheet_name:
+        warnings.append("--product-name has no effect if --sheet-name has no {name}")
     return warnings
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ptd.matched.survey import in_words
+from tiler.core.crs import vertical_name
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import unit_label
 from tiler.core.units_text import length_text, short_unit
@@ -36,6 +37,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "inputs": len(inputs.sources), "unreadable": [list(u) for u in inputs.left_out], "points": inputs.points,
         "area_m2": inputs.covered_m2, "density_per_m2": inputs.density, "crs": frame.crs_wkt,
         "units": {"horizontal": unit_label(units.horizontal), "vertical": unit_label(units.vertical)},
+        "units_from": _units_from(plan),
         "metres_per_unit": {"horizontal": float(units.horizontal), "vertical": float(units.vertical)},
         "area": _area_facts(plan), "extent": [v / COUNTS_PER_UNIT for v in inputs.extent.to_json()],
         "method": plan.config.method, "parameters": method.parameters, "passes": len(method.steps),
@@ -51,6 +53,18 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "disk_bytes": disk, "projected_seconds": seconds, "rates_of_this_machine": measured,
         "notes": list(plan.notes), "warnings": list(plan.warnings),
     }  # fmt: skip
+
+
+def _units_from(plan: Plan) -> str:
+    """Return what defines the units, unless the user gave them."""
+    files = [source.georeference for source in plan.inputs.sources if source.points]
+    wkt = plan.frame.crs_wkt
+    if all(crs.horizontal is None for crs in files) and wkt is None:
+        return "assumed, because the files have no CRS"
+    by = "--crs" if all(crs.horizontal is None for crs in files) else "the files"
+    if any(crs.vertical for crs in files) or (wkt is not None and vertical_name(wkt)):
+        return f"declared by {by}"
+    return f"declared by {by} for x and y, assumed to be the same for heights"
 
 
 def plan_lines(plan: Plan) -> list[str]:

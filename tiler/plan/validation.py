@@ -13,7 +13,7 @@ from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.links import link_error
 from tiler.core.products import PRODUCTS
-from tiler.core.sheet_names import name_prefix
+from tiler.core.sheet_names import check_template, name_prefix, product_names
 from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
 from tiler.core.words import listed
 from tiler.errors import ConfigError
@@ -132,8 +132,11 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
         return
     sheet_prefixes = {}
     if plan.config.sheets is not None:
-        names = (*plan.config.exported, SHEET_ITEMS)
-        sheet_prefixes = {name: name_prefix(plan.config.sheet_name, name) for name in names}
+        names = {SHEET_ITEMS: SHEET_ITEMS, **product_names(plan.config.product_name)}
+        sheet_prefixes = {
+            folder: name_prefix(plan.config.sheet_name, names[folder])
+            for folder in (*plan.config.exported, SHEET_ITEMS)
+        }
     foreign_paths = foreign_files(out, products, file_names, sheet_prefixes)
     if foreign_paths:
         raise ConfigError(
@@ -248,14 +251,11 @@ def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
             f"--sheets {float(sheets):g} m: is not a whole number of pixels of {float(plan.grid.resolution):g} m; "
             f"use --sheets {_option(plan, whole)} or another --resolution",
         )
-    if (
-        sheets is not None
-        and len(plan.config.exported) > 1
-        and "{name" not in plan.config.sheet_name
-    ):
-        raise ConfigError(
-            f"--sheet-name {plan.config.sheet_name}: several products would have the same name; add {{name}} to it"
-        )
+    if sheets is not None:
+        for name in plan.config.exported:
+            check_template(
+                plan.config.sheet_name, product_names(plan.config.product_name)[name]
+            )
     _validate_name_lengths(plan)
     if out is not None:
         _validate_disk(plan, out)

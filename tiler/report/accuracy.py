@@ -113,6 +113,24 @@ def statement_text(asprs: Mapping[str, Any]) -> str:
     return text
 
 
+def seams_text(seams: Mapping[str, Any]) -> str:
+    """Return a sentence that says whether the DTM has seams at the edges of tiles.
+
+    Means of rough terrain differ by chance, so a seam is an excess of more than 1 mm and of
+    more than a quarter of the jumps next to the edges.
+    """
+    excess, unit = seams["excess"], seams["unit"]
+    if excess is None:
+        return "Seams were not compared: no edge of a tile has heights on both sides."
+    across = seams["tiles"]["mean_jump"]
+    near = across - excess
+    means = f"mean jump {across:.4f} {unit}, next to them {near:.4f} {unit}"
+    if excess <= near / 4 or excess * seams["metres_per_unit"] <= 0.001:
+        degree = "not" if excess <= 0 else "hardly"
+        return f"No seam: steps at tile edges are {degree} larger than next to them ({means})."
+    return f"Seams: steps at tile edges are larger by {excess:.4f} {unit} than next to them ({means})."
+
+
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
     """Return the checkpoints for the map, each with name, x, y, difference, and whether it is an outlier."""
     accuracy = check.get("accuracy") or {}
@@ -180,7 +198,8 @@ def _seams(found: Mapping[str, Any]) -> Node:
         if name in found
     ]
     heading = el("h3", f"Steps between pixels across the edges of tiles, {found['unit']}")
-    return el("div", heading, table(("position", *keys.values()), rows, (1, 2, 3)))
+    steps = table(("position", *keys.values()), rows, (1, 2, 3))
+    return el("div", heading, steps, el("p", seams_text(found)))
 
 
 def _strips(found: Mapping[str, Any]) -> Node:

@@ -13,7 +13,7 @@ from rasterio.errors import RasterioError
 
 from tiler.core.words import counted
 from tiler.io.locations import is_url, joined, state_at
-from tiler.report.accuracy import statement_text
+from tiler.report.accuracy import seams_text, statement_text
 from tiler.report.document import Content, el, facts, table
 from tiler.report.pictures import small_hillshade
 from tiler.report.sections import (
@@ -125,6 +125,7 @@ def _steps(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         seams = report["seams"]
         for name in ("tiles", "interior"):
             yield f"mean step, {name}", f"{_rounded(seams[name]['mean_step'])} {seams['unit']}"
+        yield "seams", seams_text(seams)
     if "strips" in report and report["strips"]["pairs"]:
         strips = report["strips"]
         yield "RMSE between strips", f"{_rounded(strips['all']['rmse'])} {strips['unit']}"

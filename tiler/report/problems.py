@@ -287,6 +287,13 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
 """Sources of problems, the most serious first."""
 
 
+def kinds_text(problems: Sequence[Mapping[str, Any]]) -> str:
+    """Return the number of the problems in run.json and their kinds, such as ``3: failed task (2), class kept``."""
+    kinds = Counter(problem["what"] for problem in problems)
+    texts = [what if n == 1 else f"{what} ({n:,})" for what, n in kinds.items()]
+    return f"{len(problems):,}: {', '.join(texts)}"
+
+
 def table_rows(run: Run) -> list[Problem]:
     """Return the problems of a run without long lists of places, so that these hide no other problem.
 
@@ -328,10 +335,18 @@ def problems(run: Run) -> Node:
     rows: list[tuple[Content, ...]] = [
         (p.what, _link(p.where), p.why, p.remedy) for p in all_problems[:MAX_ROWS]
     ]
+    found, total = problems_of(run), None
+    if len(found) > len(all_problems):
+        kinds = kinds_text([problem._asdict() for problem in found])
+        total = el("p", f"{kinds}. Places of one kind share a row after the worst.")
     more = len(all_problems) - MAX_ROWS
     rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
     return section(
-        "problems", "Problems", table(("problem", "location", "cause", "remedy"), rows), rest
+        "problems",
+        "Problems",
+        total,
+        table(("problem", "location", "cause", "remedy"), rows),
+        rest,
     )
 
 

@@ -156,7 +156,7 @@ class ResolvedSetting(NamedTuple):
 def settled(run: Run) -> list[ResolvedSetting]:
     """Return the values of the settings that tiler can choose."""
     plan, config = run["plan"], run["configuration"]
-    memory, declared = plan["memory_bytes"], "declared by the files"
+    memory = plan["memory_bytes"]
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
     choices = {
         "resolution": (
@@ -167,8 +167,11 @@ def settled(run: Run) -> list[ResolvedSetting]:
         "halo": (_length(run, _halo_m(run)), "the radius that the method needs"),
         "workers": (str(plan["workers"]), "the cores that tiler may use"),
         "memory": (size_text(memory), "a fair share of the machine, at most 4 GiB"),
-        "units": (units, declared),
-        "crs": (name_in_wkt(plan["crs"], "none"), declared),
+        "units": (units, plan.get("units_from", "")),
+        "crs": (
+            name_in_wkt(plan["crs"], "none"),
+            "declared by the files" if plan["crs"] else "the files declare none",
+        ),
     }
     return [
         ResolvedSetting(

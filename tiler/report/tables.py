@@ -19,6 +19,23 @@ from tiler.report.sections import done_before, value_text
 
 SLOWEST = 10
 
+COUNTED = {
+    "duplicates_within_files": "duplicates within files",
+    "duplicates_between_files": "duplicates between files",
+    "kept_out": "excluded from the filter",
+    "participating": "used by the filter",
+    "strays": "far from all other points",
+}
+"""Counts of points in run.json, and their names for users."""
+LABELLED = {
+    "ground": "ground",
+    "unclassified": "unclassified",
+    "low_noise": "low noise",
+    "kept": "not filtered, class kept",
+    "marked": "label not certified",
+}
+"""Counts of labels in run.json, and their names for users."""
+
 
 def counts(run: Run) -> Node:
     """Return the table of counts: points that were read, stored and dropped, their classes, and pixels."""
@@ -30,24 +47,10 @@ def counts(run: Run) -> Node:
     pairs |= {
         f"dropped: {reason}": _count(n) for reason, n in run_counts.get("dropped", {}).items()
     }
-    names = {
-        "duplicates_within_files": "duplicates within files",
-        "duplicates_between_files": "duplicates between files",
-        "kept_out": "excluded from the filter",
-        "participating": "used by the filter",
-        "strays": "far from all other points",
-    }
-    pairs |= {text: _count(run_counts.get(name)) for name, text in names.items()}
-    names = {
-        "ground": "ground",
-        "unclassified": "unclassified",
-        "low_noise": "low noise",
-        "kept": "not filtered, class kept",
-        "marked": "label not certified",
-    }
+    pairs |= {text: _count(run_counts.get(name)) for name, text in COUNTED.items()}
     pairs |= {
         f"labelled: {text}": _count(run.get("filter", {}).get(name))
-        for name, text in names.items()
+        for name, text in LABELLED.items()
     }
     kept = run.get("classes", {}).get("kept", {})
     pairs |= {f"class of the input kept: {code}": _count(n) for code, n in kept.items()}

@@ -9,7 +9,9 @@ import laspy
 import numpy as np
 import pyproj
 import pytest
+import rasterio.shutil
 
+from cli.main import main
 from tests.tiler.apps.check.rasters import write_heights
 from tiler.apps.cloud_facts import density_map
 from tiler.apps.info import describe
@@ -121,6 +123,40 @@ def test_a_folder_of_clouds_is_refused(tmp_path: Path) -> None:
         InputError, match="holds clouds; give one of them, or see `tiler plan` for all"
     ):
         describe(str(tmp_path))
+
+
+def test_size_of_a_mosaic_is_that_of_its_files(tmp_path: Path) -> None:
+    tif, vrt = tmp_path / "dtm.tif", tmp_path / "dtm.vrt"
+    write_heights(tif, np.zeros((400, 500), np.float32), 100, 200, 2, "EPSG:25832")
+    rasterio.shutil.copy(tif, vrt, driver="VRT")
+    facts = describe(str(vrt))
+    assert facts["size_bytes"] == tif.stat().st_size + vrt.stat().st_size
+    assert facts["source_files"] == 1
+    assert "source_files" not in describe(str(tif))
+
+
+def test_a_result_has_the_words_and_figures_of_its_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = {
+        "counts": {"participating": 7},
+        "filter": {"marked": 1},
+        "dtm": {"filled": 5, "marked": 2},
+        "voids": {"surveyed_pixels": 8, "pixels": 3, "asked_pixels": 0},
+        "problems": [{"what": "void inside the survey"}] * 2,
+    }
+    (tmp_path / "run.json").write_text(json.dumps(run))
+    assert main(["info", str(tmp_path)]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    for line in (
+        "used by the filter 7",
+        "label not certified 1",
+        "pixels with a height 5",
+        "of the survey has a height 62.5 %",
+        "problems 2: void inside the survey (2)",
+    ):
+        assert line in lines
+    assert describe(str(tmp_path))["dtm"]["filled"] == 5
 
 
 def test_result_folder(tmp_path: Path) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from tiler.config import RunConfig
 from tiler.core.sheet_names import (
     DEFAULT,
     check_template,
     name_prefix,
+    product_names,
     sheet_name,
     validate_distinct_names,
 )
@@ -44,6 +46,30 @@ def test_names_follow_the_template(template: str, name: str) -> None:
 def test_a_template_that_cannot_name_files_is_refused(template: str, why: str) -> None:
     with pytest.raises(ConfigError) as error:
         check_template(template)
+    assert why in str(error.value)
+
+
+def test_products_have_other_names() -> None:
+    names = product_names("dtm=MNT, dsm = MNS")
+    assert (names["dtm"], names["dsm"], names["mask"]) == ("MNT", "MNS", "mask")
+    assert product_names("dtm=DSM,dsm=dtm")["dsm"] == "dtm"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("dtx=MNT", "no product 'dtx'; use dtm, dsm, "),
+        ("MNT", "is not valid; give dtm=NAME"),
+        ("", "is not valid; give dtm=NAME"),
+        ("dtm=", "'' is empty"),
+        ("dtm=M/T", "'M/T' contains '/'"),
+        ("dtm=M,dsm=m", "several products have the name 'M'"),
+        ("dtm=dsm", "several products have the name 'dsm'"),
+    ],
+)
+def test_names_of_products_that_cannot_be_are_refused(text: str, why: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        RunConfig.from_mapping({"product_name": text})
     assert why in str(error.value)
 
 

@@ -12,7 +12,7 @@ from tests.tiler.plans import changed
 from tiler.apps.info import describe
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds
-from tiler.plan import make_plan
+from tiler.plan import make_plan, plan_json
 from tiler.plan.advice import preflight_warnings
 from tiler.plan.doubtful import warnings_of
 
@@ -134,11 +134,36 @@ def test_coordinates_of_another_crs_are_told_of_with_their_place(
 
 
 @pytest.mark.parametrize(
+    ("header", "option", "text"),
+    [
+        ("EPSG:25832+5783", None, "declared by the files"),
+        (
+            "EPSG:25832",
+            None,
+            "declared by the files for x and y, assumed to be the same for heights",
+        ),
+        (None, "EPSG:25832+5783", "declared by --crs"),
+        (None, "none", "assumed, because the files have no CRS"),
+    ],
+)
+def test_a_plan_tells_which_units_are_assumed(
+    header: str | None, option: str | None, text: str, make_cloud: MakeCloud
+) -> None:
+    plan = make_plan([str(make_cloud(crs=header))], RunConfig(crs=option, in_process=True))
+    assert plan_json(plan)["units_from"] == text
+
+
+@pytest.mark.parametrize(
     ("settings", "text"),
     [
         ({"resolution": "500"}, "the terrain has only 1 x 1 pixels of 500 m; use a smaller"),
         ({"resolution": "10", "sheets": "500", "sheet_name": "{name}_{x}_{y}a"}, None),
         ({"sheet_name": "{name}_{x}_{y}a"}, "--sheet-name has no effect without --sheets"),
+        ({"product_name": "dtm=MNT"}, "--product-name has no effect without --sheets"),
+        (
+            {"product_name": "dtm=MNT", "sheets": "500", "sheet_name": "{x}_{y}"},
+            "--product-name has no effect if --sheet-name has no {name}",
+        ),
         ({}, None),
     ],
 )

@@ -34,7 +34,7 @@ def measured(folder: Path) -> dict[str, object]:
     report = {
         "accuracy": check_dtm(write_surface(folder / "dtm.tif", tilted), points, PointOptions())
     }
-    seams = {"unit": "metre", "interior": {"pairs": 7, "mean_step": 0.1}}
+    seams = {"unit": "metre", "interior": {"pairs": 7, "mean_step": 0.1}, "excess": None}
     return {
         **report,
         "seams": seams,

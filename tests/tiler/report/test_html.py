@@ -224,7 +224,7 @@ def test_measured_accuracy_is_shown(tmp_path: Path) -> None:
 
 def test_measurements_of_an_earlier_dtm_are_told_from_those_of_this_one(tmp_path: Path) -> None:
     out = results.write(tmp_path / "out", results.run())
-    seams = {"unit": "metre", "interior": {"pairs": 7, "mean_step": 0.1}}
+    seams = {"unit": "metre", "interior": {"pairs": 7, "mean_step": 0.1}, "excess": None}
     (out / "check.json").write_text(json.dumps({"seams": seams}))
     assert "interior 7 0.1000" in results.read(write_report(out)).texts["accuracy"]
     os.utime(out / "check.json", (1, 1))

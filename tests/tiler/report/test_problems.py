@@ -128,6 +128,17 @@ def test_places_after_the_worst_ten_of_a_kind_share_a_row() -> None:
     assert len(found(**changes)) == 14
 
 
+def test_the_number_of_problems_stands_above_a_table_with_fewer_rows(tmp_path: Path) -> None:
+    void = {"pixels": 9, "area_m2": 9.0, "bounds": [0.0, 0.0, 3.0, 3.0], "at_border": True}
+    out = results.write(tmp_path / "out", results.run(voids={
+        "pixels": 27, "asked_pixels": 0, "surveyed_pixels": 100, "largest": [void] * 3,
+    }))  # fmt: skip
+    text = results.read(write_report(out)).texts["problems"]
+    assert "void at the border of the survey (3). Places of one kind share a row" in text
+    alone = results.write(tmp_path / "alone", results.run())
+    assert "share a row" not in results.read(write_report(alone)).texts["problems"]
+
+
 def test_voids_of_an_earlier_run_lie_inside_the_survey() -> None:
     earlier = {"pixels": 7, "bounds": [0.0, 0.0, 1.0, 1.0], "area_m2": 7.0}
     (problem,) = found(voids=voids(earlier))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +17,7 @@ import numpy.typing as npt
 import shapely
 
 from tiler.core.units import FARTHEST
-from tiler.core.words import counted
+from tiler.core.words import counted, listed
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 from tiler.io.vector import POINTS, Feature, Kind, read_features
@@ -24,17 +26,29 @@ NVA = "NVA"  # non-vegetated vertical accuracy
 VVA = "VVA"  # vegetated vertical accuracy
 
 _COLUMNS = {
-    "x": ("x", "e", "east", "easting", "lon", "longitude", "long"),
-    "y": ("y", "n", "north", "northing", "lat", "latitude"),
-    "z": ("z", "h", "height", "elevation", "elev", "ele", "altitude"),
-    "kind": ("type", "nva_vva", "nva/vva", "accuracy"),
-    "cover": ("cover", "land_cover", "landcover", "land cover", "surface", "class"),
-    "name": ("id", "name", "point", "pt", "fid", "label"),
-}
-"""Accepted names of each column, in lower case."""
+    "x": (
+        "x", "e", "east", "easting", "xcoord", "pointx", "lon", "longitude", "long", "lng",
+        "rechtswert", "ostwert", "est", "este",
+    ),
+    "y": (
+        "y", "n", "north", "northing", "ycoord", "pointy", "lat", "latitude",
+        "hochwert", "nordwert", "nord", "norte",
+    ),
+    "z": (
+        "z", "h", "height", "elevation", "elev", "ele", "alt", "altitude", "zcoord", "pointz",
+        "höhe", "hoehe", "cota", "quota",
+    ),
+    "kind": ("type", "nvavva", "accuracy"),
+    "cover": ("cover", "landcover", "surface", "class"),
+    "name": (
+        "id", "name", "point", "pt", "fid", "label", "pointid", "number", "nr", "no",
+        "station", "punkt", "punktnummer",
+    ),
+}  # fmt: skip
+"""Accepted names of each column as `_plain` returns them; the first that a row has a value for counts."""
 
-_ORDER = ("x", "y", "z", "type", "cover")
-"""Order of the columns of a CSV file without a heading."""
+_MEANING = {"x": "eastings", "y": "northings", "z": "heights"}
+"""Contents of the columns that every table needs."""
 
 CHECKPOINTS = Kind("checkpoints", POINTS.types)
 
@@ -112,10 +126,10 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     Parameters
     ----------
     path : path
-        ``.csv`` or ``.txt``: comma, semicolon or tab between the columns x, y, z and, optionally, type (NVA or VVA),
-        land cover, id. A heading gives the names of the columns. Without a heading, the columns are x, y, z, type and
-        land cover, and an id is not read. Lines that begin with # are skipped. ``.geojson``, ``.gpkg``, ``.shp``,
-        ``.fgb``: the only layer of points, with heights in the geometry or in a column.
+        ``.csv`` or ``.txt``: columns x, y, z and, optionally, type (NVA or VVA), land cover, id, separated by commas,
+        semicolons, tabs or blanks. A header line gives the names of the columns. Without one, the order must be
+        unambiguous, see `_order_without_header`. Lines that begin with # are skipped. ``.geojson``, ``.gpkg``,
+        ``.shp``, ``.fgb``: the only layer of points, with heights in the geometry or in a column.
 
     Raises
     ------
@@ -128,12 +142,15 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
         raise InputError(
             f"{path}: no such file; give a CSV, GeoJSON or GeoPackage file of checkpoints"
         )
+    notes: list[str] = []
     if suffix in (".csv", ".txt"):
-        rows, crs, notes = list(_csv_rows(path)), None, []
+        crs = None
+        rows = list(_csv_rows(path, notes))
     else:
         layer = read_features(path, CHECKPOINTS)
         rows = [_row_of(feature) for feature in layer.features]
-        crs, notes = layer.crs, list(layer.notes)
+        crs = layer.crs
+        notes += layer.notes
     if not rows:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)
@@ -163,7 +180,13 @@ def _row_of(feature: Feature) -> Row:
     has_z = bool(feature.geometry.has_z)
     coordinates = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
     named = dict(zip(("x", "y", "z"), coordinates, strict=False))
-    return row_of({**feature.attributes, **named}, feature.place)
+    attributes = {_plain(name): value for name, value in feature.attributes.items()}
+    if not has_z and all(attributes.get(name) is None for name in _COLUMNS["z"]):
+        found = _found("attributes", list(feature.attributes))
+        raise InputError(
+            f"{feature.place}: has no height ({found}); give the point a z or an attribute named z"
+        )
+    return row_of({**attributes, **named}, feature.place)
 
 
 def row_of(values: Mapping[str, Any], place: str) -> Row:
@@ -211,7 +234,8 @@ def _kind(path: Path, text: str) -> str:
     return kind
 
 
-def _csv_rows(path: Path) -> Iterator[Row]:
+def _csv_rows(path: Path, notes: list[str]) -> Iterator[Row]:
+    """Yield the rows of a table, and add a note if it has no header line."""
     try:
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -223,36 +247,115 @@ def _csv_rows(path: Path) -> Iterator[Row]:
     ]
     if not numbered:
         return
-    first = numbered[0][1]
-    delimiter = max(";\t,", key=first.count)
+    delimiter = _delimiter(numbered[0][1])
     # Lines are split one by one, so that an unclosed quote does not swallow the lines after it.
-    head = [
-        cell.strip().lower()
-        for cell in _cells(first, delimiter, f"{path}: line {numbered[0][0]}")
+    table = [
+        (f"{path}: line {i}", _cells(line, delimiter, f"{path}: line {i}"))
+        for i, line in numbered
     ]
-    names: Sequence[str] = head
-    if _is_number(head[0]) or (len(head) > 1 and _is_number(head[1])):
-        names = _ORDER
+    head = table[0][1]
+    if any(map(_is_number, head[:2])):
+        names = _order_without_header(path, [cells for _, cells in table])
+        order = ", ".join("type" if name == "kind" else name for name in names)
+        notes.append(f"{path.name} has no header line: its columns are read as {order}")
+        names = [_COLUMNS[name][0] for name in names]
     else:
-        numbered = numbered[1:]
-    for number, line in numbered:
-        place = f"{path}: line {number}"
-        cells = zip(names, _cells(line, delimiter, place), strict=False)
-        yield row_of({name: text.strip() for name, text in cells if text.strip()}, place)
+        names = [_plain(cell) for cell in head]
+        _validate_header(path, head, names)
+        table = table[1:]
+    for place, cells in table:
+        if len(cells) > len(names) or (delimiter == " " and len(cells) < len(names)):
+            raise InputError(
+                f"{place}: has {counted(len(cells), 'value')}, but the table has {counted(len(names), 'column')}; "
+                "check its separators"
+            )
+        values = zip(names, cells, strict=False)
+        yield row_of({name: text for name, text in values if text}, place)
+
+
+def _delimiter(line: str) -> str:
+    """Return the separator of the columns: the first that makes three of them, or a blank."""
+    usual = ";\t,"
+    several = [separator for separator in usual if line.count(separator) > 1]
+    return (several + [separator for separator in usual if separator in line] + [" "])[0]
+
+
+def _order_without_header(path: Path, table: Sequence[Sequence[str]]) -> Sequence[str]:
+    """Return the columns of a table that has no header line, or raise InputError if they are ambiguous.
+
+    The orders are x y z, id x y z, and x y z with a type (NVA or VVA) and a land cover. An id
+    contains letters, or is a whole number while heights are not.
+    """
+    columns = list(zip_longest(*table, fillvalue=""))
+    are_numbers = [all(map(_is_number, column)) for column in columns]
+    if are_numbers == [True] * 3:
+        return ("x", "y", "z")
+    if len(columns) == 4 and all(are_numbers[1:]):
+        whole = [all(text.isdecimal() for text in columns[i]) for i in (0, 3)]
+        if not are_numbers[0] or whole == [True, False]:
+            return ("name", "x", "y", "z")
+    has_types = len(columns) in (4, 5) and {text.upper() for text in columns[3]} <= {
+        NVA,
+        VVA,
+        "",
+    }
+    if has_types and all(are_numbers[:3]):
+        return ("x", "y", "z", "kind", "cover")[: len(columns)]
+    raise InputError(
+        f"{path}: has no header line, and the order of its columns is not clear ({_found('first values', table[0])}); "
+        "add a first line such as id,x,y,z"
+    )
+
+
+def _validate_header(path: Path, head: Sequence[str], names: Sequence[str]) -> None:
+    """Raise InputError if a header line lacks a column of coordinates or has two of the same name."""
+    missing = [axis for axis in _MEANING if not set(_COLUMNS[axis]) & set(names)]
+    if missing:
+        contents = " and ".join(f"a column of {_MEANING[axis]}" for axis in missing)
+        ways = " and ".join(
+            f"one {', '.join(_COLUMNS[axis][:3])} or {_COLUMNS[axis][3]}" for axis in missing
+        )
+        raise InputError(f"{path}: needs {contents} ({_found('columns', head)}); name {ways}")
+    for axis, meaning in _MEANING.items():
+        twice = [name for name in _COLUMNS[axis] if names.count(name) > 1]
+        if twice:
+            raise InputError(
+                f"{path}: has several columns of {meaning} ({_found('columns', head)}); name only one {twice[0]}"
+            )
+
+
+def _found(kind: str, names: Sequence[str]) -> str:
+    texts = [excerpt(name, 20).strip("'") for name in names if name]
+    return f"{kind} found: {listed(texts, 6) or 'none'}"
+
+
+def _plain(name: str) -> str:
+    """Return the name of a column in lower case, without its unit in brackets and with letters and digits only."""
+    return "".join(c for c in re.sub(r"(?<=\w)\s*[\[(].*", "", name).lower() if c.isalnum())
 
 
 def _cells(line: str, delimiter: str, place: str) -> list[str]:
+    """Return the values of a line without blanks around them, and without empty ones at its end."""
     try:
-        return next(csv.reader([line], delimiter=delimiter, strict=True))
+        reader = csv.reader(
+            [line], delimiter=delimiter, skipinitialspace=delimiter != " ", strict=True
+        )
+        cells = [cell.strip() for cell in next(reader)]
     except csv.Error as error:
         raise InputError(
             f"{place}: is not a line of a table ({error}); check its quotes"
         ) from error
+    if delimiter == " ":
+        return [cell for cell in cells if cell]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
 
 
 def _is_number(text: str) -> bool:
+    """Return whether a text is a number, perhaps with a decimal comma, which `row_of` refuses."""
     try:
-        float(text)
+        float(text.replace(",", "."))
     except ValueError:
         return False
     return True

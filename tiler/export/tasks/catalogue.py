@@ -24,7 +24,7 @@ from tiler.core.units import unit_label
 from tiler.export import WriteText, stac, write_text
 from tiler.export.records import CloudRecord, FileRecord, RasterFileRecord
 from tiler.export.tasks.files import nodata_of
-from tiler.export.tasks.sheets import name_of
+from tiler.export.tasks.sheets import key_of, name_of
 from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.ingest.tasks.points import Source
 from tiler.io.las.newer_formats import newer_format
@@ -87,9 +87,12 @@ class Cloud:
 
 def planned(gridding: GridContext) -> dict[str, str]:
     """Return the path in OUT of the file of each task of this stage, by the key of the task."""
-    cut = [_item_path(gridding, sheet) for sheet in gridding.sheets]
-    paths = [STAC, VIRTUAL, *cut] if gridding.plan.writes_clouds else [STAC, *cut]
-    return {path.rpartition("/")[2]: path for path in paths}
+    whole = (STAC, VIRTUAL) if gridding.plan.writes_clouds else (STAC,)
+    cut = {
+        f"{key_of(SHEET_ITEMS, sheet)}.json": _item_path(gridding, sheet)
+        for sheet in gridding.sheets
+    }
+    return {**dict(zip(whole, whole, strict=True)), **cut}
 
 
 def catalogue_tasks(
@@ -116,6 +119,7 @@ def catalogue_tasks(
         Code of the horizontal CRS, see `tiler.export.stac.horizontal_code`.
     """
     maker = _Catalogue(gridding, sources, kind, written, crs_code)
+    keys = {path: key for key, path in planned(gridding).items()}
     for path, content in maker.documents().items():
         folder, _, name = path.rpartition("/")
         work = WriteText(
@@ -123,7 +127,7 @@ def catalogue_tasks(
             out=joined(out, folder) if folder else out,
             text=json.dumps(content, indent=None if name == VIRTUAL else 1) + "\n",
         )
-        yield Task(STAGE, name, digest_of(work), write_text, work)
+        yield Task(STAGE, keys[path], digest_of(work), write_text, work)
 
 
 class _Catalogue:
@@ -209,7 +213,7 @@ class _Catalogue:
 
     def _whole(self) -> dict[str, Any]:
         """Return the item of a run whose products are not divided into sheets."""
-        rasters = {name: raster_file(name) for name in self._plan.config.exported}
+        rasters = {name: (name, raster_file(name)) for name in self._plan.config.exported}
         assets = {**self._rasters(rasters, "."), **self._besides()}
         item = self._item(self._id, self._gridding.spec, assets, [])
         if self.clouds:
@@ -224,7 +228,8 @@ class _Catalogue:
     def _sheet(self, sheet: Sheet) -> dict[str, Any]:
         exported = self._plan.config.exported
         rasters = {
-            name: raster_file(name, name_of(self._gridding, name, sheet)) for name in exported
+            name: (key_of(name, sheet), raster_file(name, name_of(self._gridding, name, sheet)))
+            for name in exported
         }
         corner_name = "_".join(f"{edge:.10g}" for edge in sheet.corner)
         rels = ("root", "parent", "collection")
@@ -279,13 +284,13 @@ class _Catalogue:
             "links": list(links), "assets": dict(assets),
         }  # fmt: skip
 
-    def _rasters(self, paths: Mapping[str, str], base: str) -> dict[str, Any]:
-        """Return the assets of the rasters that were written."""
+    def _rasters(self, rasters: Mapping[str, tuple[str, str]], base: str) -> dict[str, Any]:
+        """Return the assets of the rasters that were written, given their task and path by product."""
         assets = {}
-        for name, path in paths.items():
-            key = path.rpartition("/")[2]
-            if key in self._written:
-                product, record = PRODUCTS[name], RasterFileRecord.of(self._written[key][1])
+        for name, (key, path) in rasters.items():
+            if f"{key}.tif" in self._written:
+                record = RasterFileRecord.of(self._written[f"{key}.tif"][1])
+                product = PRODUCTS[name]
                 assets[name] = {
                     "href": f"{base}/{quote(os.fsencode(path))}", "type": _COG, "title": product.description,
                     "roles": ["data"],

@@ -31,7 +31,7 @@ from tiler.export import (
 )
 from tiler.export.cloud_crs import crs_to_write
 from tiler.export.records import RasterFileRecord
-from tiler.export.tasks.sheets import name_of
+from tiler.export.tasks.sheets import key_of, name_of
 from tiler.export.work import SheetFile
 from tiler.filter import LABELS
 from tiler.grid.tasks.gridding import GridContext
@@ -85,7 +85,7 @@ def cog_tasks(
             area=context.plan.inputs.area_key,
         )
         if context.plan.config.sheets is None:
-            yield _cog_task(whole, context.checksums(raster))
+            yield _cog_task(name, whole, context.checksums(raster))
             continue
         for sheet, inputs_digest in sheet_inputs:
             spec = sheet.spec
@@ -101,7 +101,7 @@ def cog_tasks(
                 whole=context.spec,
                 tags=_tags(context.plan, name, inputs_digest),
             )
-            yield _cog_task(work, seen)
+            yield _cog_task(key_of(name, sheet), work, seen)
 
 
 def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
@@ -109,10 +109,10 @@ def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
     return digest_of(sorted(set[str]().union(*(inputs.get(cell, ()) for cell in cells))))
 
 
-def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:
+def _cog_task(key: str, work: WriteCog, blocks: list[list[str]]) -> Task:
     pixels = work.spec.height * work.spec.width
     digest = digest_of(work, blocks)
-    return Task("export", f"{work.name}.tif", digest, write_cog, work, pixels=pixels)
+    return Task("export", f"{key}.tif", digest, write_cog, work, pixels=pixels)
 
 
 def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
@@ -149,8 +149,8 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
     sheet_files = []
     for task in cogs:
         work: WriteCog = task.arguments
-        if work.whole is not None and f"{work.name}.tif" in written:
-            record = RasterFileRecord.of(written[f"{work.name}.tif"][1])
+        if work.whole is not None and task.key in written:
+            record = RasterFileRecord.of(written[task.key][1])
             path = raster_file(work.product, work.name)
             void = 100 * (1 - record.valid / record.pixels)
             sheet_files.append(

@@ -11,7 +11,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import records_of
-from tiler.core.sheet_names import sheet_name
+from tiler.core.sheet_names import DEFAULT, product_names, sheet_name
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export import FindSheets, find_sheets
@@ -90,8 +90,18 @@ def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
 
 def name_of(context: GridContext, product: str, sheet: Sheet) -> str:
     """Return the name of a product's file for a sheet, without its ending."""
-    side = float(_lattice(context).size / COUNTS_PER_UNIT)
-    return sheet_name(context.plan.config.sheet_name, product, *sheet.corner, side)
+    config, side = context.plan.config, float(_lattice(context).size / COUNTS_PER_UNIT)
+    name = product_names(config.product_name).get(product, product)
+    return sheet_name(config.sheet_name, name, *sheet.corner, side)
+
+
+def key_of(product: str, sheet: Sheet) -> str:
+    """Return the key of the task of a sheet, without the ending of its file.
+
+    It does not depend on the template, which may give sheets of several products the same name
+    or contain characters that are not allowed in the store.
+    """
+    return sheet_name(DEFAULT, product, *sheet.corner, 0.0)
 
 
 def with_points(context: GridContext) -> dict[Cell, list[Cell]]:

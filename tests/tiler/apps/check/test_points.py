@@ -30,11 +30,43 @@ def test_csv_with_a_heading(tmp_path: Path) -> None:
     assert (points.crs, points.notes, points.has_types) == (None, (), True)
 
 
-@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-def test_csv_without_a_heading(tmp_path: Path, delimiter: str) -> None:
+@pytest.mark.parametrize(
+    "head",
+    [
+        "E,N,H", "X;Y;Z;", " Easting , Northing , Elevation ", "Rechtswert;Hochwert;Höhe", "x   y z",
+        "Longitude\tLatitude\tAlt", "//X,Y,Z", "POINT_X,POINT_Y,POINT_Z", "E [m],N [m],Height (m)",
+    ],
+)  # fmt: skip
+def test_names_and_separators_of_columns(tmp_path: Path, head: str) -> None:
+    separator = next(s for s in (";", "\t", ",", "  ") if s in head)
+    row = separator.join((" 500000.5", "5400000.25 ", "312.5"))
+    points = read_checkpoints(text(tmp_path / "p.csv", f"{head}\n{row}\n"))
+    assert (points.xy.tolist(), points.z.tolist()) == ([[500000.5], [5400000.25]], [312.5])
+
+
+@pytest.mark.parametrize(
+    ("row", "order", "name", "kind"),
+    [
+        ("P1 500000 5400000.5 312", "name, x, y, z", "P1", "NVA"),
+        ("7,500000,5400000.5,312.0", "name, x, y, z", "7", "NVA"),
+        ("500000;5400000.5;312;VVA;grass", "x, y, z, type, cover", "1", "VVA"),
+    ],
+)
+def test_orders_of_columns_without_a_header(
+    tmp_path: Path, row: str, order: str, name: str, kind: str
+) -> None:
+    points = read_checkpoints(text(tmp_path / "p.csv", row + "\n"))
+    assert (points.xy.tolist(), points.z.tolist()) == ([[500000], [5400000.5]], [312])
+    assert (points.names, points.kinds) == ((name,), (kind,))
+    assert points.notes[0] == f"p.csv has no header line: its columns are read as {order}"
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", "   ", " ; "])
+def test_csv_without_a_header(tmp_path: Path, delimiter: str) -> None:
     points = read_checkpoints(text(tmp_path / "p.txt", delimiter.join(("1", "2", "3")) + "\n"))
     assert (points.xy.tolist(), points.z.tolist(), points.names) == ([[1], [2]], [3], ("1",))
     assert points.notes == (
+        "p.txt has no header line: its columns are read as x, y, z",
         "no column contains NVA or VVA: all checkpoints are assumed to be non-vegetated (NVA)",
     )
     assert not points.has_types
@@ -84,13 +116,40 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
         tmp_path / f"q{suffix}", [shapely.Point(1, 2)], "Point", columns={"Elev": [7.5]}
     )
     assert read_checkpoints(flat).z.tolist() == [7.5]
+    depth = write(tmp_path / f"r{suffix}", [shapely.Point(1, 2)], "Point", columns={"d": [7.5]})
+    with pytest.raises(InputError, match=r"has no height \(attributes found: .*d.*; give"):
+        read_checkpoints(depth)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
         ("p.csv", "x,y,z\n1,2,high\n", r"line 2: z 'high' is not a number"),
-        ("p.csv", "x,y\n1,2\n", r"line 2: z is missing"),
+        (
+            "p.csv",
+            "E,N,name\n1,2,a\n",
+            r"p.csv: needs a column of heights \(columns found: E, N, name\); name one z, h, height or elevation$",
+        ),
+        (
+            "p.csv",
+            "a\n1\n",
+            "needs a column of eastings and a column of northings and a column of h",
+        ),
+        ("p.csv", "x,y,z,Z\n1,2,3,4\n", "several columns of heights .* name only one z"),
+        ("p.csv", "x,y,z\n1,2\n", "line 2: z is missing"),
+        (
+            "p.csv",
+            "x,y,z\n500,000,5400,3\n",
+            "line 2: has 4 values, but the table has 3 columns",
+        ),
+        ("p.csv", "id name x y z\na 1 2 3\n", "line 2: has 4 values, but the table has 5"),
+        (
+            "p.csv",
+            "500000,5400000,312,1\n",
+            r"no header line, and the order .* \(first values found: 500000, 5400000, 312, 1\); add",
+        ),
+        ("p.csv", "1.5,2.5\n", "no header line, and the order of its columns is not clear"),
+        ("p.csv", "1,5;2,5;3,5\n", r"line 1: x '1,5' is not a number \(1234.5, with a point\)"),
         (
             "p.csv",
             "x;y;z\n1;2;3,5\n",
