@@ -1,10 +1,14 @@
-"""Ridges and summits that openings cut off: cells that continue the slopes of the ground beside them.
+"""Ridges, summits and land between pits that openings cut off: cells that continue the ground beside them.
 
 An opening cuts off a sharp ridge like a house, because both are high and narrow. They differ at
 their edges: a house ends at its walls, whereas the slopes of a ridge continue. So a cell that
 was taken for an object is terrain if the surface through the cells around it is smooth and
 steep, and if objects nearby continue the ground at most of their edges. At the ends of a bridge
 the deck continues the road, but most of its edges are sides, below which the ground lies.
+
+Land between pits is cut off, too, if each disk on it touches a pit. It is level, so it is terrain
+only near a pit: ground from which higher cells are seen nearby in all directions, unlike from a
+street or a stream. Edges above a pit do not count.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz
 from ptd.frame import Scale
+from ptd.ground.connected import EAST, NORTH
 from ptd.ground.morphology import EMPTY, Bool, CellRaster, Float64
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.ground.slopes import Boxes
@@ -40,10 +45,16 @@ SHARE, LEAST = 0.75, 10
 REACH_CELLS = 1 + PLANES[-1][0]
 """Distance in cells from an edge beyond which heights do not change it. It includes the plane of
 the ground beside the edge, and is not less than `SIDE_CELLS`."""
+RIM_CELLS = 2
+"""Width in cells of the rim of a pit, where the plane of a cell includes cells within the pit."""
+PIT_CELLS = 8
+"""Distance in cells within which the higher cells around the bottom of a pit are seen."""
+PIT_REACH_CELLS = SIDE_CELLS + PIT_CELLS + RIM_CELLS
+"""The same distance if land between pits is looked for."""
 
 _UNKNOWN, _ROUGH, _LEVEL, _STEEP = range(4)
 """Kinds of surface at a cell: not known yet, rough, smooth, and smooth and steep."""
-_FALLS, _CONTINUES = range(2)
+_FALLS, _CONTINUES, _PIT = range(3)
 """Kinds of edges."""
 
 UInt8 = npt.NDArray[np.uint8]
@@ -139,8 +150,33 @@ def _is_beside_smooth(
 
 
 @kernel
+def _is_pit(slots: Int32, z: Int32, row: int, column: int, rise: float) -> bool:
+    """Return whether a cell higher by ``rise`` is seen from a cell in all eight directions."""
+    bottom = as_int64(z[slots[row, column]])
+    for way in range(8):
+        seen = False
+        for steps in range(1, PIT_CELLS + 1):
+            r, c = row + steps * NORTH[way], column + steps * EAST[way]
+            if r < 0 or c < 0 or r >= slots.shape[0] or c >= slots.shape[1]:
+                break
+            i = slots[r, c]
+            if i >= 0 and as_int64(z[i]) - bottom > rise:
+                seen = True
+                break
+        if not seen:
+            return False
+    return True
+
+
+@kernel
 def _edges(
-    keys: Int64, slots: Int32, points: Xyz, lost: Bool, ground: Bool, limits: _Limits
+    keys: Int64,
+    slots: Int32,
+    points: Xyz,
+    lost: Bool,
+    ground: Bool,
+    limits: _Limits,
+    pits: bool,
 ) -> tuple[Int32, UInt8]:
     """Return the kind of edge at each lost cell (`EMPTY` for none), and the kinds of surface that are known."""
     rows, columns = slots.shape
@@ -150,12 +186,13 @@ def _edges(
         if not lost[k]:
             continue
         row, column = divmod(keys[k], columns)
-        lowest, beside = EMPTY, False
+        lowest, beside, at_row, at_column = EMPTY, False, row, column
         for r in range(max(row - SIDE_CELLS, 0), min(row + SIDE_CELLS + 1, rows)):
             for c in range(max(column - SIDE_CELLS, 0), min(column + SIDE_CELLS + 1, columns)):
                 i = slots[r, c]
                 if i >= 0 and ground[i]:
-                    lowest = min(lowest, points.z[i])
+                    if points.z[i] < lowest:
+                        lowest, at_row, at_column = points.z[i], r, c
                     beside |= abs(r - row) <= 1 and abs(c - column) <= 1
         if (
             lowest == EMPTY
@@ -164,7 +201,9 @@ def _edges(
             continue
         fall = (as_int64(points.z[k]) - lowest) * limits.z_ratio
         if fall > limits.side + slopes[k] * math.sqrt(2.0) * SIDE_CELLS * limits.cell:
-            edges[k] = _FALLS
+            rise = limits.side / limits.z_ratio
+            is_pit = pits and _is_pit(slots, points.z, at_row, at_column, rise)
+            edges[k] = _PIT if is_pit else _FALLS
         elif beside and _is_beside_smooth(
             slots, points, row, column, ground, limits, known, slopes
         ):
@@ -191,6 +230,24 @@ def _smooth(
     return smooth
 
 
+@kernel
+def _beside(
+    keys: Int64, slots: Int32, z: Int32, chosen: Bool, found: Bool, step: float
+) -> Bool:
+    """Return a mask of the chosen cells next to a found one whose height differs by at most ``step``."""
+    beside = np.zeros(keys.size, np.bool_)
+    for k in range(keys.size):
+        if not chosen[k]:
+            continue
+        row, column = divmod(keys[k], slots.shape[1])
+        for r in range(max(row - 1, 0), min(row + 2, slots.shape[0])):
+            for c in range(max(column - 1, 0), min(column + 2, slots.shape[1])):
+                i = slots[r, c]
+                if i >= 0 and found[i] and abs(as_int64(z[i]) - z[k]) <= step:
+                    beside[k] = True
+    return beside
+
+
 def on_summits(
     points: Xyz,
     lost: Bool,
@@ -199,10 +256,11 @@ def on_summits(
     scale: Scale,
     cell_m: float,
     around: int,
+    between_pits: bool = False,
 ) -> Bool:
     """Find the cells that openings cut off ridges and summits: bool [n].
 
-    The result of a cell depends on points up to ``around + REACH_CELLS`` cells away.
+    The result of a cell depends on points up to ``around + REACH_CELLS`` cells away, or `PIT_REACH_CELLS`.
 
     Parameters
     ----------
@@ -217,15 +275,26 @@ def on_summits(
         Size of the cells in metres.
     around : int
         Distance in cells, along rows and columns, of the edges that count: half the width of the widest object.
+    between_pits : bool
+        Whether to find level land between pits as well.
     """
     slots, limits = _slots(raster, lost | ground), _Limits.of(scale, cell_m)
-    edges, known = _edges(raster.keys, slots, points, lost, ground, limits)
+    edges, known = _edges(raster.keys, slots, points, lost, ground, limits, between_pits)
     if not (edges == _CONTINUES).any():
         return np.zeros(lost.size, np.bool_)
-    boxes = Boxes(raster.lowest(edges, edges != EMPTY))
+    boxes = Boxes(raster.lowest(edges, edges <= _CONTINUES))
     continued, n_edges = boxes.totals(around, raster.keys).T
     near: Bool = lost & (continued >= np.maximum(SHARE * n_edges, LEAST))
-    return _smooth(raster.keys, slots, points, near, limits, known, _STEEP)
+    found = _smooth(raster.keys, slots, points, near, limits, known, _STEEP)
+    pits = edges == _PIT
+    if pits.any():
+        _, n_pits = Boxes(raster.lowest(edges, pits)).totals(around, raster.keys).T
+        near &= n_pits > 0
+        found |= _smooth(raster.keys, slots, points, near, limits, known, _LEVEL)
+        for _ in range(RIM_CELLS):
+            step = OFF * scale.counts_z(ROUGH_M)
+            found |= _beside(raster.keys, slots, points.z, near, found | ground, step)
+    return found
 
 
 def on_smooth_surfaces(

@@ -16,7 +16,7 @@ from ptd.ground import low_noise, strips, treetops
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
-from ptd.ground.summits import REACH_CELLS
+from ptd.ground.summits import PIT_REACH_CELLS
 from ptd.methods.auto.objects import Drop, Residuals, Shape
 from ptd.methods.progressive import Progressive
 from ptd.params import check, like, parameter
@@ -207,7 +207,7 @@ class AutoParameters:
     @property
     def summit_reach(self) -> int:
         """Distance in cells beyond which points do not change the code of a cell in the pass `summits`."""
-        return self.shape.radius + REACH_CELLS
+        return self.shape.radius + PIT_REACH_CELLS
 
     @property
     def refine_reach(self) -> int:

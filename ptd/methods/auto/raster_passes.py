@@ -126,7 +126,14 @@ class SummitPass(LidarPass):
             block = Xyz(x[index], y[index], z[index])
             raster = CellRaster(block.x, block.y, cells)
             summits = on_summits(
-                block, lost[index], seed[index], raster, scale, p.thin_cell_m, p.shape.radius
+                block,
+                lost[index],
+                seed[index],
+                raster,
+                scale,
+                p.thin_cell_m,
+                p.shape.radius,
+                between_pits=True,
             )
             codes[index[summits & inner]] = SEED
         stats = {"summits": int((codes == SEED).sum() - seed.sum())}

@@ -10,7 +10,7 @@ import pytest
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import CellRaster
-from ptd.ground.summits import REACH_CELLS, on_summits, without_thin
+from ptd.ground.summits import PIT_REACH_CELLS, on_summits, without_thin
 
 SCALE = Scale(origin=(123_500, -98_500))
 AROUND = 18
@@ -32,7 +32,7 @@ def cloud(height: Height, side: int = 60, seed: int = 1) -> Xyz:
 def put_back(points: Xyz, lost: np.ndarray, ground: np.ndarray | None = None) -> np.ndarray:
     raster = CellRaster(points.x, points.y, CellLattice(1000, 1, 0, 0))
     ground = ~lost if ground is None else ground
-    return on_summits(points, lost, ground, raster, SCALE, 1.0, AROUND)
+    return on_summits(points, lost, ground, raster, SCALE, 1.0, AROUND, between_pits=True)
 
 
 def metres(points: Xyz) -> tuple[np.ndarray, np.ndarray]:
@@ -94,6 +94,36 @@ def test_rough_surfaces_do_not_come_back() -> None:
     assert put_back(crowns, lost).mean() < 0.02
 
 
+def in_pits(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Four pits of 6 m around the middle."""
+    return np.hypot(abs(x - 30) - 8, abs(y - 30) - 8) < 3
+
+
+def test_level_land_between_pits_comes_back() -> None:
+    points = cloud(lambda x, y: np.where(in_pits(x, y), -6.0, 0.0))
+    x, y = metres(points)
+    lost = (np.maximum(abs(x - 30), abs(y - 30)) < 11) & (points.z > -1000)
+    assert put_back(points, lost)[lost].mean() > 0.95
+    filled = cloud(lambda x, y: 0.0 * x)
+    assert not put_back(filled, lost).any()
+
+
+def test_a_deck_above_a_stream_and_a_house_around_a_courtyard_do_not_come_back() -> None:
+    def bridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.where((abs(x - 30) < 4) & (abs(y - 30) > 5), -5.0, 0.0)
+
+    points = cloud(bridge)
+    x, y = metres(points)
+    assert not put_back(points, (abs(x - 30) < 9) & (abs(y - 30) < 5)).any()
+
+    def house(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        outer = np.maximum(abs(x - 30), abs(y - 30))
+        return np.where((outer < 12) & (outer > 3), 6.0, 0.0)
+
+    points = cloud(house)
+    assert not put_back(points, points.z > 3000).any()
+
+
 def test_thin_strips_are_left_out() -> None:
     """Strips of 2 and 6 cells, and a few cells that touch the wide one."""
     points = cloud(lambda x, y: 0.0 * x)
@@ -111,7 +141,7 @@ def test_nothing_beyond_the_reach_has_a_part() -> None:
     x, y = metres(points)
     lost = (points.z > 3000) ^ (random.random(x.size) < 0.02)
     inside = (abs(x - 40) < 10) & (abs(y - 40) < 10)
-    reach = 10 + AROUND + REACH_CELLS
+    reach = 10 + AROUND + PIT_REACH_CELLS
     beyond = (abs(x - 40) > reach + 1) | (abs(y - 40) > reach + 1)
     truth = put_back(points, lost)
     assert truth[inside].any()
