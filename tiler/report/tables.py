@@ -42,7 +42,7 @@ def counts(run: Run) -> Node:
         "ground": "ground",
         "unclassified": "unclassified",
         "low_noise": "low noise",
-        "kept": "not filtered, class kept",
+        "kept": "not filtered, with the class of the input",
         "marked": "label not certified",
     }
     pairs |= {
@@ -50,7 +50,9 @@ def counts(run: Run) -> Node:
         for name, text in names.items()
     }
     kept = run.get("classes", {}).get("kept", {})
-    pairs |= {f"class of the input kept: {code}": _count(n) for code, n in kept.items()}
+    pairs |= {
+        f"points that keep class {code} of the input": _count(n) for code, n in kept.items()
+    }
     pixels: dict[str, Content] = {text: _count(n) for text, n in run.get("mask", {}).items()}
     content: list[Content] = [el("h3", "Points"), facts(pairs)]
     if pixels:
