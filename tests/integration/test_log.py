@@ -11,6 +11,8 @@ from cli.main import main
 from tests.invariants import clouds
 from tiler.observe import progress
 
+pytestmark = pytest.mark.usefixtures("logging_as_before")
+
 MAX_LINES = 25
 STAGES = ("read the clouds: ", "filter: ", "grid: ", "write the files: ")
 DECISIONS = (
