@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError
 from tiler.config import RunConfig
 from tiler.core.crs import same_horizontal, same_vertical_datum, split, vertical_name
 from tiler.core.units import METRE, Units, unit_named, unit_plural
-from tiler.core.words import counted, name_in_wkt
+from tiler.core.words import name_in_wkt
 from tiler.errors import ConfigError, InputError
 from tiler.inputs.degrees import validate_lengths
 from tiler.inputs.georeference import Georeference, describe
@@ -256,7 +256,7 @@ def _common_vertical(
     silent = sum(g.vertical is None for _, g in members)
     if silent and any(g.wkt for _, g in members):
         notes.append(
-            f"heights are assumed to be in {unit_plural(horizontal)}, like x and y, because {silent} of "
-            f"{counted(len(members), 'file')} {'has' if silent == 1 else 'have'} no vertical CRS (--units h,v)"
+            f"heights are assumed to be in {unit_plural(horizontal)}, like x and y, because there is no vertical "
+            f"CRS in {silent} of {len(members)} files (--units h,v)"
         )
     return units[0][1] if units else horizontal
