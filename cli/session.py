@@ -60,7 +60,8 @@ def shown_progress() -> Iterator[Listener]:
     from tiler.observe.progress import open_progress
 
     session = current_session()
-    with open_progress(sys.stderr, session.quiet, session.progress) as listener:
+    verbose = session.verbosity > 0
+    with open_progress(sys.stderr, session.quiet, session.progress, verbose) as listener:
         yield listener
 
 

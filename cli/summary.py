@@ -44,6 +44,10 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     files, dropped = len(summary["inputs"]), sum(summary["counts"]["dropped"].values())
     lost = f", {dropped:,} dropped" if dropped else ""
     lines.append(f"points      {points:,} of {counted(files, 'file')}{lost}")
+    stages = list(summary.get("stages", {}).values())
+    if not did_nothing and (kept := sum(stage["done"] for stage in stages)):
+        all_tasks = counted(sum(stage["tasks"] for stage in stages), "task")
+        lines.append(f"kept        {kept:,} of {all_tasks}, which earlier runs did")
     if "filter" in summary:
         section = summary["filter"]
         marked = f", {section['marked']:,} labels not certified" if section["marked"] else ""

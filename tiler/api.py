@@ -374,7 +374,7 @@ def _settings(config: Settings | None, keywords: Mapping[str, Any]) -> RunConfig
     given = dict(config or {})
     for name in keywords:
         if name in given:
-            raise ConfigError(f"{name}: is given in config and as a keyword; give it once")
+            raise ConfigError(f"{name} is given in config and as a keyword; give it once")
     return RunConfig.from_mapping(given | dict(keywords))
 
 

@@ -165,7 +165,8 @@ def _opened(
         if water_is_given(plan.config, products):
             earlier.pop(WATER, None)
         job.results.earlier_outputs = earlier
-        job.results.digests, job.earlier_settings = earlier_facts(out, products)
+        job.results.digests, job.earlier_settings, earlier_notes = earlier_facts(out, products)
+        job.earlier_notes = () if plan.config.overwrite else earlier_notes
         # run.json is written first, since it shows that the later files belong to this run.
         job.save("running")
         with EventLog(out / EVENTS) as log:
@@ -206,7 +207,7 @@ def _tell(job: Job, until: str) -> None:
     """Tell the listener what the plan says, and which stages follow."""
     plan, listener = job.plan, job.listener
     for text in plan.notes:
-        listener(Note(text))
+        job.tell(text)
     left_out = [
         f"{path}: left out: {error.removeprefix(f'{path}: ')}"
         for path, error in plan.inputs.left_out

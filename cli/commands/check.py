@@ -11,6 +11,8 @@ import click
 from cli.options import json_option
 from cli.output import print_json, print_table, write_line
 from cli.session import TilerCommand
+from tiler.core.units_text import length_text
+from tiler.core.words import counted
 
 FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
 HEADINGS = (
@@ -168,7 +170,8 @@ def _print_seams(seams: Mapping[str, Any]) -> None:
         if name in seams
     ]
     columns = ("position", "pairs", "mean step", "largest step", "mean jump", "largest jump")
-    edges = f"across edges of tiles of {seams['tile']:g} (unit of x and y)"
+    unit = seams["horizontal_metres_per_unit"]
+    edges = f"across edges of tiles of {length_text(seams['tile'] * unit, unit)}"
     print_table(f"steps between pixels, {seams['unit']}, {edges}", columns, rows)
     write_line(seams_text(seams))
 
@@ -176,7 +179,8 @@ def _print_seams(seams: Mapping[str, Any]) -> None:
 def _print_strips(strips: Mapping[str, Any]) -> None:
     if not strips["pairs"]:
         write_line(
-            f"strips  none to compare: {len(strips['strips'])} point source ids, but no cell with two of them"
+            f"strips  none to compare: the points have {counted(len(strips['strips']), 'flight line')} (by point "
+            "source id), and no cell has points of two"
         )
         return
     keys = ("rmse", "bias", "median", "nmad", "p95_abs")

@@ -52,6 +52,7 @@ def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -
     ]
     assert out[4].split()[0] == "field"
     assert "RMSEV = 5.1 cm with 32 checkpoints" in out[5]
+    assert "steps between pixels, metre, across edges of tiles of 10 m" in out
     assert any(line.startswith("  tiles ") for line in out)
     assert any("NOT met" in line for line in out)
 

@@ -125,7 +125,7 @@ MADE: dict[str, Any] = {
     "problems": [
         {"what": "void inside the survey"},
         {"what": "void inside the survey"},
-        {"what": "class kept"},
+        {"what": "class that is not filtered"},
     ],
     "edits": [
         {
@@ -154,9 +154,9 @@ def test_a_summary_tells_what_was_made() -> None:
         "outline     1 polygon, OUT/outline.gpkg",
         "clouds      1 classified cloud, OUT/classified",
         "sheets      3 sheets, OUT/sheets.gpkg",
-        "edit        1 (not_ground): 7 of 9 points were ground, 0 are; 94,637 pixels without a height",
+        "edit        1 (not_ground): 7 of 9 points were ground before, none after; 94,637 pixels without a height",
         "edit        2 (flat): 1 pixel",
-        "problems    3: void inside the survey (2), class kept",
+        "problems    3: void inside the survey (2), class that is not filtered",
         "time        1:30 min, 33.3 k points/s",
     ]
     voids = {"surveyed_pixels": 40, "pixels": 3, "asked_pixels": 0}

@@ -95,7 +95,7 @@ def test_options_win_over_the_file(effective: Any, tmp_path: Path) -> None:
     ("text", "error"),
     [("color = 1", "unknown setting 'color'"), ("resolution = ", "not valid TOML"), ("workers = 1.5", "workers 1.5"),
      ("salvage = 'yes'", "salvage 'yes'"), ("compress = 'zip'", "compress 'zip'"),
-     ("products = 'dtm,dms'", "products 'dms'"), ("products = []", "products: is "), ("products = 3", "products 3"),
+     ("products = 'dtm,dms'", "products 'dms'"), ("products = []", "products is empty"), ("products = 3", "products 3"),
      ("surface = 'p101'", "surface 'p101'"), ("surface = 'mean'", "surface 'mean'"), ("voids = 'mend'", "voids 'mend'"),
      ("interpolation = 'spline'", "interpolation 'spline'"), ("erode = '-1'", "erode: '-1'"),
      ("parameters = 3", "parameters 3"), ("parameters = [1]", "--set 1"), ("memory = -1", "memory: -1"),

@@ -190,7 +190,7 @@ def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None
         (["plan", "a.laz", "--resolution", "-1"], "-1"),
         (["plan", "a.laz", "--resolution", "1furlong"], "unknown unit 'furlong'"),
         (["plan", "a.laz", "--memory", "lots"], "'lots' is not a memory size"),
-        (["plan", "a.laz", "--set", "rounds"], "--set rounds: is not valid; give name=value"),
+        (["plan", "a.laz", "--set", "rounds"], "--set rounds is not valid; give name=value"),
         (["plan", "a.laz", "--keep-classes", "7,300"], "classes out of range; give 0 to 255"),
         (["plan", "a.laz", "--bounds", "5", "0", "1", "1"], "X0 must be below X1"),
         (["plan", "a.laz", "--config", "/nowhere/x.toml"], "/nowhere/x.toml"),

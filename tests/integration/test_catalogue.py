@@ -193,7 +193,7 @@ def test_what_is_no_virtual_cloud_is_told_in_one_line(
     file = tmp_path / "bad.vpc"
     file.write_bytes(content)
     with pytest.raises(
-        InputError, match=r"bad\.vpc: is not a readable virtual point cloud"
+        InputError, match=r"bad\.vpc: the file is not a readable virtual point cloud"
     ) as refused:
         find_inputs([str(file)])
     assert reason in str(refused.value)

@@ -47,7 +47,7 @@ def test_events_are_not_appended_through_a_link(
     before = content(out)
     assert main(["run", str(cloud), "-o", str(out), "--method", "classic", "--force"]) == 2
     line = capsys.readouterr().err.strip()
-    assert f"-o {out}/events.jsonl: is a link" in line
+    assert f"-o {out}/events.jsonl is a link" in line
     assert "remove the link" in line
     assert line.count("\n") == 0
     assert victim.read_text() == '"state": "running"'
@@ -63,9 +63,7 @@ def test_nothing_is_written_to_a_folder_that_is_a_link(
     out = tmp_path / "out"
     out.mkdir()
     (out / folder).symlink_to(victim.parent)
-    with pytest.raises(
-        ConfigError, match=rf"-o {out}/{folder}: is a link, .*; remove the link"
-    ):
+    with pytest.raises(ConfigError, match=rf"-o {out}/{folder} is a link, .*; remove the link"):
         do(cloud, out, sheets="40", force=True)
     assert [path.name for path in victim.parent.iterdir()] == ["profile"]
     assert [path.name for path in out.iterdir()] == [folder]
@@ -77,7 +75,7 @@ def test_a_nested_folder_of_clouds_that_is_a_link(victim: Path, tmp_path: Path) 
     out = tmp_path / "out"
     (out / "classified").mkdir(parents=True)
     (out / "classified" / "b").symlink_to(victim.parent)
-    with pytest.raises(ConfigError, match=r"classified/b: is a link"):
+    with pytest.raises(ConfigError, match=r"classified/b is a link"):
         do(tmp_path / "in", out, force=True)
     (out / "classified" / "b").unlink()
     assert do(tmp_path / "in", out, force=True).exit_code == 0
@@ -90,7 +88,7 @@ def test_a_link_that_comes_during_the_run_is_noticed(
     do(cloud, out, until="grid")
     monkeypatch.setattr("tiler.plan.validation._validate_links", lambda *_: None)
     (out / "classified").symlink_to(victim.parent)
-    with pytest.raises(ConfigError, match="classified: is a link"):
+    with pytest.raises(ConfigError, match="classified is a link"):
         do(cloud, out)
     assert [path.name for path in victim.parent.iterdir()] == ["profile"]
 
@@ -167,7 +165,7 @@ def test_a_folder_of_the_store_that_is_a_link(
     (out / "store.zarr" / folder).rename(target)
     (out / "store.zarr" / folder).symlink_to(target)
     before = content(victim.parent)
-    with pytest.raises(ConfigError, match=rf"store.zarr/{folder}: is a link"):
+    with pytest.raises(ConfigError, match=rf"store.zarr/{folder} is a link"):
         do(cloud, out, overwrite=True)
     assert content(victim.parent) == before
 
@@ -181,7 +179,7 @@ def test_classified_files_are_not_written_through_a_link(
     (tmp_path / "done" / "b").symlink_to(victim.parent)
     given = ["classify", tmp_path / "in", tmp_path / "done", "--method", "classic"]
     assert main([str(text) for text in given]) == 2
-    assert "done/b: is a link" in capsys.readouterr().err
+    assert "done/b is a link" in capsys.readouterr().err
     assert [path.name for path in victim.parent.iterdir()] == ["profile"]
 
 
@@ -194,7 +192,7 @@ def test_a_demo_is_not_written_through_a_link(
     link.symlink_to(victim if "mark" in name else victim.parent)
     before = victim.stat()
     assert main(["demo", "-o", str(tmp_path / "demo")]) == 2
-    assert f"-o {link}: is a link" in capsys.readouterr().err
+    assert f"-o {link} is a link" in capsys.readouterr().err
     assert victim.stat().st_mtime_ns == before.st_mtime_ns
     assert [path.name for path in victim.parent.iterdir()] == ["profile"]
 

@@ -50,7 +50,7 @@ def test_the_dialog_finds_and_tests_the_command(qt: int, tmp_path: Path) -> None
     assert found["blend"] == MULTIPLY
     assert found["works"]["status"] == f"{tiler} works: tiler {__version__}"
     assert found["works"]["kept"] == str(tiler)
-    assert found["other"]["status"] == f"{other}: is not the command tiler; give another path"
+    assert found["other"]["status"] == f"{other} is not the command tiler; give another path"
     assert found["none"]["status"].startswith(
         "/none/tiler: the command tiler was not found; install it"
     )

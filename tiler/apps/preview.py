@@ -126,14 +126,12 @@ def make_preview(
         settings = _settings(plan)
         columns: list[tuple[Shade, Shade]] = []
         drawn_windows: list[PreviewWindow] = []
-        for bounds, paths in zip(windows, files, strict=True):
-            if paths:
-                listener(
-                    Note(f"draw window {len(drawn_windows) + 1} of {len(windows)} at most")
-                )
-                column, window = _window(bounds, paths, settings, tell)
-                columns.append(column)
-                drawn_windows.append(window)
+        filled = [(b, paths) for b, paths in zip(windows, files, strict=True) if paths]
+        for number_drawn, (bounds, paths) in enumerate(filled, start=1):
+            listener(Note(f"draw window {number_drawn} of {len(filled)}"))
+            column, window = _window(bounds, paths, settings, tell)
+            columns.append(column)
+            drawn_windows.append(window)
     write_png(Path(target), _montage(columns))
     return drawn_windows
 

@@ -65,7 +65,7 @@ def parse_names(
         if item not in choices:
             raise ConfigError(f"{name} {item!r}: choose from {', '.join(choices)}")
     if not found:
-        raise ConfigError(f"{name}: is empty; give at least one of {', '.join(choices)}")
+        raise ConfigError(f"{name} is empty; give at least one of {', '.join(choices)}")
     return tuple(c for c in choices if c in found)
 
 
@@ -81,7 +81,7 @@ def parse_surface(value: Any) -> str:
     ):
         return value
     raise ConfigError(
-        f"surface {value!r}: is not valid; give all, median, or a percentile of the heights like p10"
+        f"surface {value!r} is not valid; give all, median, or a percentile of the heights like p10"
     )
 
 
@@ -101,7 +101,7 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
             name, sign, text = str(item).partition("=")
         if not sign or not name:
             raise ConfigError(
-                f"--set {item}: is not valid; give name=value (`tiler methods` lists the names)"
+                f"--set {item} is not valid; give name=value (`tiler methods` lists the names)"
             )
         pairs.append((name.strip(), text.strip()))
     return tuple(pairs)
@@ -130,7 +130,7 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
         x0, y0, x1, y1 = (float(v) for v in value)
     except (TypeError, ValueError):
         raise ConfigError(
-            f"bounds {value!r}: are not valid; give four numbers X0 Y0 X1 Y1 in units of the CRS"
+            f"bounds {value!r} are not valid; give four numbers X0 Y0 X1 Y1 in units of the CRS"
         ) from None
     if not (x0 < x1 and y0 < y1):
         raise ConfigError(f"bounds {value!r}: X0 must be below X1 and Y0 below Y1")
@@ -147,7 +147,7 @@ def _crs(value: Any) -> str:
         return value
     if isinstance(value, int) and not isinstance(value, bool):
         return f"EPSG:{value}"
-    raise ConfigError(f"crs {value!r}: is not valid; give EPSG:2154, 2154, WKT or none")
+    raise ConfigError(f"crs {value!r} is not valid; give EPSG:2154, 2154, WKT or none")
 
 
 def parse_files(name: str, value: Any) -> tuple[str, ...]:

@@ -72,4 +72,4 @@ def load_config(path: Path) -> dict[str, Any]:
         ) from error
     # Very long numbers and deep nesting raise these, too.
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: is not valid TOML ({error}); correct the file") from error
+        raise ConfigError(f"{path}: not valid TOML ({error}); correct the file") from error

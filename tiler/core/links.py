@@ -15,7 +15,7 @@ from tiler.errors import ConfigError
 def link_error(path: Path, option: str = "") -> ConfigError:
     """Return the error for a link through which a command would write."""
     return ConfigError(
-        f"{option} {path}: is a link, through which tiler does not write; remove the link and run again".strip()
+        f"{option} {path} is a link, through which tiler does not write; remove the link and run again".strip()
     )
 
 

@@ -65,6 +65,12 @@ def unit_label(metres: Fraction) -> str:
     return labels.get(metres, f"{float(metres):.12g} m")
 
 
+def unit_plural(metres: Fraction) -> str:
+    """Return the plural of a linear unit: ``metres``, ``feet``, ``US survey feet``, or ``units of 0.9 m``."""
+    labels = {METRE: "metres", FOOT: "feet", US_SURVEY_FOOT: "US survey feet"}
+    return labels.get(metres, f"units of {float(metres):.12g} m")
+
+
 def exact_unit(metres: float) -> Fraction:
     """Return the exact fraction of a floating-point conversion factor of a CRS (``0.3048006096...`` is 1200/3937)."""
     for known in (METRE, FOOT, US_SURVEY_FOOT):

@@ -48,6 +48,7 @@ from tiler.ingest.tasks.points import Source
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below, raster_file
+from tiler.observe.events import Detail
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
@@ -242,7 +243,8 @@ def _report_contours(job: Job) -> None:
     if record.cut:
         job.note(
             f"contour lines that are written in two parts, as whole lines need more memory (--memory): "
-            f"{record.cut:,}"
+            f"{record.cut:,}",
+            Detail,
         )
 
 

@@ -49,7 +49,7 @@ from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
 from tiler.grid.tasks.water_facts import report_waters
 from tiler.ingest.tasks.assembled import IngestResult
-from tiler.observe.events import Warned
+from tiler.observe.events import Note, Warned
 from tiler.plan import KEEP
 from tiler.plan.model import MAX_GROUND
 from tiler.runs.compiling import grid_kernels
@@ -149,7 +149,9 @@ def _make(
     }
     lost = {key for key, (_, stored) in done.items() if stored.get("filled")} - written
     if lost:
-        job.note(f"{counted(len(lost), 'block')} of {name} missing from the store; made again")
+        job.note(
+            f"{counted(len(lost), 'block')} of {name} missing from the store; made again", Note
+        )
     job.invalidate(stage, lost)
     _blank(job, name, spec, written - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())

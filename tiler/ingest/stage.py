@@ -14,6 +14,7 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.records import SpoolRecord, TileRecord, buckets_in
 from tiler.core.results import ClassCounts, FetchedBytes, LeftOut, PointCounts, Stray
 from tiler.core.selection import WITHHELD
+from tiler.core.words import counted
 from tiler.errors import InputError, ProcessingError
 from tiler.ingest import OUTSIDE_AREA, Strays
 from tiler.ingest.tasks.assembled import IngestResult
@@ -28,7 +29,7 @@ from tiler.ingest.tasks.points import (
 )
 from tiler.inputs import FAR
 from tiler.io.locations import is_url
-from tiler.observe.events import TaskFailed, Warned
+from tiler.observe.events import Detail, Note, TaskFailed, Warned
 from tiler.plan import KEEP, Plan, bounds_of, settled_by_points, sparse_raster_remedy
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -112,7 +113,8 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     if rounding > 0:
         job.note(
             f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep the "
-            "exact ones"
+            "exact ones",
+            Detail,
         )
     for reason, count in dropped.items():
         job.note(f"{count:,} points left out: {reason}")
@@ -262,7 +264,9 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     _report_strays(job, sources, assembled)
     if within or between:
         job.note(
-            f"duplicate points are filtered once: {between:,} between files, {within:,} within a file"
+            f"{counted(within + between, 'duplicate point')} left out of the filter; each gets the class of the point "
+            "that it repeats",
+            Detail,
         )
     return assembled
 
@@ -316,7 +320,8 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     gone = needed - job.store.pieces() if needed else set()
     if gone:
         job.note(
-            f"{len(gone)} parts of the decoded points are gone from the store; they are decoded again"
+            f"{len(gone)} parts of the decoded points are gone from the store; they are decoded again",
+            Note,
         )
         job.invalidate("spool", gone)
         run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))

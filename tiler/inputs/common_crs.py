@@ -13,7 +13,8 @@ from pyproj.exceptions import CRSError
 
 from tiler.config import RunConfig
 from tiler.core.crs import same_horizontal, same_vertical_datum, split, vertical_name
-from tiler.core.units import METRE, Units, unit_label, unit_named
+from tiler.core.units import METRE, Units, unit_named, unit_plural
+from tiler.core.words import name_in_wkt
 from tiler.errors import ConfigError, InputError
 from tiler.inputs.degrees import validate_lengths
 from tiler.inputs.georeference import Georeference, describe
@@ -59,6 +60,10 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
         key=lambda text: (_parts(text)[1] is None, -text.count("ID["), text),
         default=None,
     )
+    if wkt is not None:
+        origin = "the files" if any(g is not given for _, g in members) else "--crs"
+        unit = unit_plural(units.horizontal)
+        notes.insert(0, f"the CRS is {name_in_wkt(wkt)}, from {origin}; x and y are in {unit}")
     return CommonCrs(wkt, units, notes)
 
 
@@ -102,7 +107,7 @@ def _note_ignored_crs(
     differing = next((g for g in dict.fromkeys(declared) if _differs(g, given)), None)
     if differing is not None and differing.wkt is not None:
         notes.append(
-            f"--crs {text}: is only for files without a CRS; {len(declared)} of {len(members)} files have their own, "
+            f"--crs {text} is only for files without a CRS: {len(declared)} of {len(members)} files have their own, "
             f"{CRS.from_wkt(differing.wkt).name}, which is used; if it is wrong, write the right one into the files "
             "first (`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
         )
@@ -207,7 +212,7 @@ def _units(
     if text is None:
         if members and declared is None:
             notes.append(
-                "CRS unknown: coordinates are taken as metres; use --units if they are not"
+                "the files have no CRS: coordinates are assumed to be in metres (--crs, --units)"
             )
         horizontal = declared or METRE
         return Units(horizontal, _common_vertical(members, horizontal, notes))
@@ -217,18 +222,18 @@ def _units(
     horizontal = parts[0]
     vertical = parts[1] if len(parts) == 2 else _common_vertical(members, horizontal, [])
     notes.append(
-        f"--units: {unit_label(horizontal)} horizontally, {unit_label(vertical)} vertically"
+        f"--units: x and y are in {unit_plural(horizontal)}, heights in {unit_plural(vertical)}"
     )
     if declared not in (None, horizontal):
         notes.append(
-            f"--units {text}: x and y are taken as {unit_label(horizontal)} although their CRS has "
-            f"{unit_label(declared)}; if this is the unit of the heights alone, write --units h,v"
+            f"--units {text}: x and y are read in {unit_plural(horizontal)} although their CRS has "
+            f"{unit_plural(declared)}; if this is the unit of the heights alone, write --units h,v"
         )
     for path, own in members:
         if own.vertical not in (None, vertical):
             notes.append(
-                f"--units {text}: heights are taken as {unit_label(vertical)} although the CRS of {path} has "
-                f"{unit_label(own.vertical)}; rasters do not get its vertical CRS"
+                f"--units {text}: heights are read in {unit_plural(vertical)} although the CRS of {path} has "
+                f"{unit_plural(own.vertical)}; rasters do not get its vertical CRS"
             )
             break
     return Units(horizontal, vertical)
@@ -245,13 +250,13 @@ def _common_vertical(
     for path, unit in units[1:]:
         if unit != units[0][1]:
             raise InputError(
-                f"{path}: its heights are in {unit_label(unit)}, those of {units[0][0]} in "
-                f"{unit_label(units[0][1])}; convert them, or give the units of all with --units h,v"
+                f"{path}: its heights are in {unit_plural(unit)}, those of {units[0][0]} in "
+                f"{unit_plural(units[0][1])}; convert them, or give the units of all with --units h,v"
             )
     silent = sum(g.vertical is None for _, g in members)
     if silent and any(g.wkt for _, g in members):
         notes.append(
-            f"no vertical CRS in {silent} of {len(members)} files: heights are taken to be in "
-            f"{unit_label(horizontal)}, like x and y; use --units h,v if they are not"
+            f"heights are assumed to be in {unit_plural(horizontal)}, like x and y, because there is no vertical "
+            f"CRS in {silent} of {len(members)} files (--units h,v)"
         )
     return units[0][1] if units else horizontal

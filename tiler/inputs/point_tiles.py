@@ -285,4 +285,4 @@ def _read(text: str, place: str) -> dict[str, Any]:
 
 
 def _refuse(text: str, what: str, remedy: str = "make it again") -> NoReturn:
-    raise InputError(f"{text}: is not a readable EPT data set: {what}; {remedy}")
+    raise InputError(f"{text}: the file is not a readable EPT data set: {what}; {remedy}")

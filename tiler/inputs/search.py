@@ -208,7 +208,7 @@ def _walk(folder: Path, note: Tell) -> Iterator[Path]:
         for name in folders:
             if (here / name).is_symlink():
                 note(
-                    f"{here / name}: is a link to a folder, not followed; give it as an input to read it"
+                    f"{here / name} is a link to a folder, not followed; give it as an input to read it"
                 )
         for name in sorted(names):
             if Path(name).suffix.lower() in SUFFIXES:
@@ -248,7 +248,7 @@ class _Made:
             elif folder not in self._reported:
                 self._reported.add(folder)
                 self._note(
-                    f"{folder}: is the result of a run, left out; give it as an input to read it"
+                    f"{folder} is the result of a run, left out; give it as an input to read it"
                 )
 
     def _folder_of(self, path: Path) -> Path | None:

@@ -125,4 +125,6 @@ def _resolved(text: str, href: str) -> str:
 
 
 def _refuse(text: str, what: str) -> NoReturn:
-    raise InputError(f"{text}: is not a readable virtual point cloud: {what}; write it again")
+    raise InputError(
+        f"{text}: the file is not a readable virtual point cloud: {what}; write it again"
+    )

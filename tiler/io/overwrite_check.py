@@ -61,7 +61,7 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
         for identity in _identities(target.path):
             if identity in known:
                 raise ConfigError(
-                    f"{named}: is an input ({known[identity]}); give another output, or a copy of the input"
+                    f"{named} is an input ({known[identity]}); give another output, or a copy of the input"
                 )
 
 

@@ -137,10 +137,18 @@ def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
     return files
 
 
-def earlier_facts(out: Path, products: str) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the recorded digests of files that earlier runs wrote in OUT, and the settings of the last run."""
+def earlier_facts(
+    out: Path, products: str
+) -> tuple[dict[str, str], dict[str, Any], tuple[str, ...]]:
+    """Return the recorded digests of files that earlier runs wrote in OUT, and settings and notes of the last run."""
     run = _earlier_run(out, products)
-    return _mapping(run, "digests"), _mapping(run, "configuration")
+    notes = (*_notes(_mapping(run, "plan")), *_notes(run))
+    return _mapping(run, "digests"), _mapping(run, "configuration"), notes
+
+
+def _notes(found: Mapping[str, Any]) -> list[str]:
+    notes = found.get("notes")
+    return notes if isinstance(notes, list) else []
 
 
 def earlier_statistics(out: Path, method: str, parameters: Mapping[str, Any]) -> dict[str, Any]:

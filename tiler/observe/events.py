@@ -35,6 +35,11 @@ class Note(Event):
 
 
 @dataclass(frozen=True)
+class Detail(Note):
+    """A note that people see only with ``-v``: it is of little weight, or an earlier run has shown it."""
+
+
+@dataclass(frozen=True)
 class Warned(Event):
     """A warning for the user."""
 

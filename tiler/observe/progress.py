@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import IO
 
 from tiler.observe.events import (
+    Detail,
     Event,
     Listener,
     Note,
@@ -81,7 +82,7 @@ def duration_text(seconds: float) -> str:
 
 
 class PlainLines:
-    """Listener for logs and CI that writes a line per stage, and more lines during a long stage.
+    """Listener that writes notes, warnings and a line per stage, and more lines during a long stage.
 
     A stage of less than a second has no line, and a stage of less than five seconds has one
     line, so that the log of a small run is short.
@@ -234,9 +235,9 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 
 @contextmanager
 def open_progress(
-    stream: IO[str], quiet: bool = False, form: str = "auto"
+    stream: IO[str], quiet: bool = False, form: str = "auto", verbose: bool = False
 ) -> Iterator[Listener]:
-    """Yield the listener for a stream: bars on a terminal, lines elsewhere.
+    """Yield the listener for a stream: bars on a terminal, notes and warnings elsewhere.
 
     Parameters
     ----------
@@ -247,24 +248,29 @@ def open_progress(
     form : {"auto", "plain", "json", "none"}
         Form of the progress: depending on the stream, lines of text, one JSON object per line
         (`tiler.observe.json_lines`), or messages without progress.
+    verbose : bool
+        Whether to show details as well, and lines about the stages if there are no bars.
     """
-    if form == "json":
-        lines = JsonLines(stream)
-        yield _only(lines, *TROUBLE) if quiet else lines
-    elif quiet:
-        yield _only(PlainLines(stream), *TROUBLE)
-    elif form == "none":
-        yield _only(PlainLines(stream), *TROUBLE, Note)
+    without = () if verbose else (Detail,)
+    if quiet:
+        lines = JsonLines(stream) if form == "json" else PlainLines(stream)
+        yield _filtered(lines, TROUBLE)
+    elif form == "json":
+        yield JsonLines(stream)
     elif form == "auto" and stream.isatty():
         with bar_progress(stream) as listener:
-            yield listener
+            yield _filtered(listener, (Event,), without)
+    elif form == "plain" or (verbose and form == "auto"):
+        yield _filtered(PlainLines(stream), (Event,), without)
     else:
-        yield PlainLines(stream)
+        yield _filtered(PlainLines(stream), (*TROUBLE, Note), without)
 
 
-def _only(listener: Listener, *kinds: type[Event]) -> Listener:
+def _filtered(
+    listener: Listener, kinds: tuple[type[Event], ...], without: tuple[type[Event], ...] = ()
+) -> Listener:
     def listen(event: Event) -> None:
-        if isinstance(event, kinds):
+        if isinstance(event, kinds) and not isinstance(event, without):
             listener(event)
 
     return listen

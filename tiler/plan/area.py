@@ -47,7 +47,7 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
         bounds = bounds_in_counts(config.bounds)
         if bounds.empty:
             raise ConfigError(
-                f"--bounds {' '.join(f'{v:g}' for v in config.bounds)}: is empty; give larger bounds"
+                f"--bounds {' '.join(f'{v:g}' for v in config.bounds)} is empty; give larger bounds"
             )
         return Area.rectangle(bounds)
     if config.aoi is None:

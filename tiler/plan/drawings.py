@@ -167,7 +167,7 @@ def _edit(number: int, feature: Feature) -> Edit:
     height = feature.height() if action == FLAT else None
     if action == FLAT and (height is None or abs(height) * COUNTS_PER_UNIT > INT32_LIMIT):
         raise InputError(
-            f"{feature.place}: is flat without a height; give it in the column `z`, in the unit of the heights"
+            f"{feature.place} is flat without a height; give it in the column `z`, in the unit of the heights"
         )
     z = None if height is None else round(height * COUNTS_PER_UNIT)
     return Edit(number, action, area_in_counts(feature.place, [feature]), z)

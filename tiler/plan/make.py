@@ -97,8 +97,11 @@ def make_plan(
     notes += crs.notes
     config = with_survey_feet(config, crs.units)
     notes += bare_lengths(config, crs.units)
+    paths_of_notes: dict[str, list[str]] = {}
     for source in sources:
-        notes += [f"{source.path}: {text}" for text in source.notes]
+        for text in source.notes:
+            paths_of_notes.setdefault(text, []).append(str(source.path))
+    notes += [f"{listed(of, 2, 'files')}: {text}" for text, of in paths_of_notes.items()]
     if not filled_sources(sources):
         raise InputError(
             f"{_names(sources)}: no points to make a terrain from; give clouds with points"

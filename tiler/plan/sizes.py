@@ -203,7 +203,11 @@ def resolution_of(
         )
         return finest
     if spacing <= 1.05:
-        return Fraction(1) if unit == 1 else USUAL_FT * unit
+        usual = Fraction(1) if unit == 1 else USUAL_FT * unit
+        notes.append(
+            f"decided: pixels of {length_text(usual, unit)}, the default for clouds of this density (--resolution)"
+        )
+        return usual
     if spacing > config.max_edge:
         notes.append(
             f"decided: pixels of {length_text(config.max_edge, unit)}, although points are "

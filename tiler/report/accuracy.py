@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tiler.core.words import counted
 from tiler.errors import write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.json_text import parse_json_object
@@ -209,7 +210,8 @@ def _strips(found: Mapping[str, Any]) -> Node:
         (f"{pair['second']} - {pair['first']}", pair["cells"], pair) for pair in found["pairs"]
     ]
     if len(groups) == 1:
-        none = f"No cell has points of two strips. Number of point source ids: {len(found['strips'])}."
+        lines = counted(len(found["strips"]), "flight line")
+        none = f"The points have {lines} (by point source id), and no cell has points of two."
         return el("div", heading, el("p", none))
     rows = [
         (name, _number(cells), *(_number(values[key]) for key in SPREAD))

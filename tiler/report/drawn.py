@@ -124,6 +124,8 @@ def changed_text(edit: Mapping[str, Any]) -> str:
     holes = f"; {counted(edit['holes'], 'pixel')} without a height" if edit.get("holes") else ""
     if "pixels" in edit:
         return f"{counted(edit['pixels'], 'pixel')}{holes}"
-    before, after = edit.get("ground_before", 0), edit.get("ground_after", 0)
+    numbers = (edit.get(f"ground_{when}", 0) for when in ("before", "after"))
+    before, after = (f"{number:,}" if number else "none" for number in numbers)
+    points = counted(edit.get("points", 0), "point")
     by = f" ({edit['by']})" if edit["action"] == "ground" else ""
-    return f"{before:,} of {counted(edit.get('points', 0), 'point')} were ground, {after:,} are{by}{holes}"
+    return f"{before} of {points} were ground before, {after} after{by}{holes}"

@@ -114,7 +114,7 @@ def _read_run(out: Path) -> dict[str, Any]:
             f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"
         ) from error
     except ValueError as error:
-        raise InputError(f"{path}: is not valid JSON ({error}); {AGAIN_WITHOUT_RUN}") from error
+        raise InputError(f"{path}: not valid JSON ({error}); {AGAIN_WITHOUT_RUN}") from error
 
 
 def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:

@@ -250,7 +250,10 @@ def _kept(run: Run) -> Iterator[Problem]:
             continue
         why = f"{count:,} points of class {code} were not filtered and keep their class"
         yield Problem(
-            "class kept", None, why, "use --keep-classes to choose the classes that are kept"
+            "class that is not filtered",
+            None,
+            why,
+            "use --keep-classes to choose the classes that are kept",
         )
 
 
@@ -262,7 +265,7 @@ def _strays(run: Run) -> Iterator[Problem]:
 
 def _healed(run: Run) -> Iterator[Problem]:
     if healed := ", ".join(run.get("healed", ())):
-        yield Problem("damaged store", None, f"{healed}: was damaged; it was computed again")
+        yield Problem("damaged store", None, f"damaged and computed again: {healed}")
 
 
 SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (

@@ -31,7 +31,7 @@ LABELLED = {
     "ground": "ground",
     "unclassified": "unclassified",
     "low_noise": "low noise",
-    "kept": "not filtered, class kept",
+    "kept": "not filtered, with the class of the input",
     "marked": "label not certified",
 }
 """Counts of labels in run.json, and their names for users."""
@@ -53,7 +53,9 @@ def counts(run: Run) -> Node:
         for name, text in LABELLED.items()
     }
     kept = run.get("classes", {}).get("kept", {})
-    pairs |= {f"class of the input kept: {code}": _count(n) for code, n in kept.items()}
+    pairs |= {
+        f"points that keep class {code} of the input": _count(n) for code, n in kept.items()
+    }
     pixels: dict[str, Content] = {text: _count(n) for text, n in run.get("mask", {}).items()}
     content: list[Content] = [el("h3", "Points"), facts(pairs)]
     if pixels:

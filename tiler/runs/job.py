@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +12,9 @@ from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError
 from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.result_folder import RUN, local_folder
-from tiler.observe.events import Listener, Note
+from tiler.observe.events import Detail, Listener, Note
 from tiler.plan import Plan
+from tiler.redaction import stored
 from tiler.report import write_run_file
 from tiler.report.notebook import run_markup
 from tiler.report.sections import ResolvedSetting, noted, settled
@@ -139,7 +140,8 @@ class Job:
     """State of a running run, which its stages share.
 
     ``out`` is the folder of run.json, log and report. ``products`` is the location of all other files, the same folder
-    or a URL. ``earlier_settings`` are the settings of the last run in OUT by name, empty without an earlier run.
+    or a URL. ``earlier_settings`` and ``earlier_notes`` are the settings by name and the notes of the last run in OUT,
+    empty without an earlier run.
     """
 
     plan: Plan
@@ -150,6 +152,7 @@ class Job:
     ownership: LeaseWatch
     record: RunRecord = field(default_factory=RunRecord)
     earlier_settings: Mapping[str, Any] = field(default_factory=dict)
+    earlier_notes: Sequence[str] = ()
     executors: Executors = field(init=False)
     compiler: Compiler = field(init=False)
     _saved: float = field(init=False, default=0.0)
@@ -157,7 +160,9 @@ class Job:
 
     def __post_init__(self) -> None:
         self.compiler = Compiler(
-            lambda event: self.listener(event), not self.plan.config.in_process, self.note
+            lambda event: self.listener(event),
+            not self.plan.config.in_process,
+            lambda text: self.note(text, Note),
         )
         self.executors = Executors(self.plan, self.store.url, self.products, self.note)
 
@@ -166,12 +171,21 @@ class Job:
         """Results that the stages add to run.json."""
         return self.record.results
 
-    def note(self, text: str) -> None:
-        """Show a note to the user and add it to run.json, with lengths in the unit of the CRS."""
+    def note(self, text: str, kind: type[Note] | None = None) -> None:
+        """Show a note to the user and add it to run.json, with lengths in the unit of the CRS.
+
+        By default, a note that the last run has shown is a `Detail`.
+        """
         text = in_unit_of_crs(text, self.plan.frame.units)
         if text not in self.record.notes:  # A stage that is run twice repeats its notes.
             self.record.notes.append(text)
-        self.listener(Note(text))
+        self.tell(text, kind)
+
+    def tell(self, text: str, kind: type[Note] | None = None) -> None:
+        """Show a note to the user, as `note` does, but do not add it to the notes of run.json."""
+        if kind is None:
+            kind = Detail if stored(text) in self.earlier_notes else Note
+        self.listener(kind(text))
 
     def split_commits(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
         """Return the commits of a stage that fit these tasks, and those of other settings or inputs."""

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.core.records import TileRecord, buckets_in
+from tiler.observe.events import Note
 from tiler.runs.job import Job
 from tiler.store import chunk_numbers
 
@@ -31,7 +32,7 @@ def repair(job: Job, keys: Iterable[str]) -> None:
         remedy = "the tasks that wrote it are run again"
         if kind == "records":
             remedy = "the source is decoded again"
-        job.note(f"store: {key} is damaged or missing; {remedy}")
+        job.note(f"store: {key} is damaged or missing; {remedy}", Note)
         numbers = chunk_numbers(chunk)  # None for the whole array
         if kind == "spool":
             job.store.uncommit("spool", name)

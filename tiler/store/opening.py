@@ -94,10 +94,10 @@ def _is_a_store(storage: Storage) -> bool:
     root = storage.root
     if root is not None and root.is_symlink() and not root.exists():
         raise ForeignStoreError(
-            f"{url}: is a link to a missing folder; make the folder or give another path"
+            f"{url} is a link to a missing folder; make the folder or give another path"
         )
     if root is not None and root.is_file():
-        raise ForeignStoreError(f"{url}: is a file, not a tile store; give another path")
+        raise ForeignStoreError(f"{url} is a file, not a tile store; give another path")
     data = storage.get(layout.ROOT_KEY)
     if data is None:
         # A zarr.json that is listed but cannot be read is a folder or a link to a folder.

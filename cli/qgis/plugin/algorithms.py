@@ -137,7 +137,7 @@ class ApplyEdits(RunAlgorithm):
         layer = self.parameterAsVectorLayer(parameters, "EDITS", context)
         if layer is None:
             raise CommandError(
-                f"{parameters.get('EDITS')}: is not a layer of polygons; give the layer edits"
+                f"{parameters.get('EDITS')} is not a layer of polygons; give the layer edits"
             )
         path = layer.source().split("|")[0]
         if layer.isModified():
@@ -146,7 +146,7 @@ class ApplyEdits(RunAlgorithm):
             )
         if not Path(path).is_file():
             raise CommandError(
-                f"{layer.name()}: is not stored in a file; save it as a GeoPackage, then run this again"
+                f"{layer.name()} is not stored in a file; save it as a GeoPackage, then run this again"
             )
         return absolute(path)
 

@@ -95,7 +95,7 @@ def version_of(path: str) -> str:
         )
     words = ended.text.split()
     if len(words) < 2 or words[0].rstrip(",") != "tiler":
-        raise CommandError(f"{path}: is not the command tiler; give another path")
+        raise CommandError(f"{path} is not the command tiler; give another path")
     return words[-1]
 
 

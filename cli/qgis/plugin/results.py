@@ -90,7 +90,7 @@ def load_folder(
         return
     if not Path(folder).is_dir():
         feedback.pushWarning(
-            f"{folder}: is not a folder on this machine, so its results are not added to the project"
+            f"{folder} is not a folder on this machine, so its results are not added to the project"
         )
         return
     title = Path(folder).name + (" (NOT COMPLETE)" if incomplete else "")
@@ -111,7 +111,7 @@ def load_cloud(
     layer = _cloud(path, path, Path(path).stem, True)
     if layer is None:
         feedback.pushWarning(
-            f"{path}: is not added to the project, because this QGIS ({Qgis.QGIS_VERSION}) cannot show LAS and LAZ"
+            f"{path} is not added to the project, because this QGIS ({Qgis.QGIS_VERSION}) cannot show LAS and LAZ"
         )
     else:
         _add(path, "", "", 0, layer, context)

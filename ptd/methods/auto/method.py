@@ -120,8 +120,8 @@ class Auto(AutoParameters):
             DensifyPass(self),
             RefinePass(self, influence_radius_m=(self.refine_reach + 1) * cell),
             *(
-                self._roof_pass(*steps)
-                for steps in zip(ROOF_PASSES, (0.0, *ROOF_STEPS_M), ROOF_STEPS_M, strict=False)
+                self._roof_pass(name, ROOF_STEPS_M[: n + 1])
+                for n, name in enumerate(ROOF_PASSES)
             ),
             TreetopPass(self, influence_radius_m=(self.treetop_reach + 1) * cell),
             LabelPass(self, label_margin_m=REACH_M if self.fine_surface else 0.0),
@@ -129,10 +129,14 @@ class Auto(AutoParameters):
             matched.SurfacePass(refine=self.refine),
         )
 
-    def _roof_pass(self, name: str, before_m: float, step_m: float) -> RoofPass:
-        again, title = step_m == before_m, f"take out roofs with edges of {step_m:g} m"
+    def _roof_pass(self, name: str, steps_m: Sequence[float]) -> RoofPass:
+        """Return the pass for the last of some steps."""
+        step_m, n_round = steps_m[-1], steps_m.count(steps_m[-1])
+        title = f"take out roofs with edges of {step_m:g} m"
+        if n_round > 1:
+            title += f", round {n_round}"
         reach_m = (self.roof_reach + 1) * self.thin_cell_m
-        return RoofPass(self, again, step_m, name, title + ", again" * again, reach_m)
+        return RoofPass(self, n_round > 1, step_m, name, title, reach_m)
 
 
 @dataclass(frozen=True)

@@ -151,12 +151,14 @@ class Dong2017(Dong2017Parameters):
 
     def _measurement(self, spacing_m: float, again: str = "") -> Pass:
         reach_m = (2 * MEASURED_CELLS + 1) * spacing_m + SLACK_M
-        title = f"measure distances to a TIN of {spacing_m:g} m"
+        title = f"measure distances to a TIN of {spacing_m:g} m" + again.replace(
+            "-", ", round "
+        )
         return Measurement(self, spacing_m, f"measure-{spacing_m:g}m{again}", title, reach_m)
 
     def _densification(self, spacing_m: float, again: str = "", last: bool = False) -> Pass:
         stage = Stage.of_ground(spacing_m, self.tins)
-        title = f"densify a TIN of {spacing_m:g} m"
+        title = f"densify a TIN of {spacing_m:g} m" + again.replace("-", ", round ")
         return Densification(
             stage, last, f"densify-{spacing_m:g}m{again}", title, stage.reach_m
         )

@@ -43,7 +43,7 @@ class NoisePass(Pass):
 
     params: Dong2018Parameters
     name: str = "noise"
-    title = "measure density and noise"
+    title = "decide whether noise matters"
     every_point: bool = True
     gives_labels: bool = False
 

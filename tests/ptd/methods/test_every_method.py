@@ -47,6 +47,14 @@ def labels_of(
     return labels, state
 
 
+@pytest.mark.parametrize("kind", ["lidar", "dim"])
+@pytest.mark.parametrize("name", METHODS)
+def test_passes_of_a_run_have_different_titles(name: str, kind: str) -> None:
+    passes = METHODS[name].params().passes
+    titles = [step.title for step in passes if step.kind in (None, kind)]
+    assert len(set(titles)) == len(titles)
+
+
 @pytest.fixture(scope="module", params=["hills_with_houses", "lattice", "blunders"])
 def cloud(request: pytest.FixtureRequest) -> Cloud:
     return SCENES[request.param](np.random.default_rng(7))

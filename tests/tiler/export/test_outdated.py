@@ -51,7 +51,7 @@ def job_in(
         plan=plan,
         results=results,
         notes=notes,
-        note=notes.append,
+        note=lambda text, kind: notes.append(text),
         save=notes.append,
         store=SimpleNamespace(committed=lambda stage: dict.fromkeys(stored)),
     )

@@ -97,7 +97,7 @@ def test_missing_crs_names_the_option(make_cloud: Any) -> None:
     assert agreed.wkt is None
     assert agreed.units == Units()
     assert agreed.notes == [
-        "CRS unknown: coordinates are taken as metres; use --units if they are not"
+        "the files have no CRS: coordinates are assumed to be in metres (--crs, --units)"
     ]
     given = settle(path, crs="EPSG:2992")
     assert given.units.horizontal == FOOT
@@ -136,14 +136,14 @@ def test_notes_say_which_settings_are_used_and_which_are_not(make_cloud: Any) ->
     for given in ("none", "EPSG:2992"):
         agreed = settle(path, crs=given)
         assert agreed.units == Units()
-        begin = f"--crs {given}: is only for files without a CRS"
+        begin = f"--crs {given} is only for files without a CRS"
         (note,) = [text for text in agreed.notes if text.startswith(begin)]
         assert (
             "1 of 1 files have their own, ETRS89 / UTM zone 32N, which is used; if it is wrong, write"
             in note
         )
     (note,) = [text for text in settle(path, units="ft").notes if "although" in text]
-    assert "x and y are taken as foot although their CRS has metre" in note
+    assert "x and y are read in feet although their CRS has metres" in note
     assert not any("although" in text for text in settle(path, units="m,ft").notes)
 
 

@@ -192,7 +192,7 @@ def test_results_of_a_run_in_any_folder_are_no_inputs(make_cloud: Any, tmp_path:
         assert found(notes, root, place) == named
     assert found(notes, root, root / "out" / "classified" / "a.laz") == named[:1]
     (root / "out" / "own.las").unlink()
-    line = r"no \.las or \.laz .*out/classified: is the result of a run, left out"
+    line = r"no \.las or \.laz .*out/classified is the result of a run, left out"
     with pytest.raises(InputError, match=line):
         find_inputs([str(root / "out")])
     assert found(notes, root, root / "out", results=True) == named, "as `evaluate` wants it"

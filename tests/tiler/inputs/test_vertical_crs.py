@@ -81,12 +81,12 @@ def test_given_vertical_crs_is_for_files_without_one(make_cloud: Any) -> None:
     high = make_cloud("high.las", n=5, crs="EPSG:25832+5773")
     agreed = settle(bare, flat, crs=given)
     assert CRS.from_wkt(agreed.wkt) == CRS(given)
-    assert not any("--crs" in text for text in agreed.notes)
+    assert not any("is only for" in text for text in agreed.notes)
     with pytest.raises(InputError, match="its heights refer to"):
         settle(bare, flat, high, crs=given)
     agreed = settle(high, crs=given)
     assert CRS.from_wkt(agreed.wkt) == CRS("EPSG:25832+5773")
-    (note,) = [text for text in agreed.notes if text.startswith(f"--crs {given}: is only for")]
+    (note,) = [text for text in agreed.notes if text.startswith(f"--crs {given} is only for")]
     assert "1 of 1 files have their own, ETRS89 / UTM zone 32N + EGM96 height, which" in note
 
 
@@ -97,7 +97,7 @@ def test_heights_in_two_units_are_refused(make_cloud: Any) -> None:
         settle(one, other)
     with pytest.raises(InputError, match="heights are in"):
         settle(one, other, units="m")
-    # Heights of the other file are taken to be in the horizontal unit.
+    # Heights of the other file are assumed to be in the horizontal unit.
     assert settle(one, other, units="usft").units.vertical == US_SURVEY_FOOT
     assert settle(one, other, units="m,usft").units.vertical == US_SURVEY_FOOT
 
@@ -132,4 +132,4 @@ def test_vertical_crs_of_another_unit_than_the_given_one_is_left_out(make_cloud:
         assert agreed.units == Units(METRE, FOOT)
         assert CRS.from_wkt(agreed.wkt) == CRS("EPSG:25832")
         (note,) = [text for text in agreed.notes if "although" in text]
-        assert f"heights are taken as foot although the CRS of {path} has metre" in note
+        assert f"heights are read in feet although the CRS of {path} has metres" in note

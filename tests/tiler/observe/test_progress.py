@@ -10,6 +10,7 @@ from dataclasses import replace
 import pytest
 
 from tiler.observe.events import (
+    Detail,
     Event,
     JobStarted,
     Note,
@@ -195,7 +196,34 @@ def test_bars_on_a_terminal_only() -> None:
     assert "\x1b" not in plain.getvalue()
     assert "\x1b" in terminal.getvalue()
     assert "100.0 %" in terminal.getvalue()
+    assert plain.getvalue() == "pixels of [1 m]\n"
     assert "pixels of [1 m]" in terminal.getvalue(), "markup of rich must not eat brackets"
+
+
+@pytest.mark.parametrize(
+    ("form", "verbose", "lines"),
+    [
+        ("auto", False, ["a note"]),
+        (
+            "auto",
+            True,
+            ["a note", "a detail", "filter: 1 task, done in 2.0 s, 500.0 k points/s"],
+        ),
+        ("plain", False, ["a note", "filter: 1 task, done in 2.0 s, 500.0 k points/s"]),
+        ("none", True, ["a note", "a detail"]),
+    ],
+)
+def test_stages_and_details_are_shown_on_request(
+    form: str, verbose: bool, lines: list[str]
+) -> None:
+    stream = io.StringIO()
+    with open_progress(stream, form=form, verbose=verbose) as listen:
+        listen(Note("a note"))
+        listen(Detail("a detail"))
+        listen(StageStarted("filter", "filter", tasks=1))
+        listen(task("a"))
+        listen(StageFinished("filter", 2.0))
+    assert stream.getvalue().splitlines() == lines
 
 
 def test_bar_of_an_empty_stage_is_full() -> None:

@@ -38,9 +38,10 @@ def test_it_follows_the_density_of_matched_clouds(
 ) -> None:
     notes: list[str] = []
     assert resolution_of(RunConfig(), density, kind, unit, notes) == pixel
+    (note,) = notes
     usual = 1 if unit == 1 else 2 * unit
-    assert bool(notes) == (
-        pixel != usual or (unit != 1 and density * pixel**2 >= 9 and kind == "dim")
-    )
+    by_density = pixel != usual or (unit != 1 and density * pixel**2 >= 9 and kind == "dim")
+    assert ("the default for clouds of this density" in note) == (not by_density)
     said = RunConfig(resolution=Fraction(3))
-    assert resolution_of(said, density, kind, unit, []) == 3
+    assert resolution_of(said, density, kind, unit, notes) == 3
+    assert notes == [note]

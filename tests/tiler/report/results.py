@@ -64,7 +64,7 @@ def run(**changes: Any) -> dict[str, Any]:
         "metres_per_unit": {"horizontal": 1.0, "vertical": 0.3048},
         "extent": [WEST, NORTH - 40, WEST + 60, NORTH], "resolution_m": 1.0, "tile_m": 30.0, "halo_m": 104.0,
         "memory_bytes": 1 << 30, "workers": 2, "projected_memory_bytes": {"filter": 500 << 20},
-        "notes": ["heights are taken as foot"], "warnings": ["heights span 9,876 m"],
+        "notes": ["heights are assumed to be in feet"], "warnings": ["heights span 9,876 m"],
     }  # fmt: skip
     settings = dict.fromkeys(("resolution", "halo", "workers", "memory", "units", "crs"))
     content: dict[str, Any] = {

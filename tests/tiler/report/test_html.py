@@ -34,7 +34,7 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
     told = {
         "problems": ["heights span 9,876 m"],
         "decisions": [
-            "heights are taken as foot",
+            "heights are assumed to be in feet",
             "200 points dropped: withheld",
             "slope_deg 12.5",
             "tile size 30 m you",
@@ -270,8 +270,10 @@ def test_strips_have_a_table(tmp_path: Path) -> None:
     assert "all 1,048 0.067 0.050 0.048 0.030 0.120 12 - 11 1,048 0.067" in text
     strips = {**results.STRIPS, "cells": 0, "pairs": []}
     (out / "check.json").write_text(json.dumps({"strips": strips}))
+    text = results.read(write_report(out)).texts["accuracy"]
     assert (
-        "No cell has points of two strips" in results.read(write_report(out)).texts["accuracy"]
+        "The points have 2 flight lines (by point source id), and no cell has points of two"
+        in text
     )
 
 

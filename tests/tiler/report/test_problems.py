@@ -94,7 +94,7 @@ def test_a_problem_inside_the_survey_comes_before_one_at_its_border() -> None:
         (inside, 3),
         (border, 5000),
         ("doubtful water", None),
-        ("class kept", None),
+        ("class that is not filtered", None),
         (border, 800),
     ]
     assert rows(**changes) == found(**changes)
@@ -174,11 +174,11 @@ def test_doubtful_tiles_have_a_place() -> None:
             {"healed": ["a", "b"]},
             "damaged store",
             None,
-            "a, b: was damaged; it was computed again",
+            "damaged and computed again: a, b",
         ),
         (
             {"classes": {"no_part": {"17": 1200}}},
-            "class kept",
+            "class that is not filtered",
             None,
             "1,200 points of class 17 were not filtered and keep their class",
         ),

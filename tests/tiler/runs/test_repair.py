@@ -47,7 +47,9 @@ def undone(store: TileStore, *keys: str) -> dict[str, set[str]]:
     """Stage -> tasks that are no longer done after a repair."""
     notes: list[str] = []
     job: Any = SimpleNamespace(
-        store=store, note=notes.append, invalidate=lambda s, k: store.uncommit(s, *k)
+        store=store,
+        note=lambda text, kind: notes.append(text),
+        invalidate=lambda s, k: store.uncommit(s, *k),
     )
     job.results = Results()
     job.results.healed = ["earlier"]

@@ -107,7 +107,7 @@ def judge(requirements: Sequence[Requirement], measured: Measured) -> list[Judge
             option = {"accuracy": "--points", "seams": "--tile-size", "strips": "--strips"}[
                 metric.part
             ]
-            raise ConfigError(f"--require {requirement.name}: is not measured without {option}")
+            raise ConfigError(f"--require {requirement.name} is not measured without {option}")
         value = metric.value(part)
         if value is not None and metric.is_length:
             value *= part["metres_per_unit"]

@@ -99,6 +99,7 @@ class Seams(TypedDict):
 
     unit: str
     metres_per_unit: float
+    horizontal_metres_per_unit: float
     tile: float
     bucket: float
     interior: Steps

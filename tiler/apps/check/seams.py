@@ -123,7 +123,7 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
     """
     with open_raster(dtm) as raster:
         if raster.transform.b or raster.transform.d:
-            raise ConfigError(f"{dtm}: is rotated; seams need rows and columns along the axes")
+            raise ConfigError(f"{dtm} is rotated; seams need rows and columns along the axes")
         if edges.tile < 4 * max(abs(raster.transform.a), abs(raster.transform.e)):
             raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
         metres = vertical_unit(raster)
@@ -147,6 +147,7 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
     seams = {
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
+        "horizontal_metres_per_unit": float(horizontal_unit(as_path(dtm))),
         "tile": edges.tile,
         "bucket": edges.bucket,
         **found,
@@ -284,5 +285,5 @@ def edges_of_run(dtm: Path) -> TileEdges | None:
         ConfigError,
     ) as error:
         raise InputError(
-            f"{path}: is not of a run of this version ({error!r}); give --tile-size"
+            f"{path} is not of a run of this version ({error!r}); give --tile-size"
         ) from error

@@ -27,6 +27,7 @@ from tiler.io.journals import validate_closed
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import OUTDATED, below, mosaic_file
+from tiler.observe.events import Note
 from tiler.runs.job import Job
 
 STAGE = "verify"
@@ -83,7 +84,7 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     for path in _damaged(job, kept) if job.plan.config.verify else ():
         del kept[path]
         text = f"{path}: changed since a run wrote it; moved to {archive(job, [path])}/"
-        job.note(f"{text}, and not made again, as --products does not list it")
+        job.note(f"{text}, and not made again, as --products does not list it", Note)
     _archive_changed(job, written)
     job.results.outputs = kept
     job.results.digests = {p: d for p, d in job.results.digests.items() if p in kept}
@@ -92,7 +93,8 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     if stale:
         job.note(
             f"{listed(stale, NAMED)}: written by an earlier run with other settings or inputs, and not made by this "
-            f"run; moved to {aside}/"
+            f"run; moved to {aside}/",
+            Note,
         )
     job.save("running")
 
@@ -105,7 +107,7 @@ def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
     known = {key for stage in WRITING for key in job.store.committed(stage)}
     changed = sorted(_damaged(job, {path for key, path in written.items() if key not in known}))
     if changed:
-        job.note(_changed_text(changed, archive(job, changed)))
+        job.note(_changed_text(changed, archive(job, changed)), Note)
 
 
 def _changed_text(paths: Sequence[str], location: str) -> str:
@@ -174,7 +176,8 @@ def archive_sidecars(job: Job, replaced: Collection[str]) -> None:
     if sidecars:
         job.note(
             f"{listed(sidecars, NAMED)}: made by another program from files that this run replaced; moved to "
-            f"{archive(job, sidecars)}/"
+            f"{archive(job, sidecars)}/",
+            Note,
         )
 
 
@@ -247,4 +250,4 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     job.invalidate(stage, [*gone, *changed])
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)
-        job.note(_changed_text(paths, archive(job, paths)))
+        job.note(_changed_text(paths, archive(job, paths)), Note)

@@ -12,6 +12,7 @@ from tiler.core.records import records_of
 from tiler.core.terrain_results import Doubt, StationResult, WaterResult
 from tiler.core.units_text import length_text
 from tiler.core.water import RIVER, Station, Water, Waters, lengths_along
+from tiler.core.words import listed
 from tiler.grid.records import LevelRecord, OutlineRecord
 from tiler.grid.water_level import NOISE_M
 from tiler.observe.events import Warned
@@ -37,13 +38,16 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, LevelRecord]) 
     """
     unit = job.plan.frame.units.vertical
     doubts: list[Doubt] = []
+    level: list[str] = []
     for body in waters.bodies:
         record = records.get(body.number)
         if body.kind == RIVER and body.flow is None and record is not None:
-            job.note(
-                f"decided: {_named(body)} is level: its height is known at fewer than two positions along it"
-            )
+            level.append(_named(body))
         doubts += _doubts(body, record, unit)
+    if level:
+        job.note(
+            f"decided: level water, as heights are known at fewer than two positions along it: {listed(level, 5)}"
+        )
     job.results.water_doubts = doubts
     for doubt in doubts:
         job.listener(Warned(doubt.text))

@@ -93,7 +93,7 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
     for number, feature in enumerate(features, start=1):
         if not isinstance(feature, dict) or feature.get("type") != "Feature":
             raise InputError(
-                f"{path}: feature {number}: is not a GeoJSON Feature; write {wanted} as features"
+                f"{path}: feature {number} is not a GeoJSON Feature; write {wanted} as features"
             )
     # Most programs still write the member with the CRS, although RFC 7946 removed it.
     named = member(member(content, "crs"), "properties").get("name")

@@ -227,7 +227,7 @@ def _features(
             continue
         if not kind.takes(layer, geometry.geom_type):
             raise InputError(
-                f"{where}: is a {geometry.geom_type}; {kind.name} are needed: write them to a separate file"
+                f"{where} is a {geometry.geom_type}; {kind.name} are needed: write them to a separate file"
             )
         coordinates = shapely.get_coordinates(geometry)
         if not np.isfinite(coordinates).all():

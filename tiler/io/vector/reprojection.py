@@ -81,7 +81,7 @@ def in_crs(
     run_crs = None if wkt is None else split(CRS.from_wkt(wkt))[0]
     if run_crs is None:
         raise InputError(
-            f"{path}: is in {named.name}, the CRS of the clouds is unknown; give it with --crs, or use --bounds"
+            f"{path} is in {named.name}, the CRS of the clouds is unknown; give it with --crs, or use --bounds"
         )
     if same_horizontal(named, run_crs):
         return list(geometries)
@@ -90,7 +90,7 @@ def in_crs(
         transformer = Transformer.from_crs(named, run_crs, always_xy=True)
     except ProjError as error:
         raise InputError(
-            f"{path}: is in {named.name}, which cannot be transformed to {run_crs.name}; write it with another CRS"
+            f"{path} is in {named.name}, which cannot be transformed to {run_crs.name}; write it with another CRS"
         ) from error
     moved = partial(_moved, transformer, RETURN_DEG if named.is_geographic else RETURN)
     try:

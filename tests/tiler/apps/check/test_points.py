@@ -188,7 +188,7 @@ def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) 
 
 def test_unfit_geopackages_are_refused(tmp_path: Path) -> None:
     square = write(tmp_path / "a.gpkg", [shapely.box(0, 0, 1, 1)])
-    with pytest.raises(InputError, match="l0, feature 1: is a Polygon; checkpoints are needed"):
+    with pytest.raises(InputError, match="l0, feature 1 is a Polygon; checkpoints are needed"):
         read_checkpoints(square)
     write(square, [shapely.Point(1, 2, 3)], "Point Z", layer="l1")
     with pytest.raises(

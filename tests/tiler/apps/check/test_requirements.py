@@ -76,5 +76,5 @@ def test_unknown_requirements_are_refused(text: str, message: str) -> None:
 
 
 def test_figures_of_omitted_checks_cannot_be_required() -> None:
-    with pytest.raises(ConfigError, match="--require strips: is not measured without --strips"):
+    with pytest.raises(ConfigError, match="--require strips is not measured without --strips"):
         judge(parse_requirements(["strips=0.1"]), report())

@@ -157,7 +157,7 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
         (
             "a.json",
             json.dumps({**collection(), "features": [7]}),
-            "feature 1: is not a GeoJSON Feature",
+            "feature 1 is not a GeoJSON Feature",
         ),
         ("a.json", json.dumps(collection(POINT)), r"has 0 \(a \(Point\)\)"),
         ("a.json", polygon([1, 2], [3, "x"], [5, 6]), "feature 1: its geometry is damaged"),
