@@ -88,8 +88,8 @@ class TilerCommand(click.Command):
                 callback=_set_progress,
                 type=click.Choice(("auto", "plain", "json", "none")),
                 default="auto",
-                help="form of the progress on stderr: bars on a terminal and lines elsewhere (auto), lines (plain), a "
-                "JSON object per line (json), or none [default: auto]",
+                help="form of the progress on stderr: bars on a terminal and only notes and warnings elsewhere (auto), "
+                "lines about the stages as well (plain), a JSON object per line (json), or none [default: auto]",
             )
         said = "print more; -vv: everything, and tracebacks [default: progress, notes and warnings]"
         self._add("-v", "--verbose", callback=_louder, count=True, help=said)

@@ -180,5 +180,5 @@ def test_a_later_run_keeps_the_pixel_that_the_points_decided(
 def test_sheets_that_do_not_suit_the_pixel_of_the_points_are_refused(
     scene: Cloud, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigError, match=r"--sheets 64 m: is not a whole number of pixels"):
+    with pytest.raises(ConfigError, match=r"--sheets 64 m is not a whole number of pixels"):
         do(twice(tmp_path / "in", scene), tmp_path / "out", sheets="64", **DEFAULTS)

@@ -173,7 +173,7 @@ def test_sheets_are_the_raster_cut(
 def test_sheets_of_parts_of_pixels_are_refused(
     quarter_files: list[Path], tmp_path: Path
 ) -> None:
-    line = r"--sheets 10 m: is not a whole number of pixels of 3 m; use --sheets 9 or"
+    line = r"--sheets 10 m is not a whole number of pixels of 3 m; use --sheets 9 or"
     with pytest.raises(ConfigError, match=line):
         do(quarter_files, tmp_path, resolution="3", sheets="10")
 

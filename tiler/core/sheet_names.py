@@ -77,7 +77,7 @@ def product_names(text: str | None) -> dict[str, str]:
     for item in () if text is None else text.split(","):
         product, sign, name = (part.strip() for part in item.partition("="))
         if not sign:
-            raise ConfigError(f"product_name {text!r}: is not valid; give dtm=NAME,dsm=NAME")
+            raise ConfigError(f"product_name {text!r} is not valid; give dtm=NAME,dsm=NAME")
         if product not in names:
             raise ConfigError(
                 f"product_name {text!r}: no product {product!r}; use {', '.join(PRODUCTS)}"

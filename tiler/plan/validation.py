@@ -248,7 +248,7 @@ def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
         whole = max(round(sheets / plan.grid.resolution), 1) * plan.grid.resolution
         raise _error(
             plan,
-            f"--sheets {float(sheets):g} m: is not a whole number of pixels of {float(plan.grid.resolution):g} m; "
+            f"--sheets {float(sheets):g} m is not a whole number of pixels of {float(plan.grid.resolution):g} m; "
             f"use --sheets {_option(plan, whole)} or another --resolution",
         )
     if sheets is not None:

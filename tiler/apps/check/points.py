@@ -343,7 +343,7 @@ def _cells(line: str, delimiter: str, place: str) -> list[str]:
         cells = [cell.strip() for cell in next(reader)]
     except csv.Error as error:
         raise InputError(
-            f"{place}: is not a line of a table ({error}); check its quotes"
+            f"{place} is not a line of a table ({error}); check its quotes"
         ) from error
     if delimiter == " ":
         return [cell for cell in cells if cell]
