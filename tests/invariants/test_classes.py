@@ -101,7 +101,7 @@ def test_a_run_keeps_the_classes_of_objects(
     assert f"{facts['kept']['5']:,} of class 5" in line
     assert "(--reclass all gives them class 1)" in line
     assert f"{facts['no_part']['9']} of class 9" in line
-    assert "class of the input kept: 5" in (out / "report.html").read_text()
+    assert "points that keep class 5 of the input" in (out / "report.html").read_text()
 
 
 def test_all_gives_each_point_the_class_that_was_found(tmp_path: Path) -> None:

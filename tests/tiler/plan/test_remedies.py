@@ -95,7 +95,7 @@ def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(
         ),
         (
             {"sheets": "500"},
-            r"--sheets 1,640 ft \(500 m\): is not a whole number of pixels of .* ft; use --sheets (.*) or another",
+            r"--sheets 1,640 ft \(500 m\) is not a whole number of pixels of .* ft; use --sheets (.*) or another",
         ),
     ],
 )

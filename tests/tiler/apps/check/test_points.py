@@ -170,12 +170,12 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
         (
             "p.csv",
             "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n",
-            "line 3: .* table .unexpected end of data",
+            "line 3 .* table .unexpected end of data",
         ),
         (
             "p.csv",
             f"x,y,z\n1,2,{'9' * 200_000}\n",
-            "line 2: .* table .field larger than field limit",
+            "line 2 .* table .field larger than field limit",
         ),
         ("p.csv", f"x,y,z\n1,2,{'9' * 400}\n", r"line 2: z '9+\.\.\. is not a number"),
         ("p.gpkg", "no data base", "does not begin as a .gpkg file does"),
