@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cli.help_groups import MANY, help_all_option, write_options
 from cli.hints import repeated_options
 from cli.output import write_line
 
@@ -95,6 +96,16 @@ class TilerCommand(click.Command):
         self._add("-v", "--verbose", callback=_louder, count=True, help=said)
         said = "print only warnings and errors, no progress and no summary [default: no]"
         self._add("-q", "--quiet", callback=_quieter, is_flag=True, help=said)
+        self._has_many = len(self.params) >= MANY
+        if self._has_many:
+            self.params.append(help_all_option())
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, in groups if there are many."""
+        if self._has_many:
+            write_options(ctx, self.get_params(ctx), formatter)
+        else:
+            super().format_options(ctx, formatter)
 
     def _add(self, *names: str, **settings: Any) -> None:
         """Add an option that changes the session and is not passed to the command."""

@@ -15,6 +15,7 @@ import click
 import pytest
 
 from cli.commands.run import command as run
+from cli.help_groups import GROUPS, OWN
 from cli.hints import OTHER_PROGRAMS
 from cli.main import COMMANDS, STAGES, LazyGroup, group, main
 from tests.waiting import PATIENCE_SECONDS
@@ -303,6 +304,39 @@ def test_every_option_says_its_default(name: str, capsys: pytest.CaptureFixture[
         assert option.required or "default" in (option.help or ""), (
             f"{option.opts[0]}: no default told"
         )
+
+
+@pytest.mark.parametrize("name", ["run", "plan", "preview", "grid"])
+def test_help_has_the_frequent_options_in_groups_and_help_all_has_every_option(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert isinstance(group, LazyGroup)
+    command = group.get_command(click.Context(group), name)
+    assert command is not None
+    options = {o for p in command.params if isinstance(p, click.Option) for o in p.opts}
+    assert main([name, "--help"]) == 0
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) <= 60
+    assert main([name, "--help-all"]) == 0
+    whole = capsys.readouterr().out
+    for shown in (short, whole):
+        titles = [
+            line[:-1] for line in shown.splitlines() if re.fullmatch("[A-Z][a-z]+:", line)
+        ]
+        assert titles == [title for title in (OWN, *GROUPS) if title in titles]
+    assert {o for o in options if not re.search(rf"{o}\b", whole)} == set()
+    assert f"`tiler {name} --help-all`" in short
+    assert "--out" in short
+    assert "--crs " in short
+
+
+def test_each_setting_has_one_group_and_each_row_an_option() -> None:
+    rows = [option for options in GROUPS.values() for option in options]
+    assert len(rows) == len(set(rows))
+    command = group.get_command(click.Context(group), "run")
+    assert command is not None
+    options = {p.opts[-1] for p in command.params if isinstance(p, click.Option)}
+    assert set(rows) == options | {"--help"}
 
 
 @pytest.mark.processes
