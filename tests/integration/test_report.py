@@ -56,9 +56,11 @@ def test_a_second_run_knows_the_times_of_the_first(
     assert do(cloud, out).did_nothing
     assert stages_of(out) == first
     (out / "report.html").unlink()
-    assert main(["report", str(out)]) == 0
+    assert main(["report", str(out), "--title", "Survey of the hill"]) == 0
     assert capsys.readouterr().out == f"{out / 'report.html'}\n"
     assert stages_of(out) == first
+    do(cloud, out)
+    assert "Survey of the hill" in results.read(out / "report.html").texts[""]
 
 
 def test_a_report_that_fails_is_told_and_costs_nothing(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ from tiler.report.expected import expected
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
 from tiler.report.problems import problems
+from tiler.report.runfile import write_run_file
+from tiler.store import locked_folder
 
 
 def write_report(
@@ -84,29 +87,48 @@ def write_report(
     return target
 
 
-def write_report_at(out: str) -> str:
+def write_report_at(out: str, title: str | None = None) -> str:
     """Write the report of a run into its OUT.
 
     If OUT is a URL, the report is written in a local folder and copied to OUT.
+
+    Parameters
+    ----------
+    out : str
+    title : str, optional
+        Title of this report and of all later ones, kept in run.json. A text without a character restores the default.
 
     Returns
     -------
     str
         Path or URL of the report.
     """
-    if not is_url(out):
-        return str(write_report(Path(out)))
-    run = read_run(out)
-    if run is None:
-        raise InputError(f"{joined(out, RUN)}: cannot be read; give the OUT folder of a run")
-    here = local_folder(out)
-    here.mkdir(parents=True, exist_ok=True)
-    upload_file(write_report(here, run, out), joined(out, REPORT))
-    return joined(out, REPORT)
+    run, here, is_remote = _read_run(out), local_folder(out), is_url(out)
+    if is_remote:
+        here.mkdir(parents=True, exist_ok=True)
+    # A run keeps the title that it read at its start, so none may be at work.
+    with nullcontext() if title is None else locked_folder(out):
+        changed = [REPORT]
+        if title is not None:
+            run = {**_read_run(out), "report_title": " ".join(title.split()) or None}
+            changed.append(RUN)
+        write_report(here, run, out if is_remote else None)
+        if title is not None:
+            write_run_file(here, run)
+        for name in changed if is_remote else ():
+            upload_file(here / name, joined(out, name))
+    return joined(out, REPORT) if is_remote else str(here / REPORT)
 
 
-def _read_run(out: Path) -> dict[str, Any]:
-    path = out / RUN
+def _read_run(out: Path | str) -> dict[str, Any]:
+    if is_url(out):
+        run = read_run(str(out))
+        if run is None:
+            raise InputError(
+                f"{joined(str(out), RUN)}: cannot be read; give the OUT folder of a run"
+            )
+        return run
+    path = Path(out, RUN)
     try:
         return parse_json_object(path.read_text("utf-8"))
     except OSError as error:
@@ -123,7 +145,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     check = accuracy.read_measured(out, CHECK)
     run = {**run, "check": check}
     evaluation = accuracy.read_measured(out, EVALUATION)
-    title = f"Terrain of {out.resolve().name}"
+    title = run.get("report_title") or f"Terrain of {out.resolve().name}"
     parts = [
         problems(run),
         sections.terrain_map(pictures),

@@ -43,6 +43,8 @@ class Results:
     seconds : float
     report : str or None
         Name of the report. None if it could not be made.
+    report_title : str or None
+        Title that the user gave to the report.
     inputs : sequence of mapping
         Sources, with the digest of the bytes and the number of stored points.
     fetched : FetchedBytes or None
@@ -78,6 +80,7 @@ class Results:
     given: list[str]
     seconds: float
     report: str | None
+    report_title: str | None
     inputs: Sequence[Mapping[str, Any]]
     fetched: FetchedBytes | None = None
     counts: PointCounts

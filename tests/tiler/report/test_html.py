@@ -12,9 +12,10 @@ from typing import Any
 import pytest
 
 from tests.tiler.report import results
-from tiler.errors import InputError, ProcessingError
+from tiler.errors import InputError, LockedError, ProcessingError
 from tiler.report import sections
-from tiler.report.html import write_report
+from tiler.report.html import write_report, write_report_at
+from tiler.store import locked_folder
 
 
 def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
@@ -273,6 +274,33 @@ def test_strips_have_a_table(tmp_path: Path) -> None:
     assert (
         "No cell has points of two strips" in results.read(write_report(out)).texts["accuracy"]
     )
+
+
+def test_title_is_escaped_and_kept_until_it_is_removed(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "town", results.run())
+    heading = "Valley <b>2008</b> & more"
+    assert write_report_at(str(out), f" {heading}\n") == str(out / "report.html")
+    for _ in range(
+        2
+    ):  # as it was made, and as `tiler check` and a later `tiler report` make it
+        page = (out / "report.html").read_text("utf-8")
+        escaped = "Valley &lt;b&gt;2008&lt;/b&gt; &amp; more"
+        assert f"<title>{escaped}</title>" in page
+        assert f"<h1>{escaped}</h1>" in page
+        write_report_at(str(out))
+    assert json.loads((out / "run.json").read_text())["report_title"] == heading
+    write_report_at(str(out), " ")
+    assert "<title>Terrain of town</title>" in (out / "report.html").read_text("utf-8")
+
+
+def test_title_is_refused_while_a_run_is_at_work_and_without_a_run(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    with locked_folder(str(out)), pytest.raises(LockedError):
+        write_report_at(str(out), "Valley")
+    (out / "run.json").write_text('{"of": "another program"}')
+    with pytest.raises(InputError):
+        write_report_at(str(out), "Valley")
+    assert (out / "run.json").read_text() == '{"of": "another program"}'
 
 
 def test_refusals(tmp_path: Path) -> None:
