@@ -24,6 +24,8 @@ def test_it_says_what_run_json_says(finished_run: Finished) -> None:
     assert run["report"] == "report.html"
     assert f"read {run['counts']['read']:,}" in page.texts["counts"]
     assert f"ground {run['filter']['ground']:,}" in page.texts["counts"]
+    assert run["crs_code"] in page.texts["specification"]
+    assert run["dates"]["first"] in page.texts["specification"]
     for note in [*run["plan"]["notes"], *run["notes"]]:
         assert note in page.texts["decisions"]
     for source in run["inputs"]:

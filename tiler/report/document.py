@@ -66,11 +66,11 @@ def facts(pairs: Mapping[str, Content]) -> Node:
     )
 
 
-def section(name: str, title: str, *children: Content) -> Node:
-    """Return a section of the page, to which the list of contents links."""
+def section(name: str, title: str, *children: Content, heading: str = "h2") -> Node:
+    """Return a section of the page, to which the list of contents links unless it is part of another."""
     return el(
         "section",
-        el("h2", title, id=f"{name}-title"),
+        el(heading, title, id=f"{name}-title"),
         *children,
         id=name,
         aria_labelledby=f"{name}-title",

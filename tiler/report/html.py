@@ -7,9 +7,9 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
-from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.json_text import parse_json_object
@@ -31,6 +31,7 @@ from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
 from tiler.report.problems import problems
 from tiler.report.runfile import write_run_file
+from tiler.report.specification import raster_files, specification
 from tiler.store import locked_folder
 
 
@@ -70,6 +71,7 @@ def write_report(
         ValueError,
         OverflowError,
         IndexError,
+        CRSError,
     ) as error:
         remedy = "run again" if read_run(str(out)) is not None else AGAIN_WITHOUT_RUN
         raise InputError(
@@ -147,6 +149,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     evaluation = accuracy.read_measured(out, EVALUATION)
     title = run.get("report_title") or f"Terrain of {out.resolve().name}"
     parts = [
+        specification(run),
         problems(run),
         sections.terrain_map(pictures),
         section(
@@ -159,9 +162,14 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
         *drawn(run),
         tables.counts(run),
         tables.outputs(run),
-        tables.inputs(run),
-        tables.timings(run),
-        tables.settings(run),
+        section(
+            "making",
+            "How it was made",
+            sections.measured(run),
+            tables.inputs(run),
+            tables.timings(run),
+            tables.settings(run),
+        ),
     ]
     made = f"Made by tiler {run['version']} from run.json, written {run.get('written', 'at an unknown time')} (UTC)."
     about = (el("p", made), el("p", "This page does not load or send any data."))
@@ -173,13 +181,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
 
 def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
     """Return the path or URL of the raster of each product, or of the VRT over its sheets, if it exists."""
-    written = run.get("outputs", {})
-    named = {
-        product: joined(place, f"{product}.{kind}")
-        for product in PRODUCTS
-        for kind in ("vrt", "tif")
-        if f"{product}.{kind}" in written
-    }
+    named = {product: joined(place, name) for product, name in raster_files(run).items()}
     return {
         product: raster for product, raster in named.items() if state_at(raster) is not None
     }

@@ -8,7 +8,14 @@ from typing import Any
 
 from ptd.passes import State
 from tiler.core.records import to_json
-from tiler.core.results import ClassCounts, FetchedBytes, LabelCounts, PointCounts, Stray
+from tiler.core.results import (
+    ClassCounts,
+    FetchedBytes,
+    LabelCounts,
+    PointCounts,
+    Stray,
+    SurveyDates,
+)
 from tiler.core.terrain_results import (
     AboveResult,
     BreaklineCounts,
@@ -49,6 +56,10 @@ class Results:
         Sources, with the digest of the bytes and the number of stored points.
     fetched : FetchedBytes or None
         None unless inputs are at URLs.
+    dates : SurveyDates or None
+        None if neither points nor headers have a date.
+    crs_code : str or None
+        Code of the horizontal CRS.
     statistics : mapping
         State after each pass of the method.
     mask : dict of str to int
@@ -83,6 +94,8 @@ class Results:
     report_title: str | None
     inputs: Sequence[Mapping[str, Any]]
     fetched: FetchedBytes | None = None
+    dates: SurveyDates | None
+    crs_code: str | None
     counts: PointCounts
     classes: ClassCounts
     strays: list[Stray]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pyproj import CRS
 
 from tests.tiler.report import results
 from tiler.errors import InputError, LockedError, ProcessingError
@@ -28,7 +29,6 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "50.0%",
         "60 x 40",
         "1:15 min",
-        "300.0 MiB",
         "Nothing was left out",
     ):
         assert figure in page.texts[""]
@@ -37,11 +37,9 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "decisions": [
             "heights are taken as foot",
             "200 points dropped: withheld",
-            "slope_deg 12.5",
-            "tile size 30 m you",
-            "halo 104 m automatic the radius that the method needs",
             "WGS 84 / UTM zone 32N",
         ],
+        "measured": ["slope_deg 12.5"],
         "counts": [
             "read 4,000",
             "stored 3,800",
@@ -54,6 +52,9 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "timings": [
             "filter: seeds, densification, labels 4 4 1:01 min",
             "200.0 MiB",
+            "300.0 MiB",
+            "tile size 30 m you",
+            "halo 104 m automatic the radius that the method needs",
             "t+001+001",
             "planned per worker 500.0 MiB",
         ],
@@ -65,6 +66,62 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
             assert text in page.texts[name], name
 
 
+def test_specification_holds_what_a_tender_asks_for(tmp_path: Path) -> None:
+    names = ("dtm.vrt", "mask.vrt", "density.vrt", "outline.gpkg")
+    content = results.run(
+        outputs=dict.fromkeys((*names, "classified/a.copc.laz"), 1),
+        sheets=12,
+        crs_code="EPSG:32632",
+        dates={"first": "2008-08-03", "last": "2008-08-05", "by": "GPS time of the points"},
+        written="2026-11-28T11:26:19+00:00",
+    )
+    content["configuration"] |= {
+        "nodata": -32768.0,
+        "sheets": "1000",
+        "sheet_name": "{name}_{x_km}_{y_km}",
+        "product_name": "dtm=MNT",
+        "compress": "zstd",
+        "classified": "copc",
+    }
+    content["plan"]["crs"] = CRS.from_user_input("EPSG:32632+5703").to_wkt()
+    text = page_of(tmp_path / "out", content).texts["specification"]
+    assert text == (
+        " Specification horizontal CRS WGS 84 / UTM zone 32N (EPSG:32632); unit: metre"
+        " vertical datum NAVD88 height (EPSG:5703); unit: foot pixel 1 m, 60 x 40 pixels"
+        " nodata -32768 (dtm); none (density); 0 (mask)"
+        " sheets 12 sheets with sides of 1000 m, files named {name}_{x_km}_{y_km}, with the names dtm=MNT"
+        " products dtm (float32), density (float32), mask (uint8) as cloud-optimized GeoTIFF, compression zstd;"
+        " outline as GeoPackage; 1 classified cloud as COPC (LAZ)"
+        " date of the survey 2008-08-03 to 2008-08-05 (GPS time of the points) date of the run 2026-11-28"
+        " software tiler 0.1.0, method classic"
+    )
+
+
+def test_specification_says_what_is_not_known(tmp_path: Path) -> None:
+    content = results.run(outputs={})
+    content["plan"]["crs"] = None
+    text = page_of(tmp_path / "out", content).texts["specification"]
+    for fact in (
+        "horizontal CRS not given",
+        "vertical datum not given",
+        "nodata -9999",
+        "sheets none, each product is one file",
+        "products none yet",
+        "date of the survey unknown",
+    ):
+        assert fact in text
+
+
+def test_paths_memory_and_squares_are_at_the_end(tmp_path: Path) -> None:
+    page = page_of(tmp_path / "out", results.run())
+    parts = list(page.texts)
+    assert parts[:4] == ["", "specification", "problems", "map"]
+    assert parts[-6:] == ["making", "measured", "inputs", "timings", "settings", "about"]
+    for name in parts[: parts.index("making")]:
+        for text in ("/data/", "MiB", "halo", "tile size"):
+            assert text not in page.texts[name], name
+
+
 def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> None:
     advice = "the terrain holds what looks like a roof 36 m wide"
     statistics = {
@@ -74,8 +131,8 @@ def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> 
     content = results.run(advice=[advice], statistics=statistics)
     page = results.read(write_report(results.write(tmp_path / "out", content)))
     assert advice in page.texts["problems"]
-    assert page.texts["decisions"].count("dim") == 1
-    assert "survey kind dim seeds rise_m 0.25" in page.texts["decisions"]
+    assert page.texts["measured"].count("dim") == 1
+    assert "survey kind dim seeds rise_m 0.25" in page.texts["measured"]
 
 
 def page_of(out: Path, content: dict[str, Any]) -> results.Reader:
@@ -163,7 +220,7 @@ def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
     assert "Finished, but incomplete" in page.texts[""]
     assert "Left out: 1 file and 1 task; see Problems." in page.texts[""]
     assert next(iter(page.texts)) == ""
-    assert list(page.texts)[1] == "problems"
+    assert list(page.texts)[1:3] == ["specification", "problems"]
     assert "file left out - cut.laz: cut short" in page.texts["problems"]
     failed = (
         "failed task 2.0, 3.2 filter: seeds, densification, labels t+1+1: no memory run again"
