@@ -26,7 +26,7 @@ from tiler.io.result_folder import (
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import el, section
 from tiler.report.drawn import drawn
-from tiler.report.expected import expected
+from tiler.report.expected import at_checkpoints, expected
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
 from tiler.report.problems import problems
@@ -143,7 +143,8 @@ def _read_run(out: Path | str) -> dict[str, Any]:
 
 def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     run = with_earlier_times(run, out)
-    pictures = draw(_rasters(products, run), run)
+    rasters = _rasters(products, run)
+    pictures = draw(rasters, run)
     check = accuracy.read_measured(out, CHECK)
     run = {**run, "check": check}
     evaluation = accuracy.read_measured(out, EVALUATION)
@@ -155,7 +156,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
         section(
             "accuracy",
             "Accuracy",
-            *expected(run),
+            *expected(run, at_checkpoints(check, rasters)),
             *accuracy.accuracy_content(check, evaluation),
         ),
         sections.decisions(run),
