@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from tiler.core.sigma_groups import COVERED, GROUPS, OPEN, WET
 from tiler.core.units_text import short_unit
 from tiler.core.words import counted
-from tiler.report.document import Content, Node, el, table
+from tiler.report.document import Content, bar, el, table
 from tiler.report.pictures import open_raster
 from tiler.report.problems import Run
 
@@ -24,7 +24,7 @@ NAMES = {
     COVERED: "covered ground: half of the nearby points are objects, or the terrain is bridged or filled",
     WET: "water",
 }
-BAR_WIDTH, BAR_HEIGHT = 300, 10
+BAR_WIDTH = 300
 FEW = 20
 """Number of checkpoints below which their scale is uncertain by more than a sixth."""
 
@@ -140,11 +140,5 @@ def _histogram(found: Mapping[str, Any], unit_m: float) -> list[tuple[Content, .
         text = f"{edges[i] / unit_m:.2f} to {edges[i + 1] / unit_m:.2f}"
         if i == len(counts) - 1:
             text = f"{edges[i] / unit_m:.2f} and more"
-        rows.append((text, f"{counts[i]:,}", _bar(counts[i] / most)))
+        rows.append((text, f"{counts[i]:,}", bar(counts[i] / most, BAR_WIDTH)))
     return rows
-
-
-def _bar(share: float) -> Node:
-    width = max(round(BAR_WIDTH * share), 1)
-    bar = el("rect", width=width, height=BAR_HEIGHT, fill="#3b528b")
-    return el("svg", bar, width=BAR_WIDTH, height=BAR_HEIGHT, aria_hidden="true")

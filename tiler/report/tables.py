@@ -12,7 +12,7 @@ from urllib.parse import quote
 from tiler.core.stage_names import GRID
 from tiler.core.words import counted
 from tiler.observe.progress import duration_text, rate_text, size_text
-from tiler.report.document import Content, Node, el, facts, section, table
+from tiler.report.document import Content, Node, bar, el, facts, section, table
 from tiler.report.problems import MAX_ROWS, Run
 from tiler.report.runfile import title_of
 from tiler.report.sections import OF_MACHINE, SETTINGS, done_before, settled, value_text
@@ -118,7 +118,7 @@ def timings(run: Run) -> Node:
             f"{s['tasks']:,}",
             f"{s['computed']:,}",
             duration_text(s["seconds"]),
-            _bar(s["seconds"] / longest),
+            bar(s["seconds"] / longest),
             _rate(s) or "-",
             size_text(s["peak_rss_bytes"]) if s["peak_rss_bytes"] else "-",
         )
@@ -163,11 +163,6 @@ def _order(stage: str) -> tuple[int, str]:
     return next(
         (i for i, name in enumerate(known) if stage.startswith(name)), len(known)
     ), stage
-
-
-def _bar(share: float) -> Node:
-    bar = el("rect", class_="bar", width=f"{100 * share:.1f}", height=10)
-    return el("svg", bar, width=100, height=10, viewBox="0 0 100 10", aria_hidden="true")
 
 
 def _slowest(run: Run) -> list[Content]:

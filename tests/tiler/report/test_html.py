@@ -122,6 +122,16 @@ def test_paths_memory_and_squares_are_at_the_end(tmp_path: Path) -> None:
             assert text not in page.texts[name], name
 
 
+def test_cells_of_wide_tables_have_their_headings_on_narrow_screens(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    text = write_report(out).read_text("utf-8")
+    narrow = text.split("@media screen and (max-width: 40rem) {")[1].split("@media")[0]
+    assert ".list td::before { content: attr(data-name)" in narrow
+    assert '<td data-name="CRS">WGS 84 / UTM zone 32N</td>' in text
+    assert '<div class="wide list" tabindex="0"><table>' in text
+    assert "<td>max_building_size_m</td>" in text
+
+
 def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> None:
     advice = "the terrain holds what looks like a roof 36 m wide"
     statistics = {
