@@ -158,15 +158,15 @@ def sigma_lines(found: Mapping[str, Any], unit: str) -> list[str]:
         return ["sigma   no pixel has both a standard error and a reference height"]
     shares = ", ".join(percent_text(found[f"within_{k}"]) for k in (1, 2, 3))
     lines = [
-        f"sigma   expected RMSE {found['predicted_rmse']:.3f} {unit}, actual {found['rmse']:.3f} {unit}",
+        f"sigma   rule of thumb: RMSE {found['predicted_rmse']:.3f} {unit}, actual {found['rmse']:.3f} {unit}",
         f"        errors within 1, 2, 3 sigma: {shares}",
     ]
     for row in found["by_slope"]:
         if row["pixels"]:
-            expected, true = (f"{row[name]:.3f} {unit}" for name in ("predicted_rmse", "rmse"))
+            thumb, true = (f"{row[name]:.3f} {unit}" for name in ("predicted_rmse", "rmse"))
             where = f"slope {row['from_deg']} to {row['to_deg']} degrees"
             lines.append(
-                f"        {where}: expected {expected}, actual {true} over {row['pixels']:,} pixels"
+                f"        {where}: rule of thumb {thumb}, actual {true} over {row['pixels']:,} pixels"
             )
     if found["area"] is not None:
         share = percent_text(found["in_first_tenth"])

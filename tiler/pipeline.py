@@ -33,6 +33,7 @@ from tiler.io.result_folder import (
     earlier_facts,
     earlier_outputs,
     local_folder,
+    read_run,
 )
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import (
@@ -160,6 +161,7 @@ def _opened(
         store.keep_apart(WRITING, products if plan.config.store else "")
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.results.products_at = products if is_url(products) else None
+        job.results.report_title = (read_run(products) or {}).get("report_title")
         job.results.given = [str(source) for source in inputs]
         earlier = earlier_outputs(out, products)
         if water_is_given(plan.config, products):

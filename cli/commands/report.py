@@ -10,7 +10,12 @@ from cli.session import TilerCommand
 
 @click.command("report", cls=TilerCommand)
 @click.argument("out", metavar="OUT")
-def command(out: str) -> None:
+@click.option(
+    "--title",
+    metavar="TEXT",
+    help='heading of the report, also of later ones; "" gives the default [default: "Terrain of" and the name of OUT]',
+)
+def command(out: str, title: str | None) -> None:
     """Update OUT/report.html with the latest measurements.
 
     Every run and `tiler check OUT` write the report. Update it after an interruption and after
@@ -22,4 +27,4 @@ def command(out: str) -> None:
     """
     from tiler.report.html import write_report_at
 
-    write_line(write_report_at(out))
+    write_line(write_report_at(out, title))

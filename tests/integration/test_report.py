@@ -24,6 +24,8 @@ def test_it_says_what_run_json_says(finished_run: Finished) -> None:
     assert run["report"] == "report.html"
     assert f"read {run['counts']['read']:,}" in page.texts["counts"]
     assert f"ground {run['filter']['ground']:,}" in page.texts["counts"]
+    assert run["crs_code"] in page.texts["specification"]
+    assert run["dates"]["first"] in page.texts["specification"]
     for note in [*run["plan"]["notes"], *run["notes"]]:
         assert note in page.texts["decisions"]
     for source in run["inputs"]:
@@ -56,9 +58,11 @@ def test_a_second_run_knows_the_times_of_the_first(
     assert do(cloud, out).did_nothing
     assert stages_of(out) == first
     (out / "report.html").unlink()
-    assert main(["report", str(out)]) == 0
+    assert main(["report", str(out), "--title", "Survey of the hill"]) == 0
     assert capsys.readouterr().out == f"{out / 'report.html'}\n"
     assert stages_of(out) == first
+    do(cloud, out)
+    assert "Survey of the hill" in results.read(out / "report.html").texts[""]
 
 
 def test_a_report_that_fails_is_told_and_costs_nothing(

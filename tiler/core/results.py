@@ -146,6 +146,15 @@ class FetchedBytes(Record):
 
 
 @dataclass(frozen=True, slots=True)
+class SurveyDates(Record):
+    """First and last day of the survey (ISO 8601), and what they are taken from."""
+
+    first: str
+    last: str
+    by: str
+
+
+@dataclass(frozen=True, slots=True)
 class Stray(Record):
     """Point far from all others of its file: path of the file, number of the record, and position."""
 

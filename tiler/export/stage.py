@@ -24,7 +24,13 @@ from tiler.export.records import (
     SpotsRecord,
 )
 from tiler.export.stac import horizontal_code
-from tiler.export.tasks.catalogue import STAGE, catalogue_tasks, planned
+from tiler.export.tasks.catalogue import (
+    STAGE,
+    catalogue_tasks,
+    planned,
+    survey_dates,
+    written_clouds,
+)
 from tiler.export.tasks.class_counts import report_earlier_classes, report_written_classes
 from tiler.export.tasks.drawn import vector_tasks
 from tiler.export.tasks.files import (
@@ -110,6 +116,8 @@ def export(
         mosaics = [*mosaics, *index_tasks(tasks.cogs, made, out)]
         made |= _write(job, "mosaic", mosaics, out, earlier)
     catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code()))
+    job.results.crs_code = crs_code()
+    job.results.dates = survey_dates(written_clouds(job.plan, sources, made), sources)
     _make_folders(catalogue, out)
     made |= _write(job, STAGE, catalogue, out, earlier)
     _record_files(job, paths, basis)

@@ -17,6 +17,9 @@ from xml.etree import ElementTree
 
 from tiler.redaction import shown
 
+MAX_NARROW = 3
+"""Number of columns that fit on the screen of a phone."""
+
 Node = ElementTree.Element
 Content = Node | str | None
 
@@ -44,17 +47,37 @@ def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
 def table(
     headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: Sequence[int] = ()
 ) -> Node:
-    """Return a table whose columns ``numbers`` are aligned right, in a box that scrolls if the table is too wide."""
+    """Return a table whose columns ``numbers`` are aligned right, in a box that scrolls if the table is too wide.
+
+    On narrow screens, each row of more than `MAX_NARROW` columns is a list of its cells with their headings.
+    """
     classes = [{"class_": "number"} if i in numbers else {} for i in range(len(headings))]
     head = el(
         "tr", *(el("th", h, scope="col", **c) for h, c in zip(headings, classes, strict=True))
     )
+    is_list = len(headings) > MAX_NARROW
+    if is_list:
+        classes = [{**c, "data_name": h} for c, h in zip(classes, headings, strict=True)]
     body = [
         el("tr", *(el("td", cell, **c) for cell, c in zip(row, classes, strict=True)))
         for row in rows
     ]
+    box = "wide list" if is_list else "wide"
+    return el("div", el("table", el("thead", head), el("tbody", *body)), class_=box, tabindex=0)
+
+
+def bar(share: float, width: int = 100) -> Node:
+    """Return a horizontal bar for a share of ``width`` pixels, which becomes narrower with its cell."""
+    box = f"0 0 {width} 10"
+    filled = el("rect", class_="bar", width=f"{max(width * share, share > 0):.1f}", height=10)
     return el(
-        "div", el("table", el("thead", head), el("tbody", *body)), class_="wide", tabindex=0
+        "svg",
+        filled,
+        width=width,
+        height=10,
+        viewBox=box,
+        preserveAspectRatio="none",
+        aria_hidden="true",
     )
 
 
@@ -66,11 +89,11 @@ def facts(pairs: Mapping[str, Content]) -> Node:
     )
 
 
-def section(name: str, title: str, *children: Content) -> Node:
-    """Return a section of the page, to which the list of contents links."""
+def section(name: str, title: str, *children: Content, heading: str = "h2") -> Node:
+    """Return a section of the page, to which the list of contents links unless it is part of another."""
     return el(
         "section",
-        el("h2", title, id=f"{name}-title"),
+        el(heading, title, id=f"{name}-title"),
         *children,
         id=name,
         aria_labelledby=f"{name}-title",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
-from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.json_text import parse_json_object
@@ -25,10 +26,13 @@ from tiler.io.result_folder import (
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import el, section
 from tiler.report.drawn import drawn
-from tiler.report.expected import expected
+from tiler.report.expected import at_checkpoints, expected
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
 from tiler.report.problems import problems
+from tiler.report.runfile import write_run_file
+from tiler.report.specification import raster_files, specification
+from tiler.store import locked_folder
 
 
 def write_report(
@@ -67,6 +71,7 @@ def write_report(
         ValueError,
         OverflowError,
         IndexError,
+        CRSError,
     ) as error:
         remedy = "run again" if read_run(str(out)) is not None else AGAIN_WITHOUT_RUN
         raise InputError(
@@ -84,29 +89,48 @@ def write_report(
     return target
 
 
-def write_report_at(out: str) -> str:
+def write_report_at(out: str, title: str | None = None) -> str:
     """Write the report of a run into its OUT.
 
     If OUT is a URL, the report is written in a local folder and copied to OUT.
+
+    Parameters
+    ----------
+    out : str
+    title : str, optional
+        Title of this report and of all later ones, kept in run.json. A text without a character restores the default.
 
     Returns
     -------
     str
         Path or URL of the report.
     """
-    if not is_url(out):
-        return str(write_report(Path(out)))
-    run = read_run(out)
-    if run is None:
-        raise InputError(f"{joined(out, RUN)}: cannot be read; give the OUT folder of a run")
-    here = local_folder(out)
-    here.mkdir(parents=True, exist_ok=True)
-    upload_file(write_report(here, run, out), joined(out, REPORT))
-    return joined(out, REPORT)
+    run, here, is_remote = _read_run(out), local_folder(out), is_url(out)
+    if is_remote:
+        here.mkdir(parents=True, exist_ok=True)
+    # A run keeps the title that it read at its start, so none may be at work.
+    with nullcontext() if title is None else locked_folder(out):
+        changed = [REPORT]
+        if title is not None:
+            run = {**_read_run(out), "report_title": " ".join(title.split()) or None}
+            changed.append(RUN)
+        write_report(here, run, out if is_remote else None)
+        if title is not None:
+            write_run_file(here, run)
+        for name in changed if is_remote else ():
+            upload_file(here / name, joined(out, name))
+    return joined(out, REPORT) if is_remote else str(here / REPORT)
 
 
-def _read_run(out: Path) -> dict[str, Any]:
-    path = out / RUN
+def _read_run(out: Path | str) -> dict[str, Any]:
+    if is_url(out):
+        run = read_run(str(out))
+        if run is None:
+            raise InputError(
+                f"{joined(str(out), RUN)}: cannot be read; give the OUT folder of a run"
+            )
+        return run
+    path = Path(out, RUN)
     try:
         return parse_json_object(path.read_text("utf-8"))
     except OSError as error:
@@ -119,27 +143,34 @@ def _read_run(out: Path) -> dict[str, Any]:
 
 def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     run = with_earlier_times(run, out)
-    pictures = draw(_rasters(products, run), run)
+    rasters = _rasters(products, run)
+    pictures = draw(rasters, run)
     check = accuracy.read_measured(out, CHECK)
     run = {**run, "check": check}
     evaluation = accuracy.read_measured(out, EVALUATION)
-    title = f"Terrain of {out.resolve().name}"
+    title = run.get("report_title") or f"Terrain of {out.resolve().name}"
     parts = [
+        specification(run),
         problems(run),
         sections.terrain_map(pictures),
         section(
             "accuracy",
             "Accuracy",
-            *expected(run),
+            *expected(run, at_checkpoints(check, rasters)),
             *accuracy.accuracy_content(check, evaluation),
         ),
         sections.decisions(run),
         *drawn(run),
         tables.counts(run),
         tables.outputs(run),
-        tables.inputs(run),
-        tables.timings(run),
-        tables.settings(run),
+        section(
+            "making",
+            "How it was made",
+            sections.measured(run),
+            tables.inputs(run),
+            tables.timings(run),
+            tables.settings(run),
+        ),
     ]
     made = f"Made by tiler {run['version']} from run.json, written {run.get('written', 'at an unknown time')} (UTC)."
     about = (el("p", made), el("p", "This page does not load or send any data."))
@@ -151,13 +182,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
 
 def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
     """Return the path or URL of the raster of each product, or of the VRT over its sheets, if it exists."""
-    written = run.get("outputs", {})
-    named = {
-        product: joined(place, f"{product}.{kind}")
-        for product in PRODUCTS
-        for kind in ("vrt", "tif")
-        if f"{product}.{kind}" in written
-    }
+    named = {product: joined(place, name) for product, name in raster_files(run).items()}
     return {
         product: raster for product, raster in named.items() if state_at(raster) is not None
     }

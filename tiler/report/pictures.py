@@ -181,7 +181,7 @@ def _picture(
     return Picture(name, title, f"data:image/png;base64,{data}", (width, height), tuple(legend))
 
 
-def _open(place: str) -> Any:
+def open_raster(place: str) -> Any:
     """Open a raster. At a URL, only parts of the file are fetched, because the overviews are small."""
     return (
         rasterio.open(place, opener=url_to_fs(plain_scheme(place))[0])
@@ -191,13 +191,13 @@ def _open(place: str) -> Any:
 
 
 def _extent(place: str) -> Extent:
-    with _open(place) as raster:
+    with open_raster(place) as raster:
         return tuple(raster.bounds)
 
 
 def _read(place: str, longer: int, resampling: Resampling) -> Floats:
     """Read pixels, with NaN for nodata, from the overviews of a large raster, block by block."""
-    with _open(place) as raster:
+    with open_raster(place) as raster:
         shrink = max(max(raster.shape) / longer, 1.0)
         shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
         if raster.driver == "VRT" and shrink > 1:

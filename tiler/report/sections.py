@@ -67,7 +67,7 @@ def sentence(run: Run) -> str:
     plan, dtm, left_out = run["plan"], run.get("dtm"), _left_out(run)
     subject = "A run without a terrain model so far"
     if dtm:
-        subject = f"A terrain model with pixels of {_length(run, dtm['resolution_m'])}"
+        subject = f"A terrain model with pixels of {length(run, dtm['resolution_m'])}"
     seconds = (
         f" in {duration_text(run['seconds'])}"
         if "seconds" in run and not done_before(run)
@@ -95,7 +95,7 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
     if "dtm" in run:
         dtm = run["dtm"]
         yield (
-            f"pixels of {_length(run, dtm['resolution_m'])}",
+            f"pixels of {length(run, dtm['resolution_m'])}",
             f"{dtm['width']:,} x {dtm['height']:,}",
         )
         pixels = max(dtm["width"] * dtm["height"], 1)
@@ -110,10 +110,9 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
             "time of the last run" if done_before(run) else "time",
             duration_text(run["seconds"]),
         )
-    yield "peak memory of a process", size_text(run["peak_rss_bytes"])
 
 
-def _length(run: Run, metres: float) -> str:
+def length(run: Run, metres: float) -> str:
     """Return a length as text in the unit of the CRS."""
     return length_text(metres, _unit(run))
 
@@ -153,6 +152,11 @@ class ResolvedSetting(NamedTuple):
     why: str
 
 
+SETTINGS = ("setting", "value", "by", "why")
+OF_MACHINE = ("tile size", "halo", "workers", "memory")
+"""Settings in `settled` about the division of the work, for the end of the report."""
+
+
 def settled(run: Run) -> list[ResolvedSetting]:
     """Return the values of the settings that tiler can choose."""
     plan, config = run["plan"], run["configuration"]
@@ -160,11 +164,11 @@ def settled(run: Run) -> list[ResolvedSetting]:
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
     choices = {
         "resolution": (
-            _length(run, plan["resolution_m"]),
+            length(run, plan["resolution_m"]),
             "1 m (2 ft), or the point spacing if larger; finer for dense photogrammetric clouds",
         ),
-        "tile_size": (_length(run, plan["tile_m"]), "fits into the memory of a worker"),
-        "halo": (_length(run, _halo_m(run)), "the radius that the method needs"),
+        "tile_size": (length(run, plan["tile_m"]), "fits into the memory of a worker"),
+        "halo": (length(run, _halo_m(run)), "the radius that the method needs"),
         "workers": (str(plan["workers"]), "the cores that tiler may use"),
         "memory": (size_text(memory), "a fair share of the machine, at most 4 GiB"),
         "units": (units, plan.get("units_from", "")),
@@ -204,14 +208,20 @@ def warned(run: Run) -> list[str]:
 def decisions(run: Run) -> Node:
     """Return the section about automatic decisions and their reasons."""
     told = [el("li", text) for text in noted(run)[:MAX_ROWS]]
-    figure_rows = list(_measured(run))
-    content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
+    rows = [found for found in settled(run) if found.setting not in OF_MACHINE]
+    content: list[Content] = [table(SETTINGS, rows)]
     if told:
         content += [el("h3", "Notes"), el("ul", *told)]
-    if figure_rows:
-        measured = table(("pass", "figure", "value"), figure_rows[:MAX_ROWS])
-        content += [el("h3", "Measured over the whole run"), measured]
     return section("decisions", "Decided automatically", *content)
+
+
+def measured(run: Run) -> Node | None:
+    """Return the part about the figures that passes measured, or None without any."""
+    rows = list(_measured(run))[:MAX_ROWS]
+    if not rows:
+        return None
+    figures_table = table(("pass", "figure", "value"), rows)
+    return section("measured", "Measured over the whole run", figures_table, heading="h3")
 
 
 FIGURES_IN_WORDS = {
@@ -245,7 +255,7 @@ def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
         for name, text in new.items():
             if text != "-" and not name.startswith("run / ") and not name.endswith("notes"):
                 if name in FIGURES_IN_WORDS and name.endswith("_m"):
-                    text = _length(run, float(text))
+                    text = length(run, float(text))
                 yield step, FIGURES_IN_WORDS.get(name, name), text
 
 

@@ -12,10 +12,10 @@ from urllib.parse import quote
 from tiler.core.stage_names import GRID
 from tiler.core.words import counted
 from tiler.observe.progress import duration_text, rate_text, size_text
-from tiler.report.document import Content, Node, el, facts, section, table
+from tiler.report.document import Content, Node, bar, el, facts, section, table
 from tiler.report.problems import MAX_ROWS, Run
 from tiler.report.runfile import title_of
-from tiler.report.sections import done_before, value_text
+from tiler.report.sections import OF_MACHINE, SETTINGS, done_before, settled, value_text
 
 SLOWEST = 10
 
@@ -87,7 +87,9 @@ def inputs(run: Run) -> Node:
     notes = f", {counted(len(warned), 'note')}: see Decided automatically" if warned else ""
     about = f"{counted(len(files), 'file')}{notes}."
     listed = table(columns, rows, (1, 2, 4))
-    return section("inputs", "Input files", el("p", about), listed, _more(len(files)))
+    return section(
+        "inputs", "Input files", el("p", about), listed, _more(len(files)), heading="h3"
+    )
 
 
 def _more(number: int) -> Node | None:
@@ -118,7 +120,7 @@ def timings(run: Run) -> Node:
             f"{s['tasks']:,}",
             f"{s['computed']:,}",
             duration_text(s["seconds"]),
-            _bar(s["seconds"] / longest),
+            bar(s["seconds"] / longest),
             _rate(s) or "-",
             size_text(s["peak_rss_bytes"]) if s["peak_rss_bytes"] else "-",
         )
@@ -139,8 +141,11 @@ def timings(run: Run) -> Node:
         "Time and memory",
         el("p", earlier, class_="quiet") if n_done else None,
         table(columns, rows, (1, 2, 3, 5, 6)),
+        el("h4", "Tiles and memory"),
+        table(SETTINGS, [found for found in settled(run) if found.setting in OF_MACHINE]),
         facts(memory),
         *_slowest(run),
+        heading="h3",
     )
 
 
@@ -160,11 +165,6 @@ def _order(stage: str) -> tuple[int, str]:
     return next(
         (i for i, name in enumerate(known) if stage.startswith(name)), len(known)
     ), stage
-
-
-def _bar(share: float) -> Node:
-    bar = el("rect", class_="bar", width=f"{100 * share:.1f}", height=10)
-    return el("svg", bar, width=100, height=10, viewBox="0 0 100 10", aria_hidden="true")
 
 
 def _slowest(run: Run) -> list[Content]:
@@ -198,7 +198,7 @@ def _slowest(run: Run) -> list[Content]:
         "not certified",
         "memory of its worker",
     )
-    return [el("h3", "The slowest tiles"), table(columns, rows, (2, 3, 4, 5, 6))]
+    return [el("h4", "The slowest tiles"), table(columns, rows, (2, 3, 4, 5, 6))]
 
 
 def settings(run: Run) -> Node:
@@ -212,11 +212,11 @@ def settings(run: Run) -> Node:
     return section(
         "settings",
         "Parameters and versions",
-        el("h3", f"Parameters of {plan['method']}"),
+        el("h4", f"Parameters of {plan['method']}"),
         table(("parameter", "value"), parameters)
         if parameters
         else el("p", "The method has no parameters."),
-        el("h3", "Versions"),
+        el("h4", "Versions"),
         facts(dict(versions)),
         el(
             "details",
@@ -225,4 +225,5 @@ def settings(run: Run) -> Node:
         ),
         el("details", el("summary", "CRS"), el("pre", plan["crs"] or "none")),
         el("details", el("summary", "Input files and the digests of their bytes"), pre),
+        heading="h3",
     )

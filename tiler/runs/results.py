@@ -8,7 +8,14 @@ from typing import Any
 
 from ptd.passes import State
 from tiler.core.records import to_json
-from tiler.core.results import ClassCounts, FetchedBytes, LabelCounts, PointCounts, Stray
+from tiler.core.results import (
+    ClassCounts,
+    FetchedBytes,
+    LabelCounts,
+    PointCounts,
+    Stray,
+    SurveyDates,
+)
 from tiler.core.terrain_results import (
     AboveResult,
     BreaklineCounts,
@@ -43,10 +50,16 @@ class Results:
     seconds : float
     report : str or None
         Name of the report. None if it could not be made.
+    report_title : str or None
+        Title that the user gave to the report.
     inputs : sequence of mapping
         Sources, with the digest of the bytes and the number of stored points.
     fetched : FetchedBytes or None
         None unless inputs are at URLs.
+    dates : SurveyDates or None
+        None if neither points nor headers have a date.
+    crs_code : str or None
+        Code of the horizontal CRS.
     statistics : mapping
         State after each pass of the method.
     mask : dict of str to int
@@ -78,8 +91,11 @@ class Results:
     given: list[str]
     seconds: float
     report: str | None
+    report_title: str | None
     inputs: Sequence[Mapping[str, Any]]
     fetched: FetchedBytes | None = None
+    dates: SurveyDates | None
+    crs_code: str | None
     counts: PointCounts
     classes: ClassCounts
     strays: list[Stray]

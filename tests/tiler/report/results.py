@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import rasterio
 from affine import Affine
+from pyproj import CRS
 
 WEST, NORTH, PIXEL = 500000.0, 5400000.0, 1.0
 HOSTILE = '</script><img src=x onerror=alert(1)>\x1b\udc80\u202e&amp;".laz'
@@ -59,7 +60,7 @@ def run(**changes: Any) -> dict[str, Any]:
              "peak_rss_bytes": 200 << 20}  # fmt: skip
     plan = {
         "points": 4000, "inputs": 2, "area_m2": 2400.0, "density_per_m2": 1.667, "method": "classic",
-        "parameters": {"max_building_size_m": 20.0, "label_pass": True}, "crs": 'PROJCRS["WGS 84 / UTM zone 32N",',
+        "parameters": {"max_building_size_m": 20.0, "label_pass": True}, "crs": CRS.from_epsg(32632).to_wkt(),
         "units": {"horizontal": "metre", "vertical": "foot"},
         "metres_per_unit": {"horizontal": 1.0, "vertical": 0.3048},
         "extent": [WEST, NORTH - 40, WEST + 60, NORTH], "resolution_m": 1.0, "tile_m": 30.0, "halo_m": 104.0,

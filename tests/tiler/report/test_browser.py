@@ -36,6 +36,12 @@ SHARE_PAINTED = """() => {
 }"""
 
 
+CELLS_CUT_OFF = """() => [...document.querySelectorAll("td")].filter((cell) => {
+  const { left, right } = cell.getBoundingClientRect();
+  return left < 0 || right > innerWidth || cell.scrollWidth > cell.clientWidth;
+}).map((cell) => cell.textContent)"""
+
+
 NEXT_FRAMES = (
     "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 )
@@ -199,8 +205,12 @@ def test_print_and_small_screens_hold_everything(opened: Any) -> None:
     assert not page.locator("nav").is_visible()
     assert page.locator("#picture-mask").is_visible()
     page.emulate_media(media="screen")
-    page.set_viewport_size({"width": 380, "height": 700})
-    assert page.evaluate("document.documentElement.scrollWidth") <= 380
+    for width in (380, 400):
+        page.set_viewport_size({"width": width, "height": 700})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(CELLS_CUT_OFF) == []
+    cell = page.locator("#inputs td[data-name=CRS]").first
+    assert cell.evaluate("(cell) => getComputedStyle(cell, '::before').content") == '"CRS"'
 
 
 def test_a_run_without_rasters_has_a_map_too(opened: Any) -> None:

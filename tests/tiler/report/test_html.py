@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pyproj import CRS
 
 from tests.tiler.report import results
-from tiler.errors import InputError, ProcessingError
+from tiler.errors import InputError, LockedError, ProcessingError
 from tiler.report import sections
-from tiler.report.html import write_report
+from tiler.report.html import write_report, write_report_at
+from tiler.store import locked_folder
 
 
 def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
@@ -27,7 +29,6 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "50.0%",
         "60 x 40",
         "1:15 min",
-        "300.0 MiB",
         "Nothing was left out",
     ):
         assert figure in page.texts[""]
@@ -36,11 +37,9 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "decisions": [
             "heights are assumed to be in feet",
             "200 points dropped: withheld",
-            "slope_deg 12.5",
-            "tile size 30 m you",
-            "halo 104 m automatic the radius that the method needs",
             "WGS 84 / UTM zone 32N",
         ],
+        "measured": ["slope_deg 12.5"],
         "counts": [
             "read 4,000",
             "stored 3,800",
@@ -53,6 +52,9 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "timings": [
             "filter: seeds, densification, labels 4 4 1:01 min",
             "200.0 MiB",
+            "300.0 MiB",
+            "tile size 30 m you",
+            "halo 104 m automatic the radius that the method needs",
             "t+001+001",
             "planned per worker 500.0 MiB",
         ],
@@ -64,6 +66,72 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
             assert text in page.texts[name], name
 
 
+def test_specification_holds_what_a_tender_asks_for(tmp_path: Path) -> None:
+    names = ("dtm.vrt", "mask.vrt", "density.vrt", "outline.gpkg")
+    content = results.run(
+        outputs=dict.fromkeys((*names, "classified/a.copc.laz"), 1),
+        sheets=12,
+        crs_code="EPSG:32632",
+        dates={"first": "2008-08-03", "last": "2008-08-05", "by": "GPS time of the points"},
+        written="2026-11-28T11:26:19+00:00",
+    )
+    content["configuration"] |= {
+        "nodata": -32768.0,
+        "sheets": "1000",
+        "sheet_name": "{name}_{x_km}_{y_km}",
+        "product_name": "dtm=MNT",
+        "compress": "zstd",
+        "classified": "copc",
+    }
+    content["plan"]["crs"] = CRS.from_user_input("EPSG:32632+5703").to_wkt()
+    text = page_of(tmp_path / "out", content).texts["specification"]
+    assert text == (
+        " Specification horizontal CRS WGS 84 / UTM zone 32N (EPSG:32632); unit: metre"
+        " vertical datum NAVD88 height (EPSG:5703); unit: foot pixel 1 m, 60 x 40 pixels"
+        " nodata -32768 (dtm); none (density); 0 (mask)"
+        " sheets 12 sheets with sides of 1000 m, files named {name}_{x_km}_{y_km}, with the names dtm=MNT"
+        " products dtm (float32), density (float32), mask (uint8) as cloud-optimized GeoTIFF, compression zstd;"
+        " outline as GeoPackage; 1 classified cloud as COPC (LAZ)"
+        " date of the survey 2008-08-03 to 2008-08-05 (GPS time of the points) date of the run 2026-11-28"
+        " software tiler 0.1.0, method classic"
+    )
+
+
+def test_specification_says_what_is_not_known(tmp_path: Path) -> None:
+    content = results.run(outputs={})
+    content["plan"]["crs"] = None
+    text = page_of(tmp_path / "out", content).texts["specification"]
+    for fact in (
+        "horizontal CRS not given",
+        "vertical datum not given",
+        "nodata -9999",
+        "sheets none, each product is one file",
+        "products none yet",
+        "date of the survey unknown",
+    ):
+        assert fact in text
+
+
+def test_paths_memory_and_squares_are_at_the_end(tmp_path: Path) -> None:
+    page = page_of(tmp_path / "out", results.run())
+    parts = list(page.texts)
+    assert parts[:4] == ["", "specification", "problems", "map"]
+    assert parts[-6:] == ["making", "measured", "inputs", "timings", "settings", "about"]
+    for name in parts[: parts.index("making")]:
+        for text in ("/data/", "MiB", "halo", "tile size"):
+            assert text not in page.texts[name], name
+
+
+def test_cells_of_wide_tables_have_their_headings_on_narrow_screens(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    text = write_report(out).read_text("utf-8")
+    narrow = text.split("@media screen and (max-width: 40rem) {")[1].split("@media")[0]
+    assert ".list td::before { content: attr(data-name)" in narrow
+    assert '<td data-name="CRS">WGS 84 / UTM zone 32N</td>' in text
+    assert '<div class="wide list" tabindex="0"><table>' in text
+    assert "<td>max_building_size_m</td>" in text
+
+
 def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> None:
     advice = "the terrain holds what looks like a roof 36 m wide"
     statistics = {
@@ -73,8 +141,8 @@ def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> 
     content = results.run(advice=[advice], statistics=statistics)
     page = results.read(write_report(results.write(tmp_path / "out", content)))
     assert advice in page.texts["problems"]
-    assert page.texts["decisions"].count("dim") == 1
-    assert "survey kind dim seeds rise_m 0.25" in page.texts["decisions"]
+    assert page.texts["measured"].count("dim") == 1
+    assert "survey kind dim seeds rise_m 0.25" in page.texts["measured"]
 
 
 def page_of(out: Path, content: dict[str, Any]) -> results.Reader:
@@ -162,7 +230,7 @@ def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
     assert "Finished, but incomplete" in page.texts[""]
     assert "Left out: 1 file and 1 task; see Problems." in page.texts[""]
     assert next(iter(page.texts)) == ""
-    assert list(page.texts)[1] == "problems"
+    assert list(page.texts)[1:3] == ["specification", "problems"]
     assert "file left out - cut.laz: cut short" in page.texts["problems"]
     failed = (
         "failed task 2.0, 3.2 filter: seeds, densification, labels t+1+1: no memory run again"
@@ -275,6 +343,32 @@ def test_strips_have_a_table(tmp_path: Path) -> None:
         "The points have 2 flight lines (by point source id), and no cell has points of two"
         in text
     )
+
+
+def test_title_is_escaped_and_kept_until_it_is_removed(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "town", results.run())
+    heading = "Valley <b>2008</b> & more"
+    assert write_report_at(str(out), f" {heading}\n") == str(out / "report.html")
+    # The second page is written without a title, as `tiler check` does.
+    for _ in range(2):
+        page = (out / "report.html").read_text("utf-8")
+        escaped = "Valley &lt;b&gt;2008&lt;/b&gt; &amp; more"
+        assert f"<title>{escaped}</title>" in page
+        assert f"<h1>{escaped}</h1>" in page
+        write_report_at(str(out))
+    assert json.loads((out / "run.json").read_text())["report_title"] == heading
+    write_report_at(str(out), " ")
+    assert "<title>Terrain of town</title>" in (out / "report.html").read_text("utf-8")
+
+
+def test_title_is_refused_while_a_run_is_at_work_and_without_a_run(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    with locked_folder(str(out)), pytest.raises(LockedError):
+        write_report_at(str(out), "Valley")
+    (out / "run.json").write_text('{"of": "another program"}')
+    with pytest.raises(InputError):
+        write_report_at(str(out), "Valley")
+    assert (out / "run.json").read_text() == '{"of": "another program"}'
 
 
 def test_refusals(tmp_path: Path) -> None:

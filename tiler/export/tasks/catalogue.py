@@ -20,6 +20,7 @@ from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
+from tiler.core.results import SurveyDates
 from tiler.core.units import unit_label
 from tiler.export import WriteText, stac, write_text
 from tiler.export.records import CloudRecord, FileRecord, RasterFileRecord
@@ -43,11 +44,13 @@ from tiler.io.result_folder import (
     mosaic_file,
     raster_file,
 )
+from tiler.plan import Plan
 from tiler.schedule import Task
 from tiler.store import Commits
 from tiler.version import __version__
 
 STAGE = "catalogue"
+_BY_GPS, _BY_HEADER = "GPS time of the points", "creation date in the headers of the files"
 _DIGITS = 9
 """Number of decimals of coordinates. Further decimals are rounding errors of binary
 fractions."""
@@ -83,6 +86,29 @@ class Cloud:
         return stac.dates_of_gps(self.record.statistics["gps"]) or stac.dates_of_header(
             self.source.info.created
         )
+
+
+def written_clouds(plan: Plan, sources: Sequence[Source], written: Commits) -> list[Cloud]:
+    """Return the classified clouds that were written, given the commits of the stage export."""
+    clouds = []
+    for source in sources:
+        key = f"c{source.number:06d}"
+        if key in written:
+            path = f"{CLASSIFIED}/{plan.inputs.cloud_names[source.info.path].as_posix()}"
+            clouds.append(Cloud(path, source, CloudRecord.of(written[key][1])))
+    return clouds
+
+
+def survey_dates(clouds: Sequence[Cloud], sources: Sequence[Source]) -> SurveyDates | None:
+    """Return the days on which the points were measured, or else on which their files were made."""
+    measured = [stac.dates_of_gps(cloud.record.statistics["gps"]) for cloud in clouds]
+    made = [stac.dates_of_header(source.info.created) for source in sources]
+    for by, found in ((_BY_GPS, measured), (_BY_HEADER, made)):
+        known = [days for days in found if days is not None]
+        if found and len(known) == len(found):
+            first, last = min(days[0] for days in known), max(days[1] for days in known)
+            return SurveyDates(first.isoformat(), last.isoformat(), by)
+    return None
 
 
 def planned(gridding: GridContext) -> dict[str, str]:
@@ -148,14 +174,7 @@ class _Catalogue:
         self._sources = sources
         self._suffix = CLOUD_SUFFIXES[self._plan.config.classified]
         self._media, self._encoding = _CLOUDS.get(self._plan.config.classified, ("", ""))
-        self.clouds = []
-        for source in sources:
-            key = f"c{source.number:06d}"
-            if key in written:
-                path = (
-                    f"{CLASSIFIED}/{self._plan.inputs.cloud_names[source.info.path].as_posix()}"
-                )
-                self.clouds.append(Cloud(path, source, CloudRecord.of(written[key][1])))
+        self.clouds = written_clouds(self._plan, sources, written)
 
     def documents(self) -> dict[str, dict[str, Any]]:
         """Return the content of each document by its path in OUT."""
