@@ -18,7 +18,7 @@ pytest.importorskip("aiohttp", reason="no http: aiohttp is not installed")
 from tests.invariants import clouds
 from tests.invariants.runs import dtm, settings
 from tests.tiler.servers import ftp_server, http_server
-from tiler.errors import ConfigError, InputError
+from tiler.errors import InputError
 from tiler.ingest import SpoolPiece, spool_piece
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.inputs import inspect
@@ -72,8 +72,8 @@ def test_what_is_found_is_named_by_its_whole_url(
             == (folder / "a" / url.rpartition("/")[2]).stat().st_size
         )
         assert inspect(as_path(url)).points > 1000
-    with pytest.raises(ConfigError, match=r"no\.laz: nothing there"):
-        names(f"{server}/a/no.laz")
+    with pytest.raises(InputError, match=r"no\.laz: cannot be read"):
+        inspect(*list_inputs(f"{server}/a/no.laz", SUFFIXES))
 
 
 def test_a_token_stays_with_its_object(servers: dict[str, str]) -> None:
@@ -83,8 +83,11 @@ def test_a_token_stays_with_its_object(servers: dict[str, str]) -> None:
 
 
 def test_a_wrong_password_is_told_and_its_connection_is_closed(servers: dict[str, str]) -> None:
-    with pytest.raises(ConfigError, match="cannot be listed .*530 not you"):
-        names(servers["ftp"].replace("%401@", "@") + "/a/east.laz")
+    wrong = servers["ftp"].replace("%401@", "@") + "/a"
+    with pytest.raises(InputError, match="cannot be listed .*530 not you"):
+        names(wrong)
+    with pytest.raises(InputError, match="cannot be read .*530 not you"):
+        inspect(as_path(f"{wrong}/east.laz"))
     gc.collect()  # a socket that is still open warns here, and a warning is an error
 
 

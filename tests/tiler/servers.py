@@ -32,17 +32,25 @@ def _serving(server: socketserver.TCPServer) -> Iterator[str]:
 class _Http(http.server.SimpleHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
-    def __init__(self, *arguments: Any, parts: bool, **options: Any) -> None:
-        self._parts = parts
+    def __init__(self, *arguments: Any, parts: bool, fault: str, **options: Any) -> None:
+        self._parts, self._fault = parts, fault
         super().__init__(*arguments, **options)
 
     def send_head(self) -> Any:
+        if self._fault.isdigit():
+            self.send_error(int(self._fault))
+            return None
+        if self._fault == "broken":
+            self.close_connection = True
+            return None
         path = Path(self.translate_path(self.path))
         wanted = re.match(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
         if not path.is_file() or not (wanted and self._parts):
             return super().send_head()
         data, first = path.read_bytes(), int(wanted[1])
         part = data[first : int(wanted[2]) + 1]
+        if self._fault == "half":
+            part = part[: len(part) // 2]
         self.send_response(206)
         self.send_header("Content-Range", f"bytes {first}-{first + len(part) - 1}/{len(data)}")
         self.send_header("Content-Length", str(len(part)))
@@ -61,8 +69,11 @@ class _Http(http.server.SimpleHTTPRequestHandler):
 
 
 @contextlib.contextmanager
-def http_server(folder: Path, parts: bool = True) -> Iterator[str]:
-    """URL of a folder; without ``parts`` each file is given whole alone."""
+def http_server(folder: Path, parts: bool = True, fault: str = "") -> Iterator[str]:
+    """URL of a folder; without ``parts`` each file is given whole alone.
+
+    A ``fault`` is a status that answers each request, ``half`` of the bytes of a part, or ``broken`` connections.
+    """
 
     class Server(http.server.ThreadingHTTPServer):
         daemon_threads = True
@@ -70,7 +81,7 @@ def http_server(folder: Path, parts: bool = True) -> Iterator[str]:
         def handle_error(self, *_: Any) -> None:
             """Clients close when they have enough."""
 
-    handler = partial(_Http, directory=str(folder), parts=parts)
+    handler = partial(_Http, directory=str(folder), parts=parts, fault=fault)
     with _serving(Server(("127.0.0.1", 0), handler)) as address:
         yield f"http://{address}"
 

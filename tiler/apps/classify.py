@@ -23,7 +23,7 @@ from tiler.export.tasks.files import kept_pieces
 from tiler.filter import LABELS
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
-from tiler.io.locations import as_path, is_url, location, state_at
+from tiler.io.locations import as_path, is_url, location
 from tiler.io.overwrite_check import Target, check_links, check_targets
 from tiler.io.result_folder import COPC_SUFFIX, STORE
 from tiler.observe.events import Listener, Note, ignore_events
@@ -115,7 +115,8 @@ def classify_file(
     target = Path(target)
     config = _checked(config)
     check_targets([Target("", target, SUFFIXES)], [source])
-    if state_at(str(source)) is None:
+    # Reading a URL reports all of its errors.
+    if not is_url(source) and not source.exists():
         raise ConfigError(f"{source}: no such file; give a LAS or LAZ file")
     with ChildProcess() as guard:
         return _classify(guard, source, target, config, listener)

@@ -10,9 +10,17 @@ import numpy as np
 
 from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units import unit_label
-from tiler.errors import InputError, StoreError
+from tiler.errors import InputError, StoreAccessError, StoreError
 from tiler.io.json_text import parse_json_object
-from tiler.io.locations import as_path, is_url, joined, state_at, storage_errors, without_query
+from tiler.io.locations import (
+    as_path,
+    is_url,
+    joined,
+    reading_remedy,
+    state_at,
+    storage_errors,
+    without_query,
+)
 from tiler.io.result_folder import AGAIN_WITHOUT_RUN, RUN, STORE, read_run
 
 if TYPE_CHECKING:
@@ -60,21 +68,26 @@ def describe(path: str) -> dict[str, Any]:
     name = without_query(path).lower()
     try:
         with storage_errors():
-            if is_url(path):
+            # On a web server, the test for a folder would read the whole cloud. Reading it
+            # reports a missing one.
+            is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
+            if is_cloud:
+                missing = False
+            elif is_url(path):
                 missing = state_at(path) is None
             else:
                 missing = not location.exists()
-            # On a web server, the test for a folder would read the whole cloud.
-            is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
             is_folder = not missing and not is_cloud and location.is_dir()
     except OSError as error:
+        # Many servers refuse a folder, but not the files in it.
+        if (described := _described_at(path)) is not None:
+            return described
+        remedy = reading_remedy(path, "give a readable file or folder")
         raise InputError(
-            f"{path}: cannot be read ({error.strerror or error}); give a readable file or folder"
+            f"{path}: cannot be read ({error.strerror or error}); {remedy}"
         ) from error
     if missing and is_url(path):
-        if read_run(path) is not None:
-            return describe_result(location)
-        return describe_store(path)
+        return _described_at(path) or describe_store(path)
     if missing:
         raise InputError(
             f"{path}: no such file or folder; give a cloud, a store, a result folder or a raster"
@@ -98,6 +111,18 @@ def describe(path: str) -> dict[str, Any]:
 
     with ChildProcess() as guard:
         return read_in_child(guard, describe_cloud, location)
+
+
+def _described_at(url: str) -> dict[str, Any] | None:
+    """Return the description of a result or a store at a URL, or None if there is none."""
+    from tiler.store import store_exists
+
+    if read_run(url) is not None:
+        return describe_result(as_path(url))
+    try:
+        return describe_store(url) if store_exists(url) else None
+    except StoreAccessError:
+        return None
 
 
 def _describe_folder(folder: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from tiler.core.records import Record
 from tiler.errors import InputError
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.las.unchanged import validate_unchanged
-from tiler.io.locations import FileState, as_path
+from tiler.io.locations import FileState, as_path, reading_remedy
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def _digest(path: Path, state: FileState) -> str:
         validate_unchanged(path, state)
         reason = error.strerror or error
         raise InputError(
-            f"{path}: cannot be read ({reason}); check the disk and the permissions"
+            f"{path}: cannot be read ({reason}); {reading_remedy(path, 'check the disk and the permissions')}"
         ) from error
     validate_unchanged(path, state)
     return digest

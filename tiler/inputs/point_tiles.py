@@ -14,7 +14,7 @@ from tiler.errors import InputError
 from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
 from tiler.io.cloud_reading import open_location
 from tiler.io.json_text import excerpt, parse_json_object
-from tiler.io.locations import as_path, is_url
+from tiler.io.locations import as_path, is_url, reading_remedy
 
 NAME = "ept.json"
 DATA_FOLDER = "ept-data"
@@ -275,7 +275,11 @@ def _read(text: str, place: str) -> dict[str, Any]:
         with open_location(as_path(place), 1 << 16) as stream:
             content = stream.read(LIST_BYTES + 1)
     except OSError as error:
-        _refuse(text, f"{place} cannot be read ({error.strerror or error})", "get it again")
+        _refuse(
+            text,
+            f"{place} cannot be read ({error.strerror or error})",
+            reading_remedy(place, "get it again"),
+        )
     if len(content) > LIST_BYTES:
         _refuse(text, f"{place} has more than {LIST_BYTES >> 20} MiB")
     try:

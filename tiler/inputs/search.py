@@ -29,6 +29,7 @@ FileNumber = tuple[int, int]
 """Numbers of a device and of a file on it, which are the same for all hard links to the file."""
 Wanted = Callable[[EptDataset], Touches | None]
 Listed = Callable[[EptDataset, dict[Path, int]], None]
+Unlisted = Callable[[str, InputError], None]
 
 
 def find_inputs(
@@ -39,6 +40,7 @@ def find_inputs(
     wanted: Wanted = lambda tiles: None,
     listed: Listed = lambda tiles, counts: None,
     in_process: bool = False,
+    unlisted: Unlisted | None = None,
 ) -> list[Path]:
     """Find LAS and LAZ files in files, folders (recursively), globs, virtual point clouds and EPT.
 
@@ -60,6 +62,9 @@ def find_inputs(
         Function that receives point tiles and the files of their selected nodes, with the number of points in each.
     in_process : bool
         Read virtual point clouds and EPT in this process, without limits of time and memory.
+    unlisted : callable, optional
+        Function that receives each input that cannot be listed, and its error. Without it, or
+        if no cloud is found, the error is raised.
 
     Returns
     -------
@@ -71,23 +76,31 @@ def find_inputs(
     ConfigError
         There are no paths, a path does not exist, or no node of point tiles is selected.
     InputError
-        No LAS or LAZ file was found, or a list of clouds cannot be read.
+        No LAS or LAZ file was found, or a list of clouds, or a folder at a URL, cannot be read.
     """
     if not paths:
         raise ConfigError("no input; give LAS or LAZ files, folders, globs or .vpc files")
     clouds: dict[Path | FileNumber, Path] = {}
     reported: list[str] = []
+    failed: InputError | None = None
 
     def report(text: str) -> None:
         reported.append(text)
         note(text)
 
     for text in chain.from_iterable(_globbed_lists(str(path)) for path in paths):
-        if _is_there_as_list(text):
-            for path in _listed(text, wanted, listed, in_process):
-                clouds.setdefault(_identity(path), path)
+        try:
+            if _is_there_as_list(text):
+                for path in _listed(text, wanted, listed, in_process):
+                    clouds.setdefault(_identity(path), path)
+                continue
+            root, candidates = _expanded(text, report)
+        except InputError as error:
+            if unlisted is None:
+                raise
+            unlisted(text, error)
+            failed = failed or error
             continue
-        root, candidates = _expanded(text, report)
         reads_results = (
             results and not is_url(text) and not any(path.parent == root for path in candidates)
         )
@@ -96,6 +109,8 @@ def find_inputs(
             known = clouds.setdefault(_identity(path), path)
             if known is not path:
                 report(f"{path}: named twice (as {known}), read once")
+    if failed and not clouds:
+        raise failed
     if not clouds:
         why = f" ({reported[0]})" if reported else ""
         raise InputError(

@@ -22,7 +22,7 @@ from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.laz import CorruptLazError, LazLayout
 from tiler.io.las.octree import Octree, read_octree
 from tiler.io.las.reader import count_decodable, rows_at_once
-from tiler.io.locations import FileState, stat_location
+from tiler.io.locations import FileState, reading_remedy, stat_location
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
 
 Read = TypeVar("Read")
@@ -224,7 +224,7 @@ def read_in_child(
         return guard.call(function, path, *arguments, seconds=seconds)
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror or error}); give a readable file"
+            f"{path}: cannot be read ({error.strerror or error}); {reading_remedy(path, 'give a readable file')}"
         ) from error
     except ChildStartError as error:
         raise ProcessingError(

@@ -12,7 +12,7 @@ from tiler.errors import InputError
 from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
 from tiler.io.cloud_reading import open_location
 from tiler.io.json_text import excerpt, member, parse_json_object
-from tiler.io.locations import as_path, is_url
+from tiler.io.locations import as_path, is_url, reading_remedy
 
 SUFFIX = ".vpc"
 REMOTE = ("http", "https", "s3", "gs", "gcs", "abfs", "abfss", "az")
@@ -89,7 +89,7 @@ def _features(text: str) -> list[Any]:
             content = stream.read(LIST_BYTES + 1)
     except OSError as error:
         raise InputError(
-            f"{text}: cannot be read ({error.strerror or error}); give a readable .vpc file"
+            f"{text}: cannot be read ({error.strerror or error}); {reading_remedy(text, 'give a readable .vpc file')}"
         ) from error
     if len(content) > LIST_BYTES:
         _refuse(text, f"has more than {LIST_BYTES >> 20} MiB")

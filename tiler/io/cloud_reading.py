@@ -15,6 +15,7 @@ BLOCK_BYTES = 1 << 22
 KEPT_BLOCKS = 8
 """Number of blocks of an object that are kept while it is read: blocks of its header, table and
 points."""
+_WITHOUT_RANGES = "its server does not support range requests"
 
 _fetched = [0]
 
@@ -39,23 +40,43 @@ def open_location(
 
     with storage_errors():
         opened = cast(Any, path).open("rb", block_size=block_bytes)
+        if getattr(opened, "size", 0) is None:
+            raise OSError(_without_size(opened))
         if isinstance(opened, AbstractBufferedFile):
             # A decoder jumps between header, points and the table at the end. The cache
             # requests each block once. It is not set by options of `open`, since some file
             # systems do not accept them.
-            opened.cache = BlockCache(
-                block_bytes, _counted(opened._fetch_range), opened.size, KEPT_BLOCKS
-            )
+            fetch = _complete(opened._fetch_range, opened.size)
+            opened.cache = BlockCache(block_bytes, fetch, opened.size, KEPT_BLOCKS)
         return cast(BinaryIO, _Guarded(opened, _read_parts(opened, cast(Any, path), parts)))
 
 
-def _counted(fetch: Callable[[int, int], bytes]) -> Callable[[int, int], bytes]:
-    def counting(start: int, end: int) -> bytes:
+def _without_size(opened: Any) -> str:
+    """Return why fsspec opened a file only as a stream."""
+    info = opened.fs.info(opened.path)
+    if info["size"] == 0:
+        return "it is empty"
+    return "its server does not report its size" if info["size"] is None else _WITHOUT_RANGES
+
+
+def _complete(fetch: Callable[[int, int], bytes], size: int) -> Callable[[int, int], bytes]:
+    """Return a function that fetches bytes of a file of ``size`` bytes, and checks that the server sent all of them."""
+
+    def fetch_all(start: int, end: int) -> bytes:
         data = fetch(start, end)
-        _fetched[0] += len(data)
+        _check_answer(data, min(end, size) - start)
         return data
 
-    return counting
+    return fetch_all
+
+
+def _check_answer(data: bytes, wanted: int) -> None:
+    """Count the bytes that a server sent. Raise OSError if they are not as many as requested."""
+    _fetched[0] += len(data)
+    if len(data) > wanted:
+        raise OSError(_WITHOUT_RANGES)
+    if len(data) < wanted:
+        raise OSError(f"its server sent {len(data):,} of the {wanted:,} bytes requested")
 
 
 def _read_parts(
@@ -68,11 +89,8 @@ def _read_parts(
     contents = opened.fs.cat_ranges(
         [path.path] * len(parts), list(starts), list(ends), on_error="raise"
     )
-    _fetched[0] += sum(map(len, contents))
-    if any(
-        len(data) != end - start for data, (start, end) in zip(contents, parts, strict=True)
-    ):
-        raise OSError("its server does not support range requests; download it")
+    for data, (start, end) in zip(contents, parts, strict=True):
+        _check_answer(data, end - start)
     return list(zip(starts, contents, strict=True))
 
 
@@ -136,9 +154,7 @@ class _Guarded(io.RawIOBase):
             except ValueError as error:
                 if "http" not in self.shared.fs.protocol:
                     raise
-                raise OSError(
-                    "its server does not support range requests; download it"
-                ) from error
+                raise OSError(_WITHOUT_RANGES) from error
         target[: len(data)] = data
         self._place += len(data)
         return len(data)

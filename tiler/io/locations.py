@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
-from tiler.errors import ConfigError, write_error
+from tiler.errors import ConfigError, InputError, write_error
 from tiler.io.atomic_files import SCRATCH_PREFIX, replace_file
 
 CONCURRENT_REQUESTS = 16
@@ -23,6 +24,8 @@ QUIET_SECONDS = 30.0
 """Time after which a request fails if a web server sends nothing."""
 REQUEST_SECONDS = 300.0
 """Time after which a request to a web server fails."""
+_MISSING = (404, 410)
+"""Answers of web servers that do not have the file."""
 _SCHEME = re.compile(r"(?:^|(?<=::))[A-Za-z][A-Za-z0-9+.-]*(?=::|://)")
 
 
@@ -125,13 +128,40 @@ def storage_errors() -> Iterator[None]:
     """Convert the exceptions of a library for object stores to OSErrors."""
     try:
         yield
-    except (OSError, ImportError) as error:
-        # If a server does not answer, fsspec reports that the file is missing.
-        if isinstance(error, TimeoutError) or isinstance(error.__cause__, TimeoutError):
-            raise OSError("its server did not answer in time") from error
-        raise
     except Exception as error:
+        # After a failed request, fsspec reports that the file is missing.
+        told = _web_error(error) or (error.__cause__ and _web_error(error.__cause__))
+        if told:
+            raise told from error
+        if isinstance(error, OSError | ImportError):
+            raise
         raise OSError(f"{type(error).__name__}: {error}") from error
+
+
+def _web_error(error: BaseException) -> OSError | None:
+    """Return the error of a request to a web server in plain words, or None if it is another error."""
+    if isinstance(error, TimeoutError):
+        return OSError("its server did not answer in time")
+    aiohttp: Any = sys.modules.get("aiohttp")
+    if aiohttp is None or not isinstance(error, aiohttp.ClientError):
+        return None
+    if isinstance(error, aiohttp.ClientResponseError):
+        kind = FileNotFoundError if error.status in _MISSING else OSError
+        return kind(f"its server answered {error.status} {error.message}".rstrip())
+    if isinstance(error, aiohttp.ClientConnectorError):
+        cause = error.os_error
+        reason = os.strerror(cause.errno) if (cause.errno or 0) > 0 else cause.strerror
+        return OSError(f"its server {error.host} cannot be reached: {reason}")
+    return OSError("the connection to its server broke")
+
+
+def reading_remedy(place: str | Path, remedy: str) -> str:
+    """Return the advice for a file that cannot be read: ``remedy`` for a path, and what to check for a URL."""
+    return (
+        "check the URL, its server and your credentials, or download it"
+        if is_url(place)
+        else remedy
+    )
 
 
 def stat_location(path: Path) -> os.stat_result:
@@ -178,7 +208,7 @@ def state_of(path: Path) -> FileState:
         status = url_path.stat()
         info = status.as_info()
         if info.get("size") is None:
-            raise OSError("its server does not report its size; download it")
+            raise OSError("its server does not report its size")
         tag = (
             next((str(info[name]) for name in TAGS if info.get(name)), "")
             .removeprefix("W/")
@@ -193,27 +223,25 @@ def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
     Raises
     ------
     ConfigError
-        There is nothing at the URL, or it cannot be listed.
+        There is nothing at the URL.
+    InputError
+        The URL cannot be listed.
     """
     url = plain_scheme(url)
     as_path(url)  # This raises an error that names a missing library.
     path = without_query(url)
+    if path.lower().endswith(suffixes) and not has_magic(path) and not _is_folder(url):
+        # Listing the file would read all of it on some servers.
+        return [as_path(url)]
     try:
         with storage_errors():
             system, system_path = _system(url)
-            if (
-                path.lower().endswith(suffixes)
-                and not has_magic(path)
-                and _is_object(system, system_path)
-            ):
-                # Listing the file would read all of it on some servers.
-                return [as_path(url)]
             listed = (
                 system.glob(system_path) if has_magic(system_path) else system.find(system_path)
             )
     except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"{url}: cannot be listed ({error}); check the URL and its credentials"
+        raise InputError(
+            f"{url}: cannot be listed ({error}); {reading_remedy(url, '')}"
         ) from error
     if not listed:
         raise ConfigError(f"{url}: nothing there; give LAS or LAZ objects, folders or globs")
@@ -226,10 +254,15 @@ def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
     ]
 
 
-def _is_object(system: Any, place: str) -> bool:
+def _is_folder(url: str) -> bool:
+    """Return whether a URL with the name of a file is a folder. Reading the file reports errors."""
+    if url.startswith("http"):  # Web servers do not tell folders from files.
+        return False
     try:
-        return bool(system.info(place)["type"] != "directory")
-    except FileNotFoundError:
+        with storage_errors():
+            system, place = _system(url)
+            return bool(system.info(place)["type"] == "directory")
+    except OSError:
         return False
 
 

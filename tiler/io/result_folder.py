@@ -98,7 +98,10 @@ def is_results(place: str) -> bool:
     """Return whether a folder or URL contains the results of a run, even if its run.json is damaged."""
     if read_run(place) is not None:
         return True
-    return None not in sizes_at([joined(place, RUN), joined(place, EVENTS)])
+    try:
+        return None not in sizes_at([joined(place, RUN), joined(place, EVENTS)])
+    except OSError:  # Reading the place itself reports the error.
+        return False
 
 
 def below(out: str, place: str) -> str:

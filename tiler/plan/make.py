@@ -81,6 +81,11 @@ def make_plan(
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)
     ept = EptInputs(config)
+    left_out: list[tuple[str, str]] = []
+
+    def unlisted(text: str, error: InputError) -> None:
+        left_out.append((text, str(error)))
+
     paths = find_inputs(
         inputs,
         out=folder,
@@ -88,10 +93,12 @@ def make_plan(
         wanted=ept.node_filter,
         listed=ept.record,
         in_process=config.in_process,
+        unlisted=None if config.on_error == "stop" else unlisted,
     )
     if out is not None:
         validate_output_paths(config, str(out), paths)
-    sources, left_out = inspect_all(paths, config, known)
+    sources, unreadable = inspect_all(paths, config, known)
+    left_out += unreadable
     sources = ept.with_crs(sources, notes)
     crs = resolve_common_crs(sources, config)
     notes += crs.notes

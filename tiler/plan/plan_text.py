@@ -98,7 +98,10 @@ def plan_lines(plan: Plan) -> list[str]:
     lines += [f"note        {text}" for text in plan.notes]
     lines += [f"warning     {text}" for text in plan.warnings]
     # These lines are not wrapped, so that the paths can be copied.
-    left_out = [f"left out    {path}: {reason}" for path, reason in inputs.left_out]
+    left_out = [
+        f"left out    {path}: {reason.removeprefix(f'{path}: ')}"
+        for path, reason in inputs.left_out
+    ]
     return [*itertools.chain.from_iterable(map(wrapped, lines)), *left_out]
 
 

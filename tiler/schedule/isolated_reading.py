@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import psutil
 
 from tiler.errors import InputError, ProcessingError
-from tiler.io.locations import stat_location
+from tiler.io.locations import reading_remedy, stat_location
 from tiler.schedule.guard import MEMORY_BYTES, ChildDiedError, ChildProcess, ChildStartError
 
 Result = TypeVar("Result")
@@ -20,13 +20,18 @@ BYTES_PER_SECOND = 1e6
 
 
 def seconds_for(paths: Sequence[Path]) -> float:
-    """Return the time that reading some files may take, without missing files. Raise OSError for other errors."""
+    """Return the time that reading some files may take, without missing files. Raise InputError for other errors."""
     size = 0
     for path in paths:
         try:
             size += stat_location(path).st_size
         except (FileNotFoundError, NotADirectoryError):
             continue  # The function that reads the file raises the error.
+        except OSError as error:
+            remedy = reading_remedy(path, "check its permissions")
+            raise InputError(
+                f"{path}: cannot be read ({error.strerror or error}); {remedy}"
+            ) from error
     return MIN_SECONDS + size / BYTES_PER_SECOND
 
 
@@ -59,7 +64,7 @@ def call_isolated(
     Raises
     ------
     InputError
-        Reading crashed, took too long, or needed too much memory.
+        The size of a file cannot be read, or reading crashed, took too long, or needed too much memory.
     Exception
         Exception that the function raised.
     """

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from tempfile import TemporaryDirectory
 from threading import Lock
-from typing import Any
+from typing import Any, cast
 
 import dask
 import distributed
@@ -41,6 +41,47 @@ _QUIET = {
 affect results."""
 
 _configuring = Lock()
+
+
+class SharedContext:
+    """Context that is entered for the first of several users and left after the last.
+
+    Parameters
+    ----------
+    make : callable
+        Function that returns a context manager.
+    """
+
+    def __init__(self, make: Callable[[], AbstractContextManager[object]]) -> None:
+        self._make = make
+        self._lock = Lock()
+        self._users = 0
+        self._entered = ExitStack()
+
+    def begin(self) -> None:
+        """Add one to the number of users, and enter the context for the first."""
+        with self._lock:
+            self._users += 1
+            if self._users == 1:
+                self._entered.enter_context(self._make())
+
+    def end(self) -> None:
+        """Subtract one from the number of users, and leave the context after the last."""
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                self._entered.close()
+
+
+def _defaults() -> AbstractContextManager[object]:
+    """Return a context with Dask's own configuration, without files and variables of the user."""
+    setting: Any = dask.config
+    return cast("AbstractContextManager[object]", setting.set(setting.merge(*setting.defaults)))
+
+
+defaults_of_dask = SharedContext(_defaults)
+"""Context while there is a cluster of this module. A preloaded module or a short timeout of the
+user is meant for other clusters."""
 
 
 class QuietScheduler(distributed.Scheduler):

@@ -12,11 +12,10 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
-from threading import Lock
 from typing import Any
 
 import distributed
@@ -32,7 +31,7 @@ from tiler.schedule.children import (
     machine_of,
     run_task_in_child,
 )
-from tiler.schedule.local_cluster import cluster_here
+from tiler.schedule.local_cluster import SharedContext, cluster_here, defaults_of_dask
 from tiler.schedule.task import Machine, Outcome, Task, TaskLimits, TaskRunner, WorkerCheck
 
 WAITING_PER_WORKER = 1
@@ -59,33 +58,21 @@ _LOGGERS = ("distributed", "distributed.client")
 connection in one line."""
 
 
-class _Silence:
-    """Switch that silences the loggers of Dask while there is an executor, and restores their levels afterwards."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._users = 0
-        self._levels: dict[str, int] = {}
-
-    def begin(self) -> None:
-        """Add one to the number of executors, and silence the loggers for the first."""
-        with self._lock:
-            self._users += 1
-            if self._users == 1:
-                self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
-                for name in _LOGGERS:
-                    logging.getLogger(name).setLevel(logging.CRITICAL)
-
-    def end(self) -> None:
-        """Subtract one from the number of executors, and restore the levels after the last."""
-        with self._lock:
-            self._users -= 1
-            if self._users == 0:
-                for name, level in self._levels.items():
-                    logging.getLogger(name).setLevel(level)
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Silence the loggers of Dask during the block."""
+    levels = {name: logging.getLogger(name).level for name in _LOGGERS}
+    for name in _LOGGERS:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
-_silence = _Silence()
+_silence = SharedContext(_silent)
+"""Context while there is an executor, since its tasks report their errors."""
 
 _dask: Any = distributed
 """Module `distributed` without type checks, since its functions have no types."""
@@ -121,12 +108,14 @@ class DaskExecutor:
         self._submissions = 0
         self._cluster: Any = None
         self._address = address
-        # The loggers are silent until `close`, since the tasks report their errors.
-        _silence.begin()
+        # Until `close`. The user's configuration is for clusters of the user.
+        self._contexts = [_silence] if address is not None else [_silence, defaults_of_dask]
+        for context in self._contexts:
+            context.begin()
         try:
             self._client = self._connected(workers, address)
         except BaseException:
-            _silence.end()
+            self._end_contexts()
             raise
         if address is None:
             self.workers = self._room = workers
@@ -346,4 +335,8 @@ class DaskExecutor:
             self._client.close(timeout=CLOSE_SECONDS)
         if self._cluster is not None:
             self._cluster.close(timeout=CLOSE_SECONDS)
-        _silence.end()
+        self._end_contexts()
+
+    def _end_contexts(self) -> None:
+        for context in reversed(self._contexts):
+            context.end()

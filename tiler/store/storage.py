@@ -32,7 +32,7 @@ from tiler.errors import (
     write_error,
 )
 from tiler.io.atomic_files import replace_file
-from tiler.io.locations import plain_scheme, validate_escaped
+from tiler.io.locations import plain_scheme, storage_errors, validate_escaped
 from tiler.redaction import stored
 from tiler.store import layout
 
@@ -116,7 +116,13 @@ class Storage:
         async def every() -> list[bytes | None]:
             return await asyncio.gather(*map(one, keys))
 
-        return sync(every())
+        try:
+            with storage_errors():
+                return sync(every())
+        except OSError as error:
+            raise StoreAccessError(
+                f"{self.url}: cannot be read ({error}); check its server and your credentials, then run again"
+            ) from error
 
     def put(self, key: str, data: bytes) -> None:
         """Write an object in place of an older one with the same key."""

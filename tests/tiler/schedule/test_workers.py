@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import json
 import logging
 import os
+import subprocess
 import sys
 import tempfile
 from collections import Counter
@@ -214,6 +216,39 @@ def test_children_of_a_cluster_s_workers_import_nothing_from_folders_of_dask(
     found = child_environment()["PYTHONPATH"].split(os.pathsep)
     assert other in found
     assert not [entry for entry in found if "dask-scratch-space" in entry]
+
+
+@pytest.mark.processes
+def test_the_user_s_configuration_of_dask_does_not_reach_the_workers_of_this_machine(
+    tmp_path: Path,
+) -> None:
+    preload = tmp_path / "preload.py"
+    preload.write_text("print('preloaded')\n")
+    of_user = {name: {"preload": [str(preload)]} for name in ("client", "scheduler", "worker")}
+    (tmp_path / "user.yaml").write_text(json.dumps({"distributed": of_user}))
+    program = (
+        "import dask\n"
+        "from tiler.schedule.workers import DaskExecutor\n"
+        "def connect(): return dask.config.get('distributed.comm.timeouts.connect')\n"
+        "before, executor = connect(), DaskExecutor(1)\n"
+        "print(before, connect())\n"
+        "executor.close()\n"
+        "print(connect())\n"
+    )
+    environment = {
+        **os.environ,
+        "DASK_CONFIG": str(tmp_path),
+        "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1ms",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_SECONDS,
+        check=True,
+    )
+    assert done.stdout.split() == ["1ms", "30s", "1ms"]
 
 
 def test_executors_made_at_the_same_time_restore_the_configuration_of_dask() -> None:

@@ -13,7 +13,7 @@ from pyproj.exceptions import ProjError
 from rasterio.errors import CRSError, RasterioError
 
 from tiler.errors import InputError
-from tiler.io.locations import is_url, state_at
+from tiler.io.locations import is_url, reading_remedy, state_at
 from tiler.redaction import printable
 
 
@@ -43,8 +43,13 @@ def opened(path: Path | str) -> Any:
     """Open a rasterio data set. At a URL, only the requested parts of the file are read."""
     if not is_url(path):
         return rasterio.open(path)
-    if state_at(str(path)) is None:
-        raise InputError(f"{path}: nothing there; give a raster")
+    try:
+        if state_at(str(path)) is None:
+            raise InputError(f"{path}: nothing there; give a raster")
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error}); {reading_remedy(path, '')}"
+        ) from error
     return rasterio.open(str(path), opener=url_to_fs(str(path))[0])
 
 

@@ -24,7 +24,7 @@ from tiler.io.las.laz import (
     walk_chunks,
 )
 from tiler.io.las.records import Vlr, walk_records
-from tiler.io.locations import FileState, is_url, state_of
+from tiler.io.locations import FileState, is_url, reading_remedy, state_of
 
 _BLOCK_BYTES = 1 << 14
 """Bytes per request to a URL. The bytes before the points, the chunk table or a record are
@@ -200,7 +200,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         refuse(
             path,
             f"cannot be read ({error.strerror or error})",
-            "give a readable LAS or LAZ file",
+            reading_remedy(path, "give a readable LAS or LAZ file"),
         )
 
 
