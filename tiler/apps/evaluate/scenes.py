@@ -23,6 +23,7 @@ from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
 from tiler.inputs import find_inputs, inspect
+from tiler.io.locations import is_url
 from tiler.observe.events import Listener, Note, ignore_events
 from tiler.schedule import call_isolated, half_of_memory
 
@@ -107,10 +108,10 @@ def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
     relative_paths: dict[Path, str] = {}
     for text in paths:
         for path in find_inputs([text], results=True):
-            base = path.parent
+            relative = Path(path.name.partition("?")[0] if is_url(path) else path.name)
             if Path(text).is_dir():
-                base = Path(text)
-            relative_paths.setdefault(path, path.relative_to(base).with_suffix("").as_posix())
+                relative = path.relative_to(text)
+            relative_paths.setdefault(path, relative.with_suffix("").as_posix())
     return list(relative_paths.items())
 
 
