@@ -3,17 +3,44 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 from pyproj import CRS, Proj
-from pyproj.exceptions import ProjError
+from pyproj.crs import is_wkt
+from pyproj.exceptions import CRSError, ProjError
 
 USED_BEYOND, MIN_USED_BEYOND_DEG = 0.1, 0.1
 """Distance beyond its area of use to which a CRS is used: this share of the shorter side of the area, and at least so
 many degrees (11 km). This is 33 km for the Dutch grid, and 0.6 degrees for a UTM zone of WGS 84: a cloud of Peru that
 is right lies 0.43 degrees outside its zone, a Dutch one in coordinates of the national grid 0.74."""
+
+
+_FOR_PROJ = re.compile(
+    r'\b(?:EXTENSION|PARAMETERFILE)\s*[\[(]((?:"(?:[^"]|"")*"|[^"\])])*)', re.I
+)
+"""Elements of a WKT with parameters of PROJ and names of grids."""
+_FILE = re.compile(r"\binit\s*=|(?<!\d)[\\/]|[\\/](?!\d)", re.I)
+"""Signs of a path or URL in parameters of PROJ, in which ``1/3`` is a number."""
+_OGC = "http://www.opengis.net/def/crs/"
+"""Start of the URLs that stand for codes. PROJ knows them without a network."""
+
+
+def crs_in_file(text: str) -> CRS:
+    """Return the CRS that a file of unknown origin names, as WKT or by a code.
+
+    Raise CRSError if it is unknown, or if PROJ would open a file at a path or URL in it.
+    """
+    parts = [text]
+    if is_wkt(text):
+        parts = _FOR_PROJ.findall(text)
+    elif text.startswith(_OGC):
+        parts = []
+    if any(map(_FILE.search, parts)):
+        raise CRSError("names a file or a URL, which a CRS in a file may not")
+    return CRS.from_user_input(text)
 
 
 def split(crs: CRS) -> tuple[CRS | None, CRS | None]:

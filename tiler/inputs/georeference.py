@@ -9,12 +9,12 @@ from functools import lru_cache
 
 import numpy as np
 from pyproj import CRS
-from pyproj.crs import CompoundCRS
+from pyproj.crs import CompoundCRS, is_wkt
 from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 from pyproj.exceptions import CRSError
 
-from tiler.core.crs import same_vertical_datum, split
+from tiler.core.crs import crs_in_file, same_vertical_datum, split
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit, unit_label
 from tiler.io.las.headers import LasHeader, read_payload
 from tiler.io.las.records import PROJECTION_USER
@@ -189,7 +189,9 @@ def _from_wkt(header: LasHeader, notes: list[str]) -> Georeference | None:
 def _described(wkt: str) -> Georeference:
     # The files of a delivery share one text, and parsing it takes as long as reading a sample
     # of a file.
-    return describe(CRS.from_wkt(wkt))
+    if not is_wkt(wkt):
+        raise CRSError(f"Invalid WKT string: {wkt}")
+    return describe(crs_in_file(wkt))
 
 
 def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TypeGuard
 
-from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from tiler.core.crs import crs_in_file
 from tiler.errors import InputError
 from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
 from tiler.io.cloud_reading import open_location
@@ -263,7 +263,7 @@ def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
         if not isinstance(definition, str) or not definition:
             continue
         try:
-            return str(CRS.from_user_input(definition).to_wkt())
+            return str(crs_in_file(definition).to_wkt())
         # JSON may contain a lone surrogate, which cannot be encoded.
         except (CRSError, UnicodeEncodeError):
             continue

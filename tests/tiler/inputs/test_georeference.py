@@ -226,6 +226,39 @@ def test_unusable_wkt_is_a_missing_crs(make_cloud: Any, text: bytes) -> None:
         settle(make_cloud("w.las", n=5, crs=None, edit=edit))
 
 
+@pytest.mark.parametrize(
+    ("parameters", "is_used"),
+    [
+        ("+proj=merc +a=6378137 +b=6378137 +nadgrids=@null +to_meter=1/3 +wktext", True),
+        ("+proj=utm +zone=32 +nadgrids=/tmp/x.gsb", False),
+        ("+proj=utm +zone=32 +nadgrids=C:\\x.gsb", False),
+        ("+proj=utm +zone=32 +geoidgrids=https://example.org/x.tif", False),
+        ("+init=x:1", False),
+    ],
+)
+def test_a_crs_with_a_file_for_proj_is_a_missing_crs(
+    make_cloud: Any, parameters: str, is_used: bool
+) -> None:
+    plain = CRS.from_epsg(25832).to_wkt("WKT1_GDAL")
+    named = plain.replace(',AUTHORITY["EPSG","25832"]]', f',EXTENSION["PROJ4","{parameters}"]]')
+    assert parameters in named
+    info = inspect(make_cloud("e.las", n=5, crs=None, edit=with_wkt(named)))
+    assert (info.georeference.kind != "missing") == is_used
+
+
+def test_a_path_is_not_a_crs(make_cloud: Any) -> None:
+    for path in ("/tmp/x.prj", "file:/tmp/x", "+init=/tmp/x:1"):
+        info = inspect(make_cloud("p.las", n=5, crs=None, edit=with_wkt(path)))
+        assert info.georeference.kind == "missing"
+
+
+def with_wkt(text: str) -> Any:
+    def edit(cloud: laspy.LasData) -> None:
+        cloud.header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", text.encode()))
+
+    return edit
+
+
 def test_local_crs_with_feet(make_cloud: Any) -> None:
     text = 'LOCAL_CS["site",UNIT["foot",0.3048],AXIS["x",EAST],AXIS["y",NORTH]]'
     agreed = settle(make_cloud("l.las", n=5, crs=text))

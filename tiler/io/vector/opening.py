@@ -12,10 +12,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from pyproj import CRS
 from pyproj.exceptions import ProjError
 from shapely.errors import ShapelyError
 
+from tiler.core.crs import crs_in_file
 from tiler.errors import InputError
 from tiler.io.atomic_files import SCRATCH_PREFIX
 from tiler.io.journals import SUFFIXES as JOURNAL_SUFFIXES
@@ -99,7 +99,7 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
     named = member(member(content, "crs"), "properties").get("name")
     try:
         if named is not None:
-            CRS.from_user_input(str(named))
+            crs_in_file(str(named))
     except (ProjError, UnicodeError, RecursionError) as error:
         raise InputError(
             f"{path}: its CRS {excerpt(named)} is not known; write it with another CRS"

@@ -15,7 +15,7 @@ from pyproj.enums import TransformDirection
 from pyproj.exceptions import ProjError
 from shapely.geometry.base import BaseGeometry
 
-from tiler.core.crs import same_horizontal, split
+from tiler.core.crs import crs_in_file, same_horizontal, split
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 
@@ -69,7 +69,7 @@ def in_crs(
             f"{path}: has no CRS; write it with one, `ogr2ogr -a_srs EPSG:... new.gpkg {path}`"
         )
     try:
-        named = split(CRS.from_user_input(text))[0]
+        named = split(crs_in_file(text))[0]
     except (ProjError, UnicodeError, RecursionError) as error:
         raise InputError(
             f"{path}: its CRS {excerpt(text)} is not known; write it with another CRS"
