@@ -128,6 +128,8 @@ def storage_errors() -> Iterator[None]:
     """Convert the exceptions of a library for object stores to OSErrors."""
     try:
         yield
+    except MemoryError:  # The caller reports its limit.
+        raise
     except Exception as error:
         # After a failed request, fsspec reports that the file is missing.
         told = _web_error(error) or (error.__cause__ and _web_error(error.__cause__))

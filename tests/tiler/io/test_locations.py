@@ -106,3 +106,9 @@ def test_a_long_name_has_a_short_temporary_name(tmp_path: Path) -> None:
     assert len(found) == 2, "each has its own"
     for path in found:
         path.write_bytes(b"")
+
+
+def test_exhausted_memory_is_not_an_error_of_the_server() -> None:
+    """An answer that expands hugely: the process that reads it reports its limit."""
+    with pytest.raises(MemoryError), locations.storage_errors():
+        raise MemoryError
