@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import click
 
+from cli.output import write_line
+
 OWN_WORDS = "its own"
 """Short help of options that differ between commands: the first words of their help."""
 GROUPS: dict[str, dict[str, str]] = {
@@ -145,7 +147,8 @@ def help_all_option() -> click.Option:
     def show(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
         if asked and not context.resilient_parsing:
             context.meta[SHOWS_ALL] = True
-            click.echo(context.get_help(), color=context.color)
+            for line in context.get_help().splitlines():
+                write_line(line)
             context.exit()
 
     return click.Option(
