@@ -130,7 +130,7 @@ def test_every_command_takes_urls(
         ),
         (
             lambda: tiler.classify(f"{out}/no.laz", "a.laz"),
-            f"{out}/no.laz: no such file; give a LAS or LAZ file",
+            rf"{out}/no.laz: cannot be read \(nothing is there\); check the URL",
         ),
         (
             lambda: tiler.classify(url, f"{out}/a.laz"),

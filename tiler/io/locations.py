@@ -135,6 +135,9 @@ def storage_errors() -> Iterator[None]:
         told = _web_error(error) or (error.__cause__ and _web_error(error.__cause__))
         if told:
             raise told from error
+        if isinstance(error, FileNotFoundError) and error.errno is None:
+            # The text is only the path.
+            raise FileNotFoundError("nothing is there") from error
         if isinstance(error, OSError | ImportError):
             raise
         raise OSError(f"{type(error).__name__}: {error}") from error
