@@ -19,9 +19,6 @@ from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.store import TileStore
 
-TALLEST_M = 1000
-"""No structure is taller. Returns above are of clouds, aircraft or errors, however many support one another."""
-
 
 @dataclass(frozen=True)
 class GroundSelection:
@@ -234,16 +231,11 @@ def surface_points(
 ) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
     """Read all points of a bucket. Return them with a mask of the surface points.
 
-    Surface points are not withheld or skipped, are not noise by the input or by the filter, and are at most
-    `TALLEST_M` above the highest ground point of the bucket.
+    Surface points are not withheld or skipped, and are not noise by the input or by the filter.
     """
     block = store.read_bucket(cell, ("xyz", "flags", "classification"))
     labels = None if rule.labels is None else store.read_labels(rule.labels, cell)
     chosen = _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
-    classes = _required(block.classification if labels is None else labels, store, cell)
-    ground_z = block.xyz[2, chosen & rule.is_ground()[classes]]
-    if len(ground_z):
-        chosen &= block.xyz[2] <= int(ground_z.max()) + TALLEST_M // store.meta.frame.metres_z
     return block, chosen
 
 

@@ -10,15 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.gridding.highest_returns import NOTHING, HighestReturns
-from tiler.core.raster import Block
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import NODATA, Block
+from tiler.grid.coarse import padded
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
 from tiler.grid.work import PointsBlock
-from tiler.store import TileStore
+from tiler.store import TileStore, read_cells
 
 __all__ = ["NOTHING", "ReturnsBlock", "highest_returns", "reach_pixels", "returns_of"]
 
 Int32 = npt.NDArray[np.int32]
+
+TALLEST_M = 1000
+"""No structure is taller. Returns above are of clouds, aircraft or errors, however many support one another."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,17 +54,14 @@ def returns_of(store: TileStore, work: ReturnsBlock, block: Block) -> tuple[Int3
     """Return the highest supported return of each pixel, and the height of its lowest return (height, width).
 
     All points except withheld or skipped ones and noise (classes 7 and 18, by the input or by
-    the filter) are used, since water and bridges are surface. `HighestReturns.supported`
-    removes spikes among the pixels within ``reach``. The lowest return is defined where there is a highest one.
+    the filter) are used, since water and bridges are surface, but none more than `TALLEST_M` above the terrain.
+    `HighestReturns.supported` removes spikes among the pixels within ``reach``. The lowest return is defined where
+    there is a highest one.
     """
     radius, origin = work.reach, store.meta.frame.origin
-    wider = Block(
-        block.row - radius,
-        block.col - radius,
-        block.height + 2 * radius,
-        block.width + 2 * radius,
-    )
-    bounds = work.spec.block_bounds(wider)
+    wider = padded(block, radius)
+    bounds, limits = work.spec.block_bounds(wider), _limits(store, work, wider)
+    lowest_limit = limits.min()
     highest = HighestReturns(wider.height, wider.width)
     lowest = np.full(wider.height * wider.width, np.iinfo(np.int32).max, np.int32)
     for cell in store.buckets_within(bounds):
@@ -67,11 +69,23 @@ def returns_of(store: TileStore, work: ReturnsBlock, block: Block) -> tuple[Int3
         chosen &= points.inside(bounds, origin)
         xyz = np.ascontiguousarray(points.xyz[:, chosen])
         pixels = pixel_indices(xyz, origin, work.spec, wider)
+        if xyz[2].max(initial=NOTHING) > lowest_limit:
+            possible = xyz[2] <= limits[pixels]
+            pixels, xyz = pixels[possible], xyz[:, possible]
         highest.add(pixels, xyz)
         np.minimum.at(lowest, pixels, xyz[2])
     supported = highest.supported(radius, float(work.spike))
     inner = np.s_[radius : radius + block.height, radius : radius + block.width]
     return supported[inner], lowest.reshape(wider.height, wider.width)[inner]
+
+
+def _limits(store: TileStore, work: ReturnsBlock, block: Block) -> npt.NDArray[np.float64]:
+    """Return the greatest height in counts that a return may have in each pixel, infinite without terrain."""
+    terrain = (
+        read_cells(store, work.terrain, work.spec, block, NODATA).ravel().astype(np.float64)
+    )
+    limits = terrain * COUNTS_PER_UNIT + TALLEST_M / float(store.meta.frame.metres_z)
+    return np.where(terrain == np.float32(NODATA), np.inf, limits)
 
 
 def reach_pixels(pixel_m: Fraction) -> int:

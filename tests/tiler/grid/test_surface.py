@@ -42,9 +42,10 @@ def surface_work(scene: Scene, spec: RasterSpec, block: Block, **options: Any) -
 
 
 def dsm(
-    scene: Scene, block: int = 512, **options: Any
+    scene: Scene, block: int = 512, terrain: float = NODATA, **options: Any
 ) -> tuple[np.ndarray, list[SurfaceRecord]]:
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
+    scene.store.create_raster("dtm", spec.height, spec.width, fill=terrain)
     heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
     for b in spec.blocks(block):
         work, bare = (
@@ -94,17 +95,20 @@ def test_spikes_noise_and_withheld_points_are_left_out(make_scene) -> None:
     assert 0 < higher.sum() <= np.isin(labels[-len(rows) :], (1, 2)).sum()
 
 
-def test_a_group_above_any_structure_is_left_out(make_scene) -> None:
-    """The points of a cloud or an aircraft support one another, like the points of a tower."""
+@pytest.mark.parametrize("bucket", [5_000, 40_000, 1_000_000])
+def test_a_group_above_any_structure_is_left_out(make_scene, bucket) -> None:
+    """The points of a cloud or an aircraft support one another, like those of a tower, also where nothing else is."""
     xyz = scattered(20_000, 120_000)
-    under = (abs(xyz[:, :2] - 60_000) < 5_000).all(axis=1)
-    labels = np.r_[np.full(len(xyz), 2), np.ones(under.sum())].astype(np.uint8)
+    under = (abs(xyz[:, :2] - 60_000) < 10_000).all(axis=1)
+    ground = xyz[~(abs(xyz[:, :2] - 60_000) < 7_000).all(axis=1)]
+    labels = np.r_[np.full(len(ground), 2), np.ones(under.sum())].astype(np.uint8)
 
     def with_group(height_m: int) -> np.ndarray:
         group = xyz[under] + [1, 1, height_m * 1000]
-        return dsm(make_scene(np.concatenate((xyz, group)), labels))[0]
+        scene = make_scene(np.concatenate((ground, group)), labels, bucket=bucket)
+        return dsm(scene, terrain=50.0)[0]
 
-    assert with_group(1100).tobytes() == dsm(make_scene(xyz))[0].tobytes()
+    assert with_group(1100).tobytes() == dsm(make_scene(ground))[0].tobytes()
     assert with_group(900).max() > 850
 
 

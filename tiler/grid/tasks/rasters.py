@@ -99,11 +99,13 @@ def surface_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     )
     for block, near in _near(context, context.spec, margin).items():
         work = make(name=raster.name, spec=context.spec, block=block, rule=context.rule)
+        window = context.spec.block_bounds(block).pad(margin)
+        around_block = context.spec.blocks_within(window, BLOCK_PIXELS)
         yield context.block_task(
             raster,
             work,
             context.label_digests(near),
-            context.checksums(terrain, [block.name]),
+            context.checksums(terrain, [other.name for other in around_block]),
             context.coarse_checksums(survey, block),
             context.waters.digest(context.spec.block_bounds(block)),
             points=context.n_points(near),
