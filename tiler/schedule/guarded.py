@@ -22,9 +22,12 @@ def answer_calls(memory_bytes: int | None) -> NoReturn:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if memory_bytes is not None:
         limit_memory(memory_bytes)
-    # Answers go to a copy of the standard output, so that libraries cannot print between them.
-    answers, calls = os.fdopen(os.dup(1), "wb"), os.fdopen(0, "rb", closefd=False)
+    # Answers go to a copy of the standard output, so that libraries cannot print between them. Calls come from a copy
+    # of the standard input: while a thread reads it, Windows does not even tell a library its type.
+    answers, calls = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(0), "rb")
     os.dup2(2, 1)
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
     asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(calls, asked), daemon=True).start()
     while True:

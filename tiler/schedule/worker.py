@@ -39,15 +39,17 @@ _last_stage = ""
 
 def peak_rss_bytes() -> int:
     """Return the largest resident memory of this process so far, in bytes."""
+    memory = psutil.Process().memory_info()
+    peak = getattr(memory, "peak_wset", None)
+    if peak is not None:  # This system is Windows.
+        return int(peak)
     try:
         # `getrusage` would include the peak of the process that forked this one.
         with open("/proc/self/status", encoding="ascii") as status:
             line = next(line for line in status if line.startswith("VmHWM:"))
         return int(line.split()[1]) * 1024
-    except (OSError, StopIteration):  # This system is not Linux.
-        memory = psutil.Process().memory_info()
-        # Windows has a peak. Other systems only have the current memory.
-        return int(getattr(memory, "peak_wset", memory.rss))
+    except (OSError, StopIteration):  # Other systems only have the current memory.
+        return int(memory.rss)
 
 
 def _forget_peak() -> None:
