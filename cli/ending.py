@@ -16,7 +16,11 @@ import psutil
 
 from cli import exit_codes
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name)
+)
+"""Signals that end a command: Ctrl-C, the end by a batch system, and Ctrl-Break, the only one that Windows sends to a
+process in a group of its own."""
 GRACE_SECONDS = 4.0
 """Time after a signal for closing files and for the last line.
 
@@ -37,7 +41,7 @@ class InterruptState:
     told: bool = False
 
     def interrupt(self, number: int, frame: object) -> NoReturn:
-        """Raise KeyboardInterrupt for SIGINT or SIGTERM.
+        """Raise KeyboardInterrupt for one of `SIGNALS`.
 
         A second signal of the same kind is ignored, so that it does not disturb the orderly
         end.
@@ -52,7 +56,7 @@ class InterruptState:
 
 @contextmanager
 def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
-    """Let SIGTERM interrupt a command as Ctrl-C does, and end it within `GRACE_SECONDS` of either signal.
+    """Let all `SIGNALS` interrupt a command as Ctrl-C does, and end it within `GRACE_SECONDS` of a signal.
 
     Python handles a signal between two of its instructions, so not while a library computes,
     and code may swallow the interruption. Therefore the signal also wakes a thread, which ends
@@ -74,10 +78,10 @@ def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
         InterruptState(own_process),
         {number: signal.getsignal(number) for number in SIGNALS},
     )
-    signal.signal(signal.SIGTERM, ending.interrupt)
-    # Scripts start background commands with SIGINT ignored. It stays ignored.
-    if previous_handlers[signal.SIGINT] is signal.default_int_handler:
-        signal.signal(signal.SIGINT, ending.interrupt)
+    for number, handler in previous_handlers.items():
+        # Scripts start background commands with SIGINT ignored. It stays ignored.
+        if number != signal.SIGINT or handler is signal.default_int_handler:
+            signal.signal(number, ending.interrupt)
     woken_before = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
     try:
         yield ending

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -69,6 +70,13 @@ class _Patient(io.FileIO):
                 return super().write(data)
             except OSError as error:
                 self._lost = True
-                if not isinstance(error, BrokenPipeError) and self._called == "stdout":
+                if not _reader_has_gone(error) and self._called == "stdout":
                     raise write_error(self._called, error) from error
         return memoryview(data).nbytes
+
+
+def _reader_has_gone(error: OSError) -> bool:
+    # Windows has no own error for this.
+    return isinstance(error, BrokenPipeError) or (
+        os.name == "nt" and error.errno == errno.EINVAL
+    )

@@ -50,6 +50,25 @@ settings.register_profile(
 settings.load_profile("tests")
 
 
+def _link_or_skip(link: Path, target: str | Path, target_is_directory: bool = False) -> None:
+    """Make a link, or skip the test: Windows lets only some users make links, and its emulation makes none."""
+    try:
+        os.symlink(target, link, target_is_directory)
+    except OSError as error:
+        pytest.skip(f"no links: {error.strerror}")
+    if not link.is_symlink():
+        pytest.skip("no links: none was made")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """Skip a test that needs links where there are none."""
+    with pytest.MonkeyPatch.context() as patches:
+        if os.name == "nt":
+            patches.setattr(Path, "symlink_to", _link_or_skip)
+        return (yield)
+
+
 @pytest.fixture
 def interruptible() -> Iterator[None]:
     """Let the processes of a test take SIGINT: a script's background, in which the tests may run, ignores it."""

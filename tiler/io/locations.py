@@ -39,6 +39,13 @@ def plain_scheme(text: str) -> str:
     return _SCHEME.sub(lambda found: found[0].lower(), text) if is_url(text) else text
 
 
+def without_local_scheme(url: str) -> str:
+    """Return the path in a ``file://`` or ``local://`` URL, or any other text unchanged."""
+    path = url.removeprefix("file://").removeprefix("local://")
+    has_drive = path != url and os.name == "nt" and re.match("/[A-Za-z]:", path) is not None
+    return path[1:] if has_drive else path
+
+
 def as_path(text: str | Path) -> Path:
     """Return a path, or an object like a path for a URL (``s3://bucket/town.laz``).
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from tiler.core.links import link_error
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
-from tiler.io.locations import is_url, plain_scheme
+from tiler.io.locations import is_url, plain_scheme, without_local_scheme
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,9 @@ def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) 
     folder_path = real_place(folder)
     for other in others:
         other_path = real_place(other)
-        if other_path == folder_path or other_path.startswith(folder_path.rstrip("/") + "/"):
+        separator = "/" if is_url(folder_path) else os.sep
+        inside = other_path.startswith(folder_path.rstrip(separator) + separator)
+        if other_path == folder_path or inside:
             relation = "is the same as" if other_path == folder_path else "contains"
             raise ConfigError(f"{option} {folder}: {relation} {other}; give another folder")
 
@@ -120,11 +122,9 @@ def check_links(option: str, out: str | Path, names: Iterable[str]) -> None:
 
 
 def real_place(place: str | Path) -> str:
-    """Return a path without links and dots, or a URL without a slash at its end."""
-    text = plain_scheme(str(place))
-    for scheme in ("file://", "local://"):
-        text = text.removeprefix(scheme)
-    return text.rstrip("/") if is_url(text) else os.path.realpath(text)
+    """Return a path without links and dots, in lower case on Windows, or a URL without a slash at its end."""
+    text = without_local_scheme(plain_scheme(str(place)))
+    return text.rstrip("/") if is_url(text) else os.path.normcase(os.path.realpath(text))
 
 
 def same_file(one: str | Path, other: str | Path) -> bool:

@@ -32,7 +32,12 @@ from tiler.errors import (
     write_error,
 )
 from tiler.io.atomic_files import replace_file
-from tiler.io.locations import plain_scheme, storage_errors, validate_escaped
+from tiler.io.locations import (
+    plain_scheme,
+    storage_errors,
+    validate_escaped,
+    without_local_scheme,
+)
 from tiler.redaction import stored
 from tiler.store import layout
 
@@ -54,11 +59,8 @@ class StoreSize:
 
 def local_path(url: str) -> Path | None:
     """Return the folder at a URL, or None if the URL is not on a local file system."""
-    if url.startswith(("file://", "local://")):
-        return Path(url.partition("://")[2])
-    if "://" in url or "::" in url:
-        return None
-    return Path(url)
+    path = without_local_scheme(url)
+    return None if "://" in path or "::" in path else Path(path)
 
 
 class Storage:
@@ -318,8 +320,12 @@ def _file_bytes(path: str) -> bytes | None:
     try:
         with open(path, "rb", buffering=0) as file:
             return file.read()
-    except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except (IsADirectoryError, PermissionError):  # The second is what Windows says of a folder.
+        if os.path.isdir(path):
+            return None
+        raise
 
 
 def _write_file(path: str, data: bytes) -> None:

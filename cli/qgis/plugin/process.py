@@ -246,7 +246,10 @@ def _event(line: str) -> dict[str, Any]:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Ask a process to end (with SIGTERM, which ``tiler`` treats as Ctrl-C), and kill it if it does not."""
+    """Ask a process to end (with SIGTERM, which ``tiler`` treats as Ctrl-C), and kill it if it does not.
+
+    Windows kills it at once, since a process without a window cannot be asked.
+    """
     process.terminate()
     try:
         process.wait(GRACE_SECONDS)

@@ -36,7 +36,7 @@ def test_an_input_is_recognised_by_any_name(kind: str, read: Path, tmp_path: Pat
         (tmp_path / "out").symlink_to(tmp_path / "in")
         target = tmp_path / "out" / "a.laz"
     elif kind == "file URL":
-        target = f"file://{read}"
+        target = read.as_uri()
     with pytest.raises(
         ConfigError, match=r"^-o .* is an input \(.*a\.laz\); give another output"
     ):

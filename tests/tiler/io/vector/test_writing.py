@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import signal
 from contextlib import closing
 from pathlib import Path
@@ -21,6 +20,7 @@ from tiler.io.vector.writing import geopackage
 )
 def test_a_file_that_may_not_grow_is_reported_as_such(tmp_path: Path) -> None:
     """GDAL itself only says "Failed to commit transaction"."""
+    resource = pytest.importorskip("resource")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, before[1]))
