@@ -58,6 +58,8 @@ def test_an_unreadable_folder_is_named(
 def test_a_pipe_is_refused_without_waiting_for_it(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "odd.las"
     if kind == "pipe":
+        if not hasattr(os, "mkfifo"):
+            pytest.skip("no pipes with names")
         os.mkfifo(path)
     elif kind == "folder":
         path.mkdir()
@@ -87,6 +89,8 @@ def test_inputs_that_cannot_be_opened_are_refused(tmp_path: Path) -> None:
     [b"gr\xfc\xdfe.las", b"line\nbreak.las", b"\x1b[2Jclear.las", b"-o.las", b"a b;$(c).las"],
 )
 def test_any_name_is_read_and_kept(name: bytes, make_cloud: Any, tmp_path: Path) -> None:
+    if os.name == "nt" and (not name.isascii() or min(name) < 32):
+        pytest.skip("no such names")
     path = Path(os.fsdecode(os.path.join(os.fsencode(tmp_path / "in"), name)))
     path.parent.mkdir()
     shutil.move(make_cloud("plain.las", n=50), path)
@@ -167,7 +171,7 @@ def found(notes: list[str], root: Path, *inputs: object, **options: Any) -> list
     """Inputs by their path below a folder; ``notes`` receives the notes."""
     notes.clear()
     paths = find_inputs([str(i) for i in inputs], note=notes.append, **options)
-    return sorted(str(path.relative_to(root)) for path in paths)
+    return sorted(path.relative_to(root).as_posix() for path in paths)
 
 
 def test_results_of_a_run_in_any_folder_are_no_inputs(make_cloud: Any, tmp_path: Path) -> None:
@@ -192,7 +196,7 @@ def test_results_of_a_run_in_any_folder_are_no_inputs(make_cloud: Any, tmp_path:
         assert found(notes, root, place) == named
     assert found(notes, root, root / "out" / "classified" / "a.laz") == named[:1]
     (root / "out" / "own.las").unlink()
-    line = r"no \.las or \.laz .*out/classified is the result of a run, left out"
+    line = r"no \.las or \.laz .*out[/\\]classified is the result of a run, left out"
     with pytest.raises(InputError, match=line):
         find_inputs([str(root / "out")])
     assert found(notes, root, root / "out", results=True) == named, "as `evaluate` wants it"

@@ -105,6 +105,7 @@ def test_children_have_the_environment_at_their_start(monkeypatch: pytest.Monkey
         assert first.call(calls.double, 1, seconds=PATIENCE_SECONDS) == 2
 
 
+@pytest.mark.skipif(not FORKS, reason="children are not forked here")
 def test_the_preparation_is_there_in_each_child() -> None:
     with fork_server_running():
         prepare_children(calls.prepare, calls.stumble)
@@ -115,6 +116,7 @@ def test_the_preparation_is_there_in_each_child() -> None:
     assert found[-1] == "by the server"
 
 
+@pytest.mark.skipif(not FORKS, reason="children are not forked here")
 def test_the_server_of_forks_is_shared_and_replaced_when_it_dies() -> None:
     with ChildProcess() as first, ChildProcess() as second:
         parents = {
