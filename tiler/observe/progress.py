@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import IO
 
 from tiler.observe.events import (
@@ -31,6 +33,12 @@ _START_LINE_SECONDS = 5.0
 running stage."""
 ALMOST = 0.999
 """Maximum of the bar before the run is finished."""
+_MAX_OF_KIND = 3
+"""Number of warnings that are shown of one kind. The others are counted."""
+_QUOTED = 100
+"""Number of characters of a warning that stand for others of its kind."""
+_VARYING = re.compile(r"^.*?: |\S*[\d/\\]\S*")
+"""Parts of a warning that differ between warnings of a kind: what it is about, numbers and paths."""
 TROUBLE = (Warned, TaskFailed)
 """Events that are shown even with ``--quiet``."""
 
@@ -251,19 +259,47 @@ def open_progress(
     verbose : bool
         Whether to show details as well, and lines about the stages if there are no bars.
     """
-    without = () if verbose else (Detail,)
-    if quiet:
-        lines = JsonLines(stream) if form == "json" else PlainLines(stream)
-        yield _filtered(lines, TROUBLE)
-    elif form == "json":
-        yield JsonLines(stream)
-    elif form == "auto" and stream.isatty():
-        with bar_progress(stream) as listener:
-            yield _filtered(listener, (Event,), without)
-    elif form == "plain" or (verbose and form == "auto"):
-        yield _filtered(PlainLines(stream), (Event,), without)
-    else:
-        yield _filtered(PlainLines(stream), (*TROUBLE, Note), without)
+    kinds: tuple[type[Event], ...] = TROUBLE if quiet else (Event,)
+    if form == "json":
+        yield _filtered(JsonLines(stream), kinds)
+        return
+    shown_events: AbstractContextManager[Listener] = nullcontext(PlainLines(stream))
+    if form == "auto" and not quiet and stream.isatty():
+        shown_events = bar_progress(stream)
+    elif not (quiet or form == "plain" or (verbose and form == "auto")):
+        kinds = (*TROUBLE, Note)
+    most = sys.maxsize if verbose else _MAX_OF_KIND
+    with shown_events as listener, _fewer_warnings(listener, most) as fewer:
+        yield _filtered(fewer, kinds, () if verbose else (Detail,))
+
+
+@contextmanager
+def _fewer_warnings(listener: Listener, most: int) -> Iterator[Listener]:
+    """Yield a listener that forwards at most ``most`` warnings of a kind, and at the end their number."""
+    texts: dict[str, list[str]] = {}
+
+    def listen(event: Event) -> None:
+        text, level = message_of(event) or ("", "")
+        if level == "warning":
+            alike = texts.setdefault(_VARYING.sub("", text), [])
+            alike.append(text)
+            if len(alike) > most:
+                return
+        listener(event)
+
+    try:
+        yield listen
+    finally:
+        for alike in texts.values():
+            if len(alike) > most:
+                listener(Warned(_more_text(alike[most:])))
+
+
+def _more_text(alike: list[str]) -> str:
+    """Return a line that stands for warnings that were not shown."""
+    number = "one more warning is" if len(alike) == 1 else f"{len(alike)} more warnings are"
+    example = alike[0] if len(alike[0]) <= _QUOTED else f"{alike[0][:_QUOTED].rstrip()}..."
+    return f"{number} like this one (-v prints all, and run.json of a run has all): {example}"
 
 
 def _filtered(

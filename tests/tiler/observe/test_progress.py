@@ -6,6 +6,7 @@ import io
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -183,6 +184,29 @@ def test_quiet_shows_only_trouble() -> None:
         stream.getvalue()
         == "warning: z looks like feet\nwarning: filter t+1 failed: disk full\n"
     )
+
+
+def test_of_many_warnings_of_a_kind_three_are_shown_and_the_others_counted() -> None:
+    rivers = [f"river {n} at ({n}.5, 7.0) is water with 4{n} % certainty" for n in range(9)]
+    files = [f"/in put/{letter}.laz: left out: cut short" for letter in "abcd"]
+    warnings = [*rivers[:4], *files, *rivers[4:], "z looks like feet"]
+
+    def lines(**options: Any) -> list[str]:
+        stream = io.StringIO()
+        with open_progress(stream, **options) as listen:
+            for text in warnings:
+                listen(Warned(text))
+        return stream.getvalue().splitlines()
+
+    few = lines()
+    assert lines(quiet=True) == few
+    assert len(few) == 3 + 3 + 1 + 2
+    more = "like this one (-v prints all, and run.json of a run has all)"
+    assert few[-2:] == [
+        f"warning: 6 more warnings are {more}: {rivers[3]}",
+        f"warning: one more warning is {more}: {files[3]}",
+    ]
+    assert len(lines(verbose=True)) == len(lines(form="json")) == 14
 
 
 def test_bars_on_a_terminal_only() -> None:
