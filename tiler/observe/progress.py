@@ -26,6 +26,8 @@ from tiler.observe.json_lines import JsonLines, message_of
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
+_SIGN_INTERVAL_SECONDS = 600.0
+"""Interval of lines that only show that a run is still at work."""
 _MIN_SECONDS = 1.0
 """Duration below which a stage has no line."""
 _START_LINE_SECONDS = 5.0
@@ -94,14 +96,29 @@ class PlainLines:
 
     A stage of less than a second has no line, and a stage of less than five seconds has one
     line, so that the log of a small run is short.
+
+    Parameters
+    ----------
+    stream : text stream
+    clock : callable
+        Function that returns the time in seconds.
+    stages : bool
+        Whether stages have lines. If not, there is a line with the time of day if no other came for a long time.
     """
 
-    def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        stream: IO[str],
+        clock: Callable[[], float] = time.monotonic,
+        stages: bool = True,
+    ) -> None:
         self._stream = stream
         self._clock = clock
+        self._stages = stages
+        self._interval = _LINE_INTERVAL_SECONDS if stages else _SIGN_INTERVAL_SECONDS
         self._job = JobProgress(clock)
         self._last_line = clock()
-        self._begun = False
+        self._begun = not stages
 
     def _write(self, text: str) -> None:
         print(shown(text), file=self._stream, flush=True)
@@ -117,11 +134,13 @@ class PlainLines:
             return
         match event:
             case StageStarted():
-                self._begun = False
+                self._begun = not self._stages
             case TaskDone() if stage is not None:
                 self._show(stage)
             case StageFinished() if stage is not None and stage.remaining_share > 0:
-                if self._begun or event.seconds >= _MIN_SECONDS:
+                if not self._stages:
+                    self._show(stage)
+                elif self._begun or event.seconds >= _MIN_SECONDS:
                     self._write(f"{stage.title}: {self._end(stage, event.seconds)}")
 
     def _end(self, stage: StageProgress, seconds: float) -> str:
@@ -135,8 +154,9 @@ class PlainLines:
         if not self._begun and self._clock() - stage.started >= _START_LINE_SECONDS:
             self._begun = True
             self._write(f"{stage.title}: {start_text(stage)}")
-        elif self._begun and self._clock() - self._last_line >= _LINE_INTERVAL_SECONDS:
-            self._write(f"{stage.title}: {self._middle(stage)}")
+        elif self._begun and self._clock() - self._last_line >= self._interval:
+            now = "" if self._stages else time.strftime("%H:%M ")
+            self._write(f"{now}{stage.title}: {self._middle(stage)}")
 
     def _middle(self, stage: StageProgress) -> str:
         parts = [f"{stage.fraction:.0%}", stage_rate(stage, self._clock() - stage.started)]
@@ -245,7 +265,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 def open_progress(
     stream: IO[str], quiet: bool = False, form: str = "auto", verbose: bool = False
 ) -> Iterator[Listener]:
-    """Yield the listener for a stream: bars on a terminal, notes and warnings elsewhere.
+    """Yield the listener for a stream: bars on a terminal; elsewhere notes, warnings and rare signs of life.
 
     Parameters
     ----------
@@ -263,11 +283,13 @@ def open_progress(
     if form == "json":
         yield _filtered(JsonLines(stream), kinds)
         return
-    shown_events: AbstractContextManager[Listener] = nullcontext(PlainLines(stream))
+    if form == "none" and not quiet:
+        kinds = (*TROUBLE, Note)
+    shown_events: AbstractContextManager[Listener]
     if form == "auto" and not quiet and stream.isatty():
         shown_events = bar_progress(stream)
-    elif not (quiet or form == "plain" or (verbose and form == "auto")):
-        kinds = (*TROUBLE, Note)
+    else:
+        shown_events = nullcontext(PlainLines(stream, stages=verbose or form == "plain"))
     most = sys.maxsize if verbose else _MAX_OF_KIND
     with shown_events as listener, _fewer_warnings(listener, most) as fewer:
         yield _filtered(fewer, kinds, () if verbose else (Detail,))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -171,6 +172,24 @@ def test_a_stage_of_a_few_seconds_has_one_line() -> None:
             listen(task(key))
         listen(StageFinished("filter", 4.4))
     assert len(stream.getvalue().splitlines()) == 20
+
+
+def test_a_long_run_without_lines_about_stages_gives_signs_of_life() -> None:
+    stream, clock = io.StringIO(), Clock()
+    listen = PlainLines(stream, clock, stages=False)
+    listen(JobStarted([{"stage": "filter", "title": "filter", "seconds": 4000.0}]))
+    listen(STARTED)
+    for key, seconds in (("a", 599.0), ("b", 2.0), ("c", 598.0)):
+        clock.now += seconds
+        listen(task(key))
+    (line,) = stream.getvalue().splitlines()
+    assert re.fullmatch(
+        r"\d\d:\d\d filter: 50%, 3.3 k points/s, whole job 50%, about 10:01 min left", line
+    )
+    listen(Note("a decision"))
+    clock.now += 599
+    listen(StageFinished("filter", 1798.0))
+    assert stream.getvalue().splitlines() == [line, "a decision"]
 
 
 def test_quiet_shows_only_trouble() -> None:
