@@ -265,7 +265,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 def open_progress(
     stream: IO[str], quiet: bool = False, form: str = "auto", verbose: bool = False
 ) -> Iterator[Listener]:
-    """Yield the listener for a stream: bars on a terminal; elsewhere notes, warnings and rare signs of life.
+    """Yield the listener for a stream: bars on a terminal, or else notes, warnings and rare signs of life.
 
     Parameters
     ----------
