@@ -89,7 +89,7 @@ class TilerCommand(click.Command):
                 callback=_set_progress,
                 type=click.Choice(("auto", "plain", "json", "none")),
                 default="auto",
-                help="form of the progress on stderr: bars on a terminal and only notes and warnings elsewhere (auto), "
+                help="form of the progress on stderr: bars on a terminal and notes and warnings elsewhere (auto), "
                 "lines about the stages as well (plain), a JSON object per line (json), or none [default: auto]",
             )
         said = "print more; -vv: everything, and tracebacks [default: progress, notes and warnings]"

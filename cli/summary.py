@@ -12,6 +12,9 @@ from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.observe.progress import duration_text, rate_text, size_text
 
+MAX_OF_KIND = 3
+"""Number of lines about files that were left out, or about failed tasks."""
+
 _RASTERS = {
     f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")
 }
@@ -78,11 +81,19 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")
-    for path, error in ((q["path"], q["error"]) for q in summary["quarantined"]):
-        lines.append(
-            f"left out    {path}: {error.removeprefix(f'{path}: ')}"
-        )  # most errors begin with the path
-    return [*lines, *failed_lines(summary["failed_tasks"])]
+    left_out = [
+        f"left out    {path}: {error.removeprefix(f'{path}: ')}"  # most errors begin with the path
+        for path, error in ((q["path"], q["error"]) for q in summary["quarantined"])
+    ]
+    return [*lines, *_first(left_out), *_first(failed_lines(summary["failed_tasks"]))]
+
+
+def _first(lines: Sequence[str]) -> list[str]:
+    """Return the first lines of a kind, and their first word with the number of the others."""
+    more = len(lines) - MAX_OF_KIND
+    if more <= 0:
+        return list(lines)
+    return [*lines[:MAX_OF_KIND], f"{lines[0][:12]}{more} more, listed in run.json"]
 
 
 def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:

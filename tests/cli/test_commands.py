@@ -167,6 +167,13 @@ def test_a_summary_tells_what_was_made() -> None:
     lines = summary_lines({**SUMMARY, **found}, "OUT")
     assert "water       1 lake, 2 rivers, OUT/water.gpkg" in lines
     assert "bridges     1 bridge left out, OUT/bridges.gpkg" in lines
+    many = [{"path": f"{n}.laz", "error": f"{n}.laz: cut short"} for n in range(40)]
+    lines = summary_lines({**SUMMARY, **MADE, "quarantined": many}, "OUT")
+    left_out = [line for line in lines if line.startswith("left out")]
+    assert left_out[2:] == [
+        "left out    2.laz: cut short",
+        "left out    37 more, listed in run.json",
+    ]
 
 
 def test_summary_of_an_early_stage() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import IO
 
 from tiler.observe.events import (
@@ -24,6 +26,8 @@ from tiler.observe.json_lines import JsonLines, message_of
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
+_SIGN_INTERVAL_SECONDS = 600.0
+"""Interval of lines that only show that a run is still at work."""
 _MIN_SECONDS = 1.0
 """Duration below which a stage has no line."""
 _START_LINE_SECONDS = 5.0
@@ -31,6 +35,12 @@ _START_LINE_SECONDS = 5.0
 running stage."""
 ALMOST = 0.999
 """Maximum of the bar before the run is finished."""
+_MAX_OF_KIND = 3
+"""Number of warnings that are shown of one kind. The others are counted."""
+_QUOTED = 100
+"""Number of characters of a warning that stand for others of its kind."""
+_VARYING = re.compile(r"^.*?: |\S*[\d/\\]\S*")
+"""Parts of a warning that differ between warnings of a kind: what it is about, numbers and paths."""
 TROUBLE = (Warned, TaskFailed)
 """Events that are shown even with ``--quiet``."""
 
@@ -86,14 +96,29 @@ class PlainLines:
 
     A stage of less than a second has no line, and a stage of less than five seconds has one
     line, so that the log of a small run is short.
+
+    Parameters
+    ----------
+    stream : text stream
+    clock : callable
+        Function that returns the time in seconds.
+    stages : bool
+        Whether stages have lines. If not, there is a line with the time of day if no other came for a long time.
     """
 
-    def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        stream: IO[str],
+        clock: Callable[[], float] = time.monotonic,
+        stages: bool = True,
+    ) -> None:
         self._stream = stream
         self._clock = clock
+        self._stages = stages
+        self._interval = _LINE_INTERVAL_SECONDS if stages else _SIGN_INTERVAL_SECONDS
         self._job = JobProgress(clock)
         self._last_line = clock()
-        self._begun = False
+        self._begun = not stages
 
     def _write(self, text: str) -> None:
         print(shown(text), file=self._stream, flush=True)
@@ -109,11 +134,13 @@ class PlainLines:
             return
         match event:
             case StageStarted():
-                self._begun = False
+                self._begun = not self._stages
             case TaskDone() if stage is not None:
                 self._show(stage)
             case StageFinished() if stage is not None and stage.remaining_share > 0:
-                if self._begun or event.seconds >= _MIN_SECONDS:
+                if not self._stages:
+                    self._show(stage)
+                elif self._begun or event.seconds >= _MIN_SECONDS:
                     self._write(f"{stage.title}: {self._end(stage, event.seconds)}")
 
     def _end(self, stage: StageProgress, seconds: float) -> str:
@@ -127,8 +154,9 @@ class PlainLines:
         if not self._begun and self._clock() - stage.started >= _START_LINE_SECONDS:
             self._begun = True
             self._write(f"{stage.title}: {start_text(stage)}")
-        elif self._begun and self._clock() - self._last_line >= _LINE_INTERVAL_SECONDS:
-            self._write(f"{stage.title}: {self._middle(stage)}")
+        elif self._begun and self._clock() - self._last_line >= self._interval:
+            now = "" if self._stages else time.strftime("%H:%M ")
+            self._write(f"{now}{stage.title}: {self._middle(stage)}")
 
     def _middle(self, stage: StageProgress) -> str:
         parts = [f"{stage.fraction:.0%}", stage_rate(stage, self._clock() - stage.started)]
@@ -237,7 +265,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 def open_progress(
     stream: IO[str], quiet: bool = False, form: str = "auto", verbose: bool = False
 ) -> Iterator[Listener]:
-    """Yield the listener for a stream: bars on a terminal, notes and warnings elsewhere.
+    """Yield the listener for a stream: bars on a terminal, or else notes, warnings and rare signs of life.
 
     Parameters
     ----------
@@ -251,19 +279,49 @@ def open_progress(
     verbose : bool
         Whether to show details as well, and lines about the stages if there are no bars.
     """
-    without = () if verbose else (Detail,)
-    if quiet:
-        lines = JsonLines(stream) if form == "json" else PlainLines(stream)
-        yield _filtered(lines, TROUBLE)
-    elif form == "json":
-        yield JsonLines(stream)
-    elif form == "auto" and stream.isatty():
-        with bar_progress(stream) as listener:
-            yield _filtered(listener, (Event,), without)
-    elif form == "plain" or (verbose and form == "auto"):
-        yield _filtered(PlainLines(stream), (Event,), without)
+    kinds: tuple[type[Event], ...] = TROUBLE if quiet else (Event,)
+    if form == "json":
+        yield _filtered(JsonLines(stream), kinds)
+        return
+    if form == "none" and not quiet:
+        kinds = (*TROUBLE, Note)
+    shown_events: AbstractContextManager[Listener]
+    if form == "auto" and not quiet and stream.isatty():
+        shown_events = bar_progress(stream)
     else:
-        yield _filtered(PlainLines(stream), (*TROUBLE, Note), without)
+        shown_events = nullcontext(PlainLines(stream, stages=verbose or form == "plain"))
+    most = sys.maxsize if verbose else _MAX_OF_KIND
+    with shown_events as listener, _fewer_warnings(listener, most) as fewer:
+        yield _filtered(fewer, kinds, () if verbose else (Detail,))
+
+
+@contextmanager
+def _fewer_warnings(listener: Listener, most: int) -> Iterator[Listener]:
+    """Yield a listener that forwards at most ``most`` warnings of a kind, and at the end their number."""
+    texts: dict[str, list[str]] = {}
+
+    def listen(event: Event) -> None:
+        text, level = message_of(event) or ("", "")
+        if level == "warning":
+            alike = texts.setdefault(_VARYING.sub("", text), [])
+            alike.append(text)
+            if len(alike) > most:
+                return
+        listener(event)
+
+    try:
+        yield listen
+    finally:
+        for alike in texts.values():
+            if len(alike) > most:
+                listener(Warned(_more_text(alike[most:])))
+
+
+def _more_text(alike: list[str]) -> str:
+    """Return a line that stands for warnings that were not shown."""
+    number = "one more warning is" if len(alike) == 1 else f"{len(alike)} more warnings are"
+    example = alike[0] if len(alike[0]) <= _QUOTED else f"{alike[0][:_QUOTED].rstrip()}..."
+    return f"{number} like this one (-v prints all, and run.json of a run has all): {example}"
 
 
 def _filtered(

@@ -83,6 +83,10 @@ class ForkedChild:
         with suppress(OSError):  # The child may have ended.
             self._line.shutdown(socket.SHUT_WR)
 
+    def kill_server(self) -> None:
+        """Kill the server, for example because it is stopped. All its children die with it."""
+        self._server.process.kill()
+
     def leave(self) -> None:
         """Let the server kill the child, and do not wait for it, since the server may be importing."""
         for end in (self._line, self.stdin, self.stdout):

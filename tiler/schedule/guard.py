@@ -12,9 +12,11 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from types import TracebackType
 from typing import IO, Any, TypeAlias, TypeVar
 
@@ -38,6 +40,14 @@ Result = TypeVar("Result")
 _Child: TypeAlias = "subprocess.Popen[bytes] | ForkedChild"
 
 MEMORY_BYTES = 1 << 30
+
+GRACE_SECONDS = 60.0
+"""Time after the limit of a call, after which the child is killed if it has not ended itself. A stopped child cannot.
+
+The time includes the start of the child and its imports, which take long on the disk of a busy cluster."""
+
+_LOOK_SECONDS = 1.0
+"""Interval at which a thread looks for overdue calls."""
 
 SIZE = struct.Struct("<Q")
 """Format of the length of a call, which is sent before the call.
@@ -129,15 +139,19 @@ class ChildProcess:
             return  # The child died while it waited, and `_answer` raises the error.
 
     def _answer(self) -> Any:
-        assert self._child is not None  # `_ask` has started the child.
+        child = self._child
+        assert child is not None  # `_ask` has started the child.
+        _OVERDUE.add(child, self._seconds)
         try:
             # The pickle is from the own child.
-            fine, result = pickle.load(_pipe(self._child.stdout))
+            fine, result = pickle.load(_pipe(child.stdout))
         except (EOFError, OSError, pickle.UnpicklingError):
             late = time.monotonic() - self._began >= self._seconds
             code = self._end()
             kind = ChildStartError if code == NOT_STARTED else ChildDiedError
             raise kind(_fate(code, late, self._seconds)) from None
+        finally:
+            _OVERDUE.discard(child)
         if fine:
             return result
         if isinstance(result, MemoryError):
@@ -176,11 +190,59 @@ class ChildProcess:
         with suppress(OSError):  # Buffered data cannot be written any more.
             _pipe(child.stdin).close()
         _pipe(child.stdout).close()
-        try:
-            return child.wait(timeout=5.0)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            return child.wait()
+        for timeout, kill in ((5.0, child.kill), (GRACE_SECONDS, partial(_kill_surely, child))):
+            try:
+                return child.wait(timeout=timeout)
+            except subprocess.TimeoutExpired:
+                kill()
+        return child.wait()
+
+
+class _Overdue:
+    """Children at work, and a thread that kills those that have neither answered nor ended long after their limit.
+
+    The limit itself is the task of the child, but a stopped child (SIGSTOP) cannot keep it. One thread for all calls
+    costs less than a timer per call.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kills: dict[_Child, tuple[float, Callable[[], None]]] = {}
+        self._thread: threading.Thread | None = None
+
+    def add(self, child: _Child, seconds: float) -> None:
+        """Add a child whose call may take some seconds."""
+        with self._lock:
+            self._kills[child] = (time.monotonic() + seconds + GRACE_SECONDS, child.kill)
+            if self._thread is None or not self._thread.is_alive():  # A fork has no threads.
+                self._thread = threading.Thread(target=self._watch, daemon=True)
+                self._thread.start()
+
+    def discard(self, child: _Child) -> None:
+        """Remove a child, which after that is not killed."""
+        with self._lock:
+            self._kills.pop(child, None)
+
+    def _watch(self) -> None:
+        while True:
+            time.sleep(_LOOK_SECONDS)
+            now = time.monotonic()
+            with self._lock:
+                for child, (due, kill) in self._kills.items():
+                    if now >= due:
+                        kill()
+                        self._kills[child] = now + GRACE_SECONDS, partial(_kill_surely, child)
+
+
+_OVERDUE = _Overdue()
+
+
+def _kill_surely(child: _Child) -> None:
+    """Kill a child, and the server of a forked child with it, which may be stopped as well."""
+    if isinstance(child, ForkedChild):
+        child.kill_server()
+    else:
+        child.kill()
 
 
 def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> _Child:
@@ -222,12 +284,11 @@ def limit_memory(size_bytes: int) -> None:
 
 def _fate(code: int, late: bool, seconds: float) -> str:
     """Return the end of a child by its exit code, as a predicate for messages."""
-    if (hasattr(signal, "SIGALRM") and code == -signal.SIGALRM) or (code == 1 and late):
-        return f"did not end within {seconds:g} s"
     if code == NOT_STARTED:
         return "could not start: the system has no memory left, or allows no more processes"
-    if code < 0 and signal.Signals(-code).name == "SIGKILL":
+    cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+    if cause == "SIGALRM" or (late and cause in ("SIGKILL", "exit code 1")):
+        return f"did not end within {seconds:g} s"
+    if cause == "SIGKILL":
         return "was killed (SIGKILL), probably because memory ran out"
-    if code < 0:
-        return f"crashed ({signal.Signals(-code).name})"
-    return f"crashed (exit code {code})"
+    return f"crashed ({cause})"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -172,6 +174,24 @@ def test_a_stage_of_a_few_seconds_has_one_line() -> None:
     assert len(stream.getvalue().splitlines()) == 20
 
 
+def test_a_long_run_without_lines_about_stages_gives_signs_of_life() -> None:
+    stream, clock = io.StringIO(), Clock()
+    listen = PlainLines(stream, clock, stages=False)
+    listen(JobStarted([{"stage": "filter", "title": "filter", "seconds": 4000.0}]))
+    listen(STARTED)
+    for key, seconds in (("a", 599.0), ("b", 2.0), ("c", 598.0)):
+        clock.now += seconds
+        listen(task(key))
+    (line,) = stream.getvalue().splitlines()
+    assert re.fullmatch(
+        r"\d\d:\d\d filter: 50%, 3.3 k points/s, whole job 50%, about 10:01 min left", line
+    )
+    listen(Note("a decision"))
+    clock.now += 599
+    listen(StageFinished("filter", 1798.0))
+    assert stream.getvalue().splitlines() == [line, "a decision"]
+
+
 def test_quiet_shows_only_trouble() -> None:
     stream = io.StringIO()
     with open_progress(stream, quiet=True) as listen:
@@ -183,6 +203,29 @@ def test_quiet_shows_only_trouble() -> None:
         stream.getvalue()
         == "warning: z looks like feet\nwarning: filter t+1 failed: disk full\n"
     )
+
+
+def test_of_many_warnings_of_a_kind_three_are_shown_and_the_others_counted() -> None:
+    rivers = [f"river {n} at ({n}.5, 7.0) is water with 4{n} % certainty" for n in range(9)]
+    files = [f"/in put/{letter}.laz: left out: cut short" for letter in "abcd"]
+    warnings = [*rivers[:4], *files, *rivers[4:], "z looks like feet"]
+
+    def lines(**options: Any) -> list[str]:
+        stream = io.StringIO()
+        with open_progress(stream, **options) as listen:
+            for text in warnings:
+                listen(Warned(text))
+        return stream.getvalue().splitlines()
+
+    few = lines()
+    assert lines(quiet=True) == few
+    assert len(few) == 3 + 3 + 1 + 2
+    more = "like this one (-v prints all, and run.json of a run has all)"
+    assert few[-2:] == [
+        f"warning: 6 more warnings are {more}: {rivers[3]}",
+        f"warning: one more warning is {more}: {files[3]}",
+    ]
+    assert len(lines(verbose=True)) == len(lines(form="json")) == 14
 
 
 def test_bars_on_a_terminal_only() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import psutil
 import pytest
 
+from tests.scenes.running import wait_until_gone
 from tests.tiler.schedule import calls
 from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import InputError, ProcessingError
@@ -66,6 +68,27 @@ def test_a_child_that_dies_is_replaced(
     with pytest.raises(ChildDiedError, match=f"^{fate}"):
         guard.call(work, *arguments, seconds=seconds)
     assert guard.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="processes cannot be stopped here")
+@pytest.mark.parametrize("whose", ["child", "server of forks", "child and server"])
+def test_stopped_processes_are_killed_and_replaced(
+    whose: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A stopped child cannot end itself, and a stopped server cannot kill it."""
+    monkeypatch.setenv("A_SERVER", f"of its own: {tmp_path}")
+    for name in ("GRACE_SECONDS", "_LOOK_SECONDS"):
+        monkeypatch.setattr(f"tiler.schedule.guard.{name}", 0.2)
+    with ChildProcess() as stopped:
+        child = psutil.Process(stopped.call(calls.pid, seconds=PATIENCE_SECONDS))
+        processes = [child] * ("child" in whose) + [child.parent()] * ("server" in whose)
+        for process in processes:
+            process.suspend()
+        with pytest.raises(ChildDiedError, match=r"^did not end within 0\.5 s$"):
+            stopped.call(calls.sleep, seconds=0.5)
+        wait_until_gone([child, *processes])
+        assert stopped.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
 
 
 def test_a_panic_comes_back_as_an_exception(guard: ChildProcess) -> None:

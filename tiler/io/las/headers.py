@@ -33,6 +33,17 @@ _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
 _LAS15 = struct.Struct("<ddH")
 
+_PACKED = {
+    b"PK\x03\x04": "zip",
+    b"\x1f\x8b": "gzip",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"7z\xbc\xaf": "7-Zip",
+    b"Rar!": "RAR",
+}
+"""Programs that pack files, by the first bytes of these."""
+
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
 """Length of the header by minor version, in bytes."""
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
@@ -218,6 +229,13 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
     if not raw:
         refuse(path, "is empty")
     if raw[:4] != b"LASF":
+        for signature, packing in _PACKED.items():
+            if raw.startswith(signature):
+                refuse(
+                    path,
+                    f"is a file that is packed with {packing}, not a LAS or LAZ file",
+                    "unpack it and give the LAS or LAZ files in it",
+                )
         refuse(
             path,
             f"begins with {raw[:4]!r}, not with LASF: not a LAS or LAZ file",

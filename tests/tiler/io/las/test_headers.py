@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
 import math
 import struct
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +90,27 @@ def test_stubs_are_refused(make_cloud: Any, size: int, said: str) -> None:
     path.write_bytes(path.read_bytes()[:size])
     with pytest.raises(InputError, match=f"stub.las: {said}"):
         read_header(path)
+
+
+@pytest.mark.parametrize(
+    ("packing", "module"), [("gzip", gzip), ("bzip2", bz2), ("xz", lzma), ("zip", None)]
+)
+def test_packed_clouds_are_refused_with_the_name_of_the_packing(
+    make_cloud: Any, packing: str, module: Any
+) -> None:
+    path = make_cloud("packed.laz")
+    content = path.read_bytes()
+    if module is None:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("cloud.laz", content)
+    else:
+        path.write_bytes(module.compress(content))
+    with pytest.raises(InputError) as caught:
+        read_header(path)
+    assert str(caught.value) == (
+        f"{path}: is a file that is packed with {packing}, not a LAS or LAZ file; unpack it and give "
+        "the LAS or LAZ files in it"
+    )
 
 
 def test_an_absent_file_is_refused(tmp_path: Path) -> None:
