@@ -2,7 +2,7 @@
 
 The constants are fitted by ``python -m tests.benchmarks.sigma_constants`` to scenes whose
 terrain is known. Their accuracy on scenes that were left out of the fit is in
-``docs/trust.md``. LiDAR and photogrammetric clouds have different constants. For a cloud of
+``docs/benchmarks.md``. LiDAR and photogrammetric clouds have different constants. For a cloud of
 unknown source the larger variance counts.
 """
 
