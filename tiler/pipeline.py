@@ -62,7 +62,7 @@ from tiler.report.html import write_report
 from tiler.report.runfile import record_end
 from tiler.runs.job import Job, LeaseWatch, RunResult
 from tiler.runs.repair import ROUNDS, repair
-from tiler.schedule import fork_server_running, import_dask, limits_memory
+from tiler.schedule import fork_server_running, import_dask
 from tiler.store import (
     Lease,
     TileStore,
@@ -218,10 +218,6 @@ def _tell(job: Job, until: str) -> None:
         listener(Warned(text))
     if refusal := cache_refusal():
         job.note(refusal)
-    if not (limits_memory() or plan.config.in_process):
-        job.note(
-            "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"
-        )
     if plan.method.candidate_cell_m and not plan.on_candidates:
         job.note(
             f"passes read all points: the store has one candidate per cell of {float(plan.grid.fine_m):g} m, "

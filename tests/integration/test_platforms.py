@@ -161,18 +161,11 @@ def test_every_module_can_be_imported(bare: dict[str, str]) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_gives_the_same_and_tells_what_it_lacks(
-    bare: dict[str, str], demo: DemoScene, tmp_path: Path
-) -> None:
+def test_a_run_gives_the_same(bare: dict[str, str], demo: DemoScene, tmp_path: Path) -> None:
     dtms = []
     for name, env in (("bare", bare), ("whole", environment())):
         out = tmp_path / name
         made = ended(command("run", demo.paths[0], "-o", out, "--method", "classic"), env=env)
         assert made.returncode == 0, made.stderr
         dtms.append((out / "dtm.tif").read_bytes())
-        line = "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"
-        lacks = name == "bare"
-        assert made.stderr.count(line) == lacks
-        assert (line in json.loads((out / "run.json").read_text())["notes"]) == lacks
-        assert (line in (out / "report.html").read_text("utf-8")) == lacks
     assert dtms[0] == dtms[1]

@@ -20,6 +20,8 @@ from functools import partial
 from types import TracebackType
 from typing import IO, Any, TypeAlias, TypeVar
 
+import psutil
+
 from tiler.errors import ConfigError, TilerError
 from tiler.schedule.fork_server import (
     FORKS,
@@ -46,8 +48,8 @@ GRACE_SECONDS = 60.0
 
 The time includes the start of the child and its imports, which take long on the disk of a busy cluster."""
 
-_LOOK_SECONDS = 1.0
-"""Interval at which a thread looks for overdue calls."""
+_LOOK_SECONDS = 0.25
+"""Interval at which a thread looks at the children at work."""
 
 SIZE = struct.Struct("<Q")
 """Format of the length of a call, which is sent before the call.
@@ -71,7 +73,8 @@ class ChildProcess:
     Parameters
     ----------
     memory_bytes : int or None
-        Memory that the child may allocate, if the system can limit it (`limits_memory`), or None for no limit.
+        Memory that the child may allocate, or None for no limit. Where the system cannot limit it (`limits_memory`),
+        the child is killed soon after it has more memory than this.
     prepare : callable, optional
         Function of a module that the server of forks calls once, before it forks the children.
     """
@@ -141,25 +144,29 @@ class ChildProcess:
     def _answer(self) -> Any:
         child = self._child
         assert child is not None  # `_ask` has started the child.
-        _OVERDUE.add(child, self._seconds)
+        _AT_WORK.add(child, self._seconds, self.memory_bytes)
         try:
             # The pickle is from the own child.
             fine, result = pickle.load(_pipe(child.stdout))
         except (EOFError, OSError, pickle.UnpicklingError):
             late = time.monotonic() - self._began >= self._seconds
             code = self._end()
+            if _AT_WORK.was_too_large(child):
+                raise self._too_large() from None
             kind = ChildStartError if code == NOT_STARTED else ChildDiedError
             raise kind(_fate(code, late, self._seconds)) from None
         finally:
-            _OVERDUE.discard(child)
+            _AT_WORK.discard(child)
         if fine:
             return result
         if isinstance(result, MemoryError):
             self.close()
-            raise ChildDiedError(
-                f"needs more than the {(self.memory_bytes or 0) >> 20} MiB of memory that it may have"
-            )
+            raise self._too_large()
         raise result
+
+    def _too_large(self) -> ChildDiedError:
+        mebibytes = (self.memory_bytes or 0) >> 20
+        return ChildDiedError(f"needs more than the {mebibytes} MiB of memory that it may have")
 
     def kill(self) -> None:
         """End the child permanently. Another thread may call this during a call, which then raises `ChildDiedError`."""
@@ -198,22 +205,27 @@ class ChildProcess:
         return child.wait()
 
 
-class _Overdue:
-    """Children at work, and a thread that kills those that have neither answered nor ended long after their limit.
+class _AtWork:
+    """Children at work, and a thread that kills those that keep no limit.
 
-    The limit itself is the task of the child, but a stopped child (SIGSTOP) cannot keep it. One thread for all calls
-    costs less than a timer per call.
+    They have neither answered nor ended long after their time, or have too much memory. The limits themselves are the
+    task of the child, but a stopped child (SIGSTOP) has no time, and not every system limits memory. One thread for
+    all calls costs less than a timer per call.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._kills: dict[_Child, tuple[float, Callable[[], None]]] = {}
+        self._memory: dict[subprocess.Popen[bytes], int] = {}
+        self._too_large: set[_Child] = set()
         self._thread: threading.Thread | None = None
 
-    def add(self, child: _Child, seconds: float) -> None:
-        """Add a child whose call may take some seconds."""
+    def add(self, child: _Child, seconds: float, memory_bytes: int | None) -> None:
+        """Add a child whose call may take some seconds and some memory."""
         with self._lock:
             self._kills[child] = (time.monotonic() + seconds + GRACE_SECONDS, child.kill)
+            if memory_bytes and isinstance(child, subprocess.Popen) and not limits_memory():
+                self._memory[child] = memory_bytes
             if self._thread is None or not self._thread.is_alive():  # A fork has no threads.
                 self._thread = threading.Thread(target=self._watch, daemon=True)
                 self._thread.start()
@@ -222,6 +234,14 @@ class _Overdue:
         """Remove a child, which after that is not killed."""
         with self._lock:
             self._kills.pop(child, None)
+            self._too_large.discard(child)
+            if isinstance(child, subprocess.Popen):
+                self._memory.pop(child, None)
+
+    def was_too_large(self, child: _Child) -> bool:
+        """Return whether a child was killed because it had too much memory."""
+        with self._lock:
+            return child in self._too_large
 
     def _watch(self) -> None:
         while True:
@@ -232,9 +252,21 @@ class _Overdue:
                     if now >= due:
                         kill()
                         self._kills[child] = now + GRACE_SECONDS, partial(_kill_surely, child)
+                for process, memory_bytes in self._memory.items():
+                    if _resident_bytes(process.pid) > memory_bytes:
+                        self._too_large.add(process)
+                        process.kill()
 
 
-_OVERDUE = _Overdue()
+_AT_WORK = _AtWork()
+
+
+def _resident_bytes(pid: int) -> int:
+    """Return the resident memory of a process in bytes, or 0 if it has ended."""
+    try:
+        return int(psutil.Process(pid).memory_info().rss)
+    except psutil.Error:
+        return 0
 
 
 def _kill_surely(child: _Child) -> None:

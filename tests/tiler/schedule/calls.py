@@ -62,6 +62,13 @@ def allocate(gibibytes: int) -> int:
     return int(np.ones(gibibytes << 27, dtype=np.float64).size)
 
 
+def allocate_and_wait() -> None:
+    """Keep more than half a gibibyte until the process is killed."""
+    kept = np.ones(80 << 20, dtype=np.float64)
+    while kept.all():
+        time.sleep(1)
+
+
 class Panic(BaseException):
     def __init__(self, one: int, two: int) -> None:
         super().__init__("cannot be unpickled: its arguments are not kept")

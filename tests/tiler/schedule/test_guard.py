@@ -23,6 +23,7 @@ from tiler.schedule import (
     fork_server_running,
     prepare_children,
 )
+from tiler.schedule import guard as guard_module
 from tiler.schedule.fork_server import FORKS
 
 
@@ -89,6 +90,25 @@ def test_stopped_processes_are_killed_and_replaced(
             stopped.call(calls.sleep, seconds=0.5)
         wait_until_gone([child, *processes])
         assert stopped.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
+
+
+def test_a_child_with_too_much_memory_is_killed_where_no_system_limits_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if guard_module.limits_memory():  # as on macOS and Windows
+        monkeypatch.setattr(guard_module, "FORKS", False)
+        monkeypatch.setattr(guard_module, "limits_memory", lambda: False)
+        monkeypatch.setattr(guard_module, "_child", unlimited(guard_module._child))
+    with (
+        ChildProcess(memory_bytes=400 << 20) as guard,
+        pytest.raises(ChildDiedError, match="^needs more than the 400 MiB"),
+    ):
+        guard.call(calls.allocate_and_wait, seconds=PATIENCE_SECONDS)
+
+
+def unlimited(start: Callable[..., Any]) -> Callable[..., Any]:
+    """Start a child whose memory the system does not limit."""
+    return lambda _, *arguments: start(None, *arguments)
 
 
 def test_a_panic_comes_back_as_an_exception(guard: ChildProcess) -> None:
