@@ -8,7 +8,7 @@ from threading import Thread
 
 from tiler.schedule.fork_server import FORKS, fork_server_running, prepare_children
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError, limits_memory
-from tiler.schedule.isolated_reading import call_isolated, half_of_memory, seconds_for
+from tiler.schedule.isolated_reading import call_isolated, half_of_memory
 from tiler.schedule.parallel_calls import ChildPool
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
@@ -48,7 +48,6 @@ __all__ = [
     "limits_memory",
     "make_executor",
     "prepare_children",
-    "seconds_for",
 ]
 
 
