@@ -13,6 +13,7 @@ from cli.summary import summary_lines
 from tests.invariants.runs import do, settings
 from tiler.observe.events import Event, Warned
 from tiler.pipeline import run
+from tiler.report.problems import problems_of
 from tiler.report.sections import figures
 from tiler.simulate import DemoScene
 
@@ -67,6 +68,7 @@ def test_withheld_ground_of_the_input_is_not_ground_of_the_run(
     summary = do([tmp_path / "withheld.las"], tmp_path / "out", method=method).summary
     told = "the terrain model is empty: the flag withheld excludes all 500 points; use --withheld keep"
     assert told in summary["notes"]
+    assert problems_of(summary)[0][:3] == ("empty terrain model", None, told)
     if method == "auto":
         assert (summary["classes"]["written"], summary["classes"]["ground"]) == ({"2": 500}, 0)
         lines = summary_lines(summary, "OUT")

@@ -20,7 +20,7 @@ from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import records_of
 from tiler.core.selection import WITHHELD
-from tiler.core.terrain_results import OutlineResult, SurfaceResult, TerrainResult
+from tiler.core.terrain_results import Implausible, OutlineResult, SurfaceResult, TerrainResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
@@ -261,6 +261,7 @@ def _report_terrain(
     if records and job.results.dtm.filled == 0:
         text = f"the terrain model is empty: {_why_empty(job, gridding.assembled)}"
         job.record.notes.append(text)
+        job.results.implausible = [Implausible("empty terrain model", text, "", None)]
         job.listener(Warned(text))
 
 

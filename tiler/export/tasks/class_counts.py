@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from tiler.core.classes import Counts, sum_by_class
 from tiler.core.reclass import ONLY_GROUND
+from tiler.core.words import counted
 from tiler.export.records import CloudRecord
 from tiler.io.result_folder import CLASSIFIED
 from tiler.runs.job import Job
@@ -61,10 +62,6 @@ def kept_text(kept: Counts, no_part: Counts) -> str:
 
 def _listed(counts: Counts) -> str:
     """Return a text such as ``12 points of class 3, 5 of class 6``."""
-    first, *more = ((f"{n:,}", code) for code, n in counts.items())
-    return ", ".join(
-        (
-            f"{first[0]} points of class {first[1]}",
-            *(f"{n} of class {code}" for n, code in more),
-        )
-    )
+    (code, n_points), *more = counts.items()
+    first = f"{counted(n_points, 'point')} of class {code}"
+    return ", ".join((first, *(f"{n:,} of class {code}" for code, n in more)))

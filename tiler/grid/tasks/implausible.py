@@ -38,6 +38,8 @@ Square = tuple[int, int]
 
 def report_implausible(job: Job, spec: RasterSpec, above: Commits) -> None:
     """Warn about results that cannot be true, and add them to run.json."""
+    if vars(job.results).get("implausible"):  # An empty terrain explains all else.
+        return
     job.results.implausible = []
     # A canopy or a failed tile explains them, and has its own warning.
     if job.record.failed or "canopy_doubts" in vars(job.results):
