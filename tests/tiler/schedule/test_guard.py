@@ -22,10 +22,10 @@ from tiler.schedule import (
     ChildProcess,
     ChildStartError,
     fork_server_running,
+    limits_memory,
     prepare_children,
 )
 from tiler.schedule.fork_server import FORKS
-from tiler.schedule.guard import limits_memory
 
 
 @pytest.fixture(scope="module")

@@ -28,9 +28,16 @@ from tests.scenes.running import wait_until_gone
 from tests.tiler.schedule import calls
 from tests.waiting import PATIENCE_SECONDS, wait_until
 from tiler.errors import ConfigError, ConnectionLostError
-from tiler.schedule import TRIES, Executor, Outcome, SerialExecutor, Task, TaskLimits
+from tiler.schedule import (
+    TRIES,
+    Executor,
+    Outcome,
+    SerialExecutor,
+    Task,
+    TaskLimits,
+    limits_memory,
+)
 from tiler.schedule.fork_server import FORKS, child_environment
-from tiler.schedule.guard import limits_memory
 from tiler.schedule.workers import DaskExecutor
 
 
