@@ -118,12 +118,10 @@ def _metadata(text: str) -> str:
 def find_own_command() -> str:
     """Return the path of the running command, or raise ConfigError."""
     called = Path(sys.argv[0])
-    called_paths = [str(called.absolute())] if called.stem == "tiler" else []
-    for command in (
-        *called_paths,
-        os.path.join(sysconfig.get_path("scripts"), "tiler"),
-        "tiler",
-    ):
+    # On Windows, scripts get their path without the suffix, and Python 3.11 does not add it.
+    name = "tiler.exe" if os.name == "nt" else "tiler"
+    called_paths = [str(called.absolute().with_name(name))] if called.stem == "tiler" else []
+    for command in (*called_paths, os.path.join(sysconfig.get_path("scripts"), name), name):
         if path := shutil.which(command):
             return os.path.abspath(path)
     raise ConfigError(

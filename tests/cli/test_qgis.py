@@ -6,6 +6,7 @@ import ast
 import configparser
 import importlib
 import json
+import os
 import re
 import sys
 import threading
@@ -42,6 +43,7 @@ Project-URL: Issues, {ADDRESSES["tracker"]}
 Project-URL: Repository, {ADDRESSES["repository"]}
 """
 NO_ENUMS = ("Qgis.QGIS_VERSION", "QDialogButtonBox.StandardButton")
+COMMAND = "tiler.exe" if os.name == "nt" else "tiler"
 LINE = '{"stage": null, "title": "read", "progress": 0.5, "message": null, "level": "info"}'
 
 
@@ -49,6 +51,10 @@ LINE = '{"stage": null, "title": "read", "progress": 0.5, "message": null, "leve
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder of the plugins of a profile of its own."""
     monkeypatch.setenv("QGIS_CUSTOM_CONFIG_PATH", str(tmp_path))
+    command = tmp_path / "scripts" / COMMAND
+    command.parent.mkdir()
+    command.touch(0o755)
+    monkeypatch.setattr(sys, "argv", [str(command.with_suffix(""))])
     return tmp_path / "profiles/default/python/plugins"
 
 
@@ -223,7 +229,7 @@ def test_no_foreign_archive_is_replaced(
 
 
 def test_installed_again_over_an_earlier_version(
-    plugins: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["qgis", "install"]) == 0
     told = capsys.readouterr().out
@@ -232,7 +238,7 @@ def test_installed_again_over_an_earlier_version(
     assert "remove" in told
     names = {p.name for p in folder.iterdir()}
     content = json.loads((folder / "settings.json").read_text())
-    assert Path(content["command"]).name == "tiler"
+    assert Path(content["command"]) == tmp_path / "scripts" / COMMAND
     (folder / "old.py").write_text("of an earlier version")
     (folder / "settings.json").write_text(
         json.dumps({**content, "files": [*content["files"], "old.py", "../x"]})
@@ -279,21 +285,22 @@ def test_an_unknown_profile_is_named(plugins: Path, capsys: pytest.CaptureFixtur
 
 def script(path: Path, text: str) -> list[str]:
     """A command that stands in for ``tiler``."""
-    path.write_text(text)
-    return ["sh", str(path)]
+    path.write_text(f"import os, signal, sys, time\n{text}")
+    return [sys.executable, str(path)]
 
 
 def test_a_command_is_found_or_one_line_says_what_to_do(
     process: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", "")
-    monkeypatch.setenv("HOME", str(tmp_path))
+    for home in ("HOME", "USERPROFILE"):
+        monkeypatch.setenv(home, str(tmp_path))
     for configured, where in (("", "PATH"), ("/none/tiler", "/none/tiler")):
         with pytest.raises(
             process.CommandError, match=f"^{where}: the command tiler was not found; install it"
         ):
             process.find_command(configured)
-    local = tmp_path / ".local/bin/tiler"
+    local = tmp_path / ".local/bin" / COMMAND
     local.parent.mkdir(parents=True)
     local.touch(0o755)
     assert process.find_command("") == str(local)
@@ -302,12 +309,14 @@ def test_a_command_is_found_or_one_line_says_what_to_do(
 def test_the_version_of_a_command_tells_whether_it_is_the_right_one(
     process: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "tiler"
+    path, first, hang = tmp_path / "tiler", "#!/bin/sh\n", "exec sleep 60\n"
+    if os.name == "nt":
+        path, first, hang = path.with_suffix(".bat"), "@", ":again\n@goto again\n"
     for text, told in (
         (f"echo tiler, version {__version__}", None),
         ("echo hello", "is not the command tiler"),
     ):
-        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.write_text(f"{first}{text}\n")
         path.chmod(0o755)
         if told is None:
             assert process.version_of(str(path)) == __version__
@@ -315,7 +324,7 @@ def test_the_version_of_a_command_tells_whether_it_is_the_right_one(
             with pytest.raises(process.CommandError, match=told):
                 process.version_of(str(path))
     monkeypatch.setattr(process, "TEST_SECONDS", 0.1)
-    path.write_text("#!/bin/sh\nexec sleep 60\n")
+    path.write_text(f"{first}{hang}")
     with pytest.raises(process.CommandError, match="did not answer within"):
         process.version_of(str(path))
 
@@ -327,10 +336,14 @@ def test_what_a_command_says_is_passed_on(
     monkeypatch.setenv("PROJ_LIB", "/of/qgis")
     told: list[dict[str, Any]] = []
     call = script(
-        tmp_path / "a", f"echo '{LINE}' >&2; echo ${{PROJ_LIB:-unset}}; echo odd >&2; exit 5"
+        tmp_path / "a",
+        f"print({LINE!r}, file=sys.stderr)\n"
+        "print(os.environ.get('PROJ_LIB', 'unset'), '\\u011b')\n"
+        "print('odd', file=sys.stderr)\n"
+        "sys.exit(5)\n",
     )
     ended = process.run_command(call, told.append, lambda: False)
-    assert (ended.code, ended.text, ended.cancelled) == (5, "unset\n", False)
+    assert (ended.code, ended.text.split(), ended.cancelled) == (5, ["unset", "\u011b"], False)
     assert [event["message"] for event in told] == [None, "odd"]
     assert told[0]["progress"] == 0.5
 
@@ -347,13 +360,13 @@ def test_an_error_is_the_line_of_the_command(
 ) -> None:
     with pytest.raises(process.CommandError, match=r"^no such file$"):
         process.run_command(
-            script(tmp_path / "a", f"echo '{line}' >&2; exit 3"),
+            script(tmp_path / "a", f"print({line!r}, file=sys.stderr)\nsys.exit(3)"),
             lambda event: None,
             lambda: False,
         )
     with pytest.raises(process.CommandError, match="ended with code 137 and without a message"):
         process.run_command(
-            script(tmp_path / "b", "exit 137"), lambda event: None, lambda: False
+            script(tmp_path / "b", "sys.exit(137)"), lambda event: None, lambda: False
         )
 
 
@@ -362,9 +375,12 @@ def test_cancel_tells_the_command_and_waits_for_its_end(
     process: ModuleType, tmp_path: Path
 ) -> None:
     begun, stop = threading.Event(), tmp_path / "stopped"
-    text = f"trap 'sleep 0.2; touch \"{stop}\"; exit 130' TERM\necho '{LINE}' >&2\nwhile :; do sleep 0.05; done"
+    text = (
+        f"def end(*_):\n    time.sleep(0.2)\n    open({str(stop)!r}, 'w')\n    sys.exit(130)\n"
+        f"signal.signal(signal.SIGTERM, end)\nprint({LINE!r}, file=sys.stderr)\ntime.sleep(900)\n"
+    )
     ended = process.run_command(
         script(tmp_path / "a", text), lambda event: begun.set(), begun.is_set
     )
     assert ended.cancelled
-    assert stop.exists()
+    assert stop.exists() == (os.name != "nt"), "Windows kills it"

@@ -57,6 +57,16 @@ SIZE = struct.Struct("<Q")
 With the length, the thread that reads calls need not unpickle them, which would import modules."""
 
 
+_FAULTS = {
+    0xC0000005: "access violation",
+    0xC000001D: "illegal instruction",
+    0xC00000FD: "stack overflow",
+    0xC0000374: "heap corruption",
+    0xC0000409: "abort",
+}
+"""Exit codes of processes that crash on Windows, and their names."""
+
+
 class ChildDiedError(TilerError):
     """The child died during a call, or had to be ended. The message is a predicate: "crashed (SIGSEGV)"."""
 
@@ -319,6 +329,8 @@ def _fate(code: int, late: bool, seconds: float) -> str:
     if code == NOT_STARTED:
         return "could not start: the system has no memory left, or allows no more processes"
     cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+    if code in _FAULTS:
+        cause = f"{_FAULTS[code]}, {code:#x}"
     if cause == "SIGALRM" or (late and cause in ("SIGKILL", "exit code 1")):
         return f"did not end within {seconds:g} s"
     if cause == "SIGKILL":

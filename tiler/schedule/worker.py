@@ -7,6 +7,7 @@ import gc
 import time
 import traceback
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -164,7 +165,7 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
         where = traceback.extract_tb(error.__traceback__)[-1]
         kind = type(error)
         again = True
-        text = f"{kind.__name__}: {error} ({where.filename.rsplit('/', 1)[-1]}:{where.lineno})"
+        text = f"{kind.__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
         gc.collect()
     else:
         _give_back()

@@ -66,7 +66,9 @@ def find_command(configured: str) -> str:
         path = shutil.which(os.path.expanduser(configured))
         where = configured
     else:
-        local = os.path.expanduser("~/.local/bin/tiler")
+        # Python before 3.12 adds no suffix to a path.
+        suffix = ".exe" if os.name == "nt" else ""
+        local = os.path.expanduser(os.path.join("~", ".local", "bin", f"tiler{suffix}"))
         path = shutil.which("tiler") or shutil.which(local)
         where = "PATH"
     if path is None:
@@ -171,7 +173,10 @@ def run_command(
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.PIPE,
-                env={k: v for k, v in os.environ.items() if k not in QGIS_OWN},
+                env={
+                    **{k: v for k, v in os.environ.items() if k not in QGIS_OWN},
+                    "PYTHONIOENCODING": "utf-8",  # Windows has other code pages.
+                },
                 creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
             )
         except OSError as error:

@@ -23,9 +23,7 @@ from tiler.observe.events import Event, Warned
 
 def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(
-        ConfigError, match=r"b\.laz: its folder cannot be made or written \(Not a dir"
-    ):
+    with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made or written \("):
         classify_file(
             make_cloud("a.las", n=20),
             tmp_path / "file" / "sub" / "b.laz",
@@ -33,6 +31,9 @@ def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path
         )
 
 
+@pytest.mark.skipif(
+    not Path("/proc/self").exists(), reason="no folder here that root cannot write"
+)
 def test_a_folder_that_cannot_be_written_is_refused(make_cloud: Any) -> None:
     with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made or written \("):
         classify_file(

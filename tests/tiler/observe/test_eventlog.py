@@ -44,4 +44,4 @@ def test_values_that_json_cannot_hold_become_text(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with EventLog(path) as log:
         log(Note(Path("a/b")))  # type: ignore[arg-type]
-    assert lines(path)[0]["text"] == "a/b"
+    assert lines(path)[0]["text"] == str(Path("a/b"))

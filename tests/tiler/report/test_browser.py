@@ -63,7 +63,8 @@ def pointed_at(page: Any) -> tuple[float, float]:
 def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine")
-    unprivileged = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's sandbox refuses root
+    is_root = getattr(os, "geteuid", lambda: None)() == 0
+    unprivileged = ["--no-sandbox"] if is_root else []  # Chromium's sandbox refuses root
     with playwright.sync_playwright() as started:
         chromium = started.chromium.launch(
             executable_path=CHROMIUM, args=unprivileged, timeout=PATIENCE_MS

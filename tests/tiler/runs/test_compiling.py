@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import errno
 import functools
-import os
-import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import pytest
 from ptd.matched.evidence import Evidence
 from tests.tiler.conftest import MakeCloud
 from tests.tiler.plans import changed
+from tests.tiler.schedule import calls
 from tiler.config import RunConfig
 from tiler.observe.events import Event, Note, StageFinished, StageStarted, Warned
 from tiler.plan import make_plan
@@ -28,7 +27,7 @@ def make_file(path: Path, tell: Callable[[], None]) -> None:
 
 
 def crash(tell: Callable[[], None]) -> None:
-    os.kill(os.getpid(), signal.SIGSEGV)
+    calls.crash()
 
 
 def fill_disk(tell: Callable[[], None]) -> None:
@@ -68,7 +67,7 @@ def test_a_run_waits_for_its_kernels(told: list[Event], tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("work", "why"),
     [
-        (crash, "the process crashed (SIGSEGV)"),
+        (crash, f"the process {calls.CRASHED}"),
         (fill_disk, "OSError: [Errno 28] No space left on device"),
     ],
 )

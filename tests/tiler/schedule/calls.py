@@ -16,6 +16,13 @@ import numpy as np
 from tiler.errors import InputError
 from tiler.schedule import Outcome, Task
 
+CRASHED, ABORTED = (
+    ("crashed (access violation, 0xc0000005)", "crashed (abort, 0xc0000409)")
+    if os.name == "nt"
+    else ("crashed (SIGSEGV)", "crashed (SIGABRT)")
+)
+"""Ends of `crash` and `abort`."""
+
 
 def double(value: int) -> int:
     return 2 * value
@@ -34,11 +41,13 @@ def fail_with(error: Exception) -> NoReturn:
 
 
 def crash() -> None:
+    if os.name == "nt":  # ctypes makes an exception of the fault there
+        os.kill(os.getpid(), 0xC0000005)
     ctypes.string_at(0)
 
 
 def abort() -> None:
-    os.kill(os.getpid(), signal.SIGABRT)
+    os.kill(os.getpid(), 0xC0000409 if os.name == "nt" else signal.SIGABRT)
 
 
 def kill() -> None:
@@ -55,7 +64,10 @@ def sleep() -> None:
 
 def hang_with_the_lock() -> None:
     """Hang in a library that holds the interpreter's lock, so that no Python code can run."""
-    ctypes.PyDLL(None).sleep(900)
+    if os.name == "nt":
+        ctypes.PyDLL("kernel32").Sleep(900_000)
+    else:
+        ctypes.PyDLL(None).sleep(900)
 
 
 def allocate(gibibytes: int) -> int:

@@ -97,10 +97,10 @@ def test_a_worker_without_tiler_is_refused(asked: Callable[..., ClusterAccess]) 
     [
         (
             {"path": Path("/nowhere/a.laz")},
-            r"cannot read /nowhere/a.laz \(No such file.*inputs by URL",
+            r"cannot read .nowhere.a\.laz \(.*(No such file|not f).*inputs by URL",
         ),
         ({"size": 99}, r"cannot read .*cloud.laz \(100 bytes there, 99 here\)"),
-        ({"url": "/nowhere/store.zarr"}, r"cannot use /nowhere/store.zarr \(.*--store by URL"),
+        ({"url": "/nowhere/store.zarr"}, r"cannot use .nowhere.store.zarr \(.*--store by URL"),
         (
             {"url": "nosuch://bucket"},
             r"cannot use nosuch://bucket .*check the URL and the credentials",
@@ -122,7 +122,7 @@ def test_the_future_place_of_a_store_is_checked(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.laz", "store.zarr"]
     monkeypatch.setattr(cluster_check, "sees", lambda token: False)
     with pytest.raises(
-        ConfigError, match=r"cannot use .*later/store.zarr \(it cannot access.*--store by URL"
+        ConfigError, match=r"cannot use .*later.store\.zarr \(it cannot access.*--store by URL"
     ):
         coming(here, "tcp://w:2")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import sys
 from fractions import Fraction
 from functools import partial
@@ -13,10 +14,11 @@ import numpy as np
 import psutil
 import pytest
 
+from tests.tiler.schedule import calls
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.schedule import ChildProcess, Task, limits_memory
-from tiler.schedule.worker import peak_rss_bytes, prepare, run_task
+from tiler.schedule.worker import compute, peak_rss_bytes, prepare, run_task
 from tiler.store import StoreMeta, create_store
 
 
@@ -108,3 +110,9 @@ def test_a_reader_that_is_forked_beside_workers_has_all_of_its_memory() -> None:
     ):
         worker.call(peak_rss_bytes, seconds=300.0)
         assert reader.call(grown, seconds=300.0) == 700 << 20
+
+
+def test_an_error_names_its_line_without_folders(tmp_path: Path) -> None:
+    work = {"value": 1, "does": "stumble"}
+    outcome = compute(str(tmp_path), Task("stage", "key", "digest", calls.square, work))
+    assert re.fullmatch(r"OSError: a passing fault \(calls\.py:\d+\)", str(outcome.error))
