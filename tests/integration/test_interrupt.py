@@ -58,10 +58,15 @@ def start(interruptible: None) -> Iterator[Start]:
     yield begin
     for process in processes:
         if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
+            if hasattr(os, "killpg"):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
             process.communicate()
 
 
+@pytest.mark.skipif(
+    not hasattr(os, "killpg"), reason="Windows sends no signals to process groups"
+)
 @pytest.mark.parametrize(
     "interrupt",
     [
