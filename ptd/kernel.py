@@ -14,7 +14,9 @@ compiles for itself. If one of them has code that only root can have written, su
 container image, the code is copied to the folder of the user.
 
 Code in the folder runs with the rights of the user. So the folder, all folders above it and all
-its files must belong to the user or to root, and other users must not be able to write them.
+its files must belong to the user or to root, and other users must not be able to write them. Windows
+does not tell Python who may write, so there nothing is checked and no code is copied. The folder is
+private there as long as it is in the user's profile, where both default folders are.
 """
 
 import functools
@@ -203,7 +205,7 @@ _MAX_LINKS = 40
 
 def _trusted(path: Path) -> bool:
     """Return whether only root can change a path: root owns it and its parents, and only root can write them."""
-    return os.path.exists(path) and _open_part(path, {_ROOT}) is None
+    return hasattr(os, "getuid") and os.path.exists(path) and _open_part(path, {_ROOT}) is None
 
 
 def _open_part(path: Path, owners: set[int]) -> Path | None:

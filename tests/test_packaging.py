@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import tomllib
@@ -90,6 +91,7 @@ def test_image_is_slim_and_not_root() -> None:
 
 
 @pytest.mark.processes
+@pytest.mark.skipif(os.name == "nt", reason="no shell")
 def test_smoke_test_takes_the_files_that_the_image_takes() -> None:
     script = "sed -n 's/^COPY \\([^-].*\\) \\/src.*$/\\1/p' docker/Dockerfile | tr ' ' '\\n'"
     assert script in (ROOT / "docker/smoke.sh").read_text("utf-8")

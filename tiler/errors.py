@@ -11,6 +11,10 @@ from tiler.redaction import without_secrets
 
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 _NEXT_TO_NOTHING_BYTES = 1 << 20
+_MAX_WINDOWS_PATH = 259
+"""Length of the longest path on Windows while its setting for long paths is off, as it is at first."""
+_IN_USE = (5, 32)
+"""Numbers of the Windows errors for a file that another process has open."""
 
 
 def first_line(error: BaseException) -> str:
@@ -104,6 +108,11 @@ class StoreAccessError(ProcessingError):
     """The store does not accept writes. The cause is not an input or a tile, so the run ends if all retries fail."""
 
 
+def is_in_use(error: Exception) -> bool:
+    """Return whether Windows refused to change a file because another process has it open."""
+    return getattr(error, "winerror", None) in _IN_USE  # Other systems do not set the number.
+
+
 def write_error(what: str, error: Exception, folder: Path | None = None) -> ProcessingError:
     """Return the one-line error for a write that the file system refused.
 
@@ -126,6 +135,16 @@ def write_error(what: str, error: Exception, folder: Path | None = None) -> Proc
     if full:
         return DiskFullError(
             f"{what}: cannot be written ({reason}): the disk is full; free some space and run again"
+        )
+    if os.name == "nt" and len(os.path.abspath(what)) > _MAX_WINDOWS_PATH:
+        return ProcessingError(
+            f"{what}: cannot be written ({reason}): its path has more than {_MAX_WINDOWS_PATH} characters; use a "
+            "shorter one, or enable long paths in Windows, then run again"
+        )
+    if is_in_use(error):
+        return ProcessingError(
+            f"{what}: cannot be written ({reason}): another program has it open, or it is protected; close it there, "
+            "check permissions, then run again"
         )
     return ProcessingError(
         f"{what}: cannot be written ({reason}); check free space and permissions, then run again"

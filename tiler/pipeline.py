@@ -22,7 +22,7 @@ from tiler.grid.tasks.raster_table import required_rasters
 from tiler.ingest.stage import assemble, spool
 from tiler.ingest.tasks.fingerprints import register_sources
 from tiler.inputs import SourceInfo
-from tiler.io.locations import is_url, joined, upload_file
+from tiler.io.locations import is_url, joined, upload_file, with_slashes
 from tiler.io.overwrite_check import check_names
 from tiler.io.result_folder import (
     EVENTS,
@@ -162,7 +162,7 @@ def _opened(
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.results.products_at = products if is_url(products) else None
         job.results.report_title = (read_run(products) or {}).get("report_title")
-        job.results.given = [str(source) for source in inputs]
+        job.results.given = [with_slashes(source) for source in inputs]
         earlier = earlier_outputs(out, products)
         if water_is_given(plan.config, products):
             earlier.pop(WATER, None)

@@ -58,11 +58,15 @@ def start(interruptible: None) -> Iterator[Start]:
     yield begin
     for process in processes:
         if process.poll() is None:
-            process.kill()  # its children end with it
+            if hasattr(os, "killpg"):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
             process.communicate()
 
 
-@pytest.mark.skipif(os.name == "nt", reason="no signals to groups of processes")
+@pytest.mark.skipif(
+    not hasattr(os, "killpg"), reason="Windows sends no signals to process groups"
+)
 @pytest.mark.parametrize(
     "interrupt",
     [

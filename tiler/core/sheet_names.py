@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from string import Formatter
 
@@ -18,6 +19,8 @@ LONGEST = 200
 FORBIDDEN = '/\\:*?"<>|'
 """Characters that some system does not allow in file names, in addition to control
 characters."""
+_DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|(?:COM|LPT)[0-9¹²³])\s*(?:\.|$)", re.IGNORECASE)
+"""Names that Windows reserves for devices, with any suffix."""
 
 
 class _Place(float):
@@ -130,13 +133,19 @@ def check_template(template: str, product: str = "dtm") -> str:
     return template
 
 
-def _wrong_with(name: str) -> str:
+def fault_on_windows(name: str) -> str:
+    """Return why Windows does not allow a file name, or an empty text."""
     bad = sorted({c for c in name if c in FORBIDDEN or ord(c) < ord(" ")})
     if bad:
         return f"contains {' '.join(map(repr, bad))}"
-    if name.startswith(".") or name != name.strip() or not name.isprintable():
+    return "is the name of a device on Windows" if _DEVICE.match(name) else ""
+
+
+def _wrong_with(name: str) -> str:
+    fault = fault_on_windows(name)
+    if not fault and (name.startswith(".") or name != name.strip() or not name.isprintable()):
         return "begins with a dot, begins or ends with a space, or is not printable"
-    return ""
+    return fault
 
 
 def validate_distinct_names(template: str, names: Iterable[str]) -> None:

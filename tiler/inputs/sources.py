@@ -22,7 +22,7 @@ from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.laz import CorruptLazError, LazLayout
 from tiler.io.las.octree import Octree, read_octree
 from tiler.io.las.reader import count_decodable, rows_at_once
-from tiler.io.locations import FileState, reading_remedy, stat_location
+from tiler.io.locations import FileState, reading_remedy, stat_location, with_slashes
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
 
 Read = TypeVar("Read")
@@ -129,7 +129,7 @@ class SourceInfo:
     def to_json(self) -> dict[str, Any]:
         """Return a JSON-able description."""
         return {
-            "path": str(self.path),
+            "path": with_slashes(self.path),
             "size": self.size,
             "mtime_ns": self.state.mtime_ns,
             "digest": self.digest,

@@ -10,16 +10,14 @@ from pathlib import Path
 
 from tiler.core.digests import digest_of_bytes
 from tiler.core.links import without_links
-from tiler.errors import first_line
+from tiler.errors import first_line, is_in_use
 
 _ONE_MORE_BYTES = 1 << 22
 MAX_NAME_LENGTH = 255
 """Length of the longest file name on most file systems, in bytes."""
 
-IN_USE = (5, 32)
-"""Numbers of the Windows errors for a file that another process has open."""
 IN_USE_SECONDS = 5.0
-"""Time for retries after an error of `IN_USE`, since virus scanners open each new file for a
+"""Time for retries for a file in use, since virus scanners open each new file for a
 moment."""
 
 SCRATCH_PREFIX = ".tiler-"
@@ -90,9 +88,7 @@ def replace_file(source: str | Path, target: str | Path) -> None:
             os.replace(source, target)
             return
         except PermissionError as error:
-            # Only Windows sets `winerror`.
-            waits = getattr(error, "winerror", None) in IN_USE
-            if not waits or time.monotonic() - began > IN_USE_SECONDS:
+            if not is_in_use(error) or time.monotonic() - began > IN_USE_SECONDS:
                 raise
             time.sleep(0.05)
 

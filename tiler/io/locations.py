@@ -34,6 +34,11 @@ def is_url(text: str | Path) -> bool:
     return "://" in str(text)
 
 
+def with_slashes(place: str | Path) -> str:
+    """Return a path or URL as results name it: with slashes, also on Windows."""
+    return str(place).replace(os.sep, "/")
+
+
 def plain_scheme(text: str) -> str:
     """Return a URL with schemes in lower case, since libraries do not support ``HTTP://``, or a path unchanged."""
     return _SCHEME.sub(lambda found: found[0].lower(), text) if is_url(text) else text

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiler.core.links import link_error
+from tiler.core.sheet_names import fault_on_windows
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import is_url, plain_scheme, without_local_scheme
@@ -66,10 +67,14 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
 
 
 def check_names(option: str, place: str | Path) -> None:
-    """Raise ConfigError if a part of a path is longer than file systems allow."""
-    if is_url(real_place(place)):
+    """Raise ConfigError if the system does not allow a part of a path as a name."""
+    text = without_local_scheme(plain_scheme(str(place)))
+    if is_url(text):
         return
-    for name in Path(place).parts:
+    for name in Path(text).relative_to(Path(text).anchor).parts:
+        fault = fault_on_windows(name) if os.name == "nt" else ""
+        if fault:
+            raise ConfigError(f"{option} {place}: {name!r} {fault}; give another name")
         if name_bytes(name) > MAX_NAME_LENGTH:
             raise ConfigError(
                 f"{option} {name[:20]}...: its name has {name_bytes(name)} bytes, {MAX_NAME_LENGTH} are possible; "

@@ -13,7 +13,7 @@ from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.links import link_error
 from tiler.core.products import PRODUCTS
-from tiler.core.sheet_names import check_template, name_prefix, product_names
+from tiler.core.sheet_names import check_template, fault_on_windows, name_prefix, product_names
 from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
 from tiler.core.words import listed
 from tiler.errors import ConfigError
@@ -176,7 +176,9 @@ def _targets(plan: Plan) -> list[str]:
     names.append(STAC)
     if plan.writes_clouds:
         names.append(VIRTUAL)
-        names += [f"{CLASSIFIED}/{name}" for name in plan.inputs.cloud_names.values()]
+        names += [
+            f"{CLASSIFIED}/{name.as_posix()}" for name in plan.inputs.cloud_names.values()
+        ]
     return names
 
 
@@ -256,16 +258,22 @@ def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
             check_template(
                 plan.config.sheet_name, product_names(plan.config.product_name)[name]
             )
-    _validate_name_lengths(plan)
+    _validate_cloud_names(plan)
     if out is not None:
         _validate_disk(plan, out)
 
 
-def _validate_name_lengths(plan: Plan) -> None:
-    """Raise ConfigError if the name of a classified cloud would be too long for a file system."""
+def _validate_cloud_names(plan: Plan) -> None:
+    """Raise ConfigError if a classified cloud would have a name that its file system does not allow."""
     if not plan.writes_clouds:
         return
     for source, name in plan.inputs.cloud_names.items():
+        fault = fault_on_windows(name.name) if os.name == "nt" else ""
+        if fault:
+            raise ConfigError(
+                f"{source}: the name of its classified cloud {name.name} {fault}; rename the input, or use "
+                "--classified none"
+            )
         size = name_bytes(name)
         if size > MAX_NAME_LENGTH:
             shorter = ""

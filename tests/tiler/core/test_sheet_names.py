@@ -36,6 +36,7 @@ def test_names_follow_the_template(template: str, name: str) -> None:
         ("{name}_{x_km:.0f}", "the same name"),
         ("{name}/{x}_{y}", "'/'"),
         (".{x}_{y}", "begins with a dot"),
+        ("aux.{x}_{y}", "the name of a device on Windows"),
         ("{x}_{y}_{tile}", "no field {tile}; use name, x, y"),
         ("{x.real}_{y}", "no field {x.real}"),
         ("{x:Q}_{y}", "use a template like"),

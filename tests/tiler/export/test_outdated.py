@@ -22,7 +22,7 @@ def write(out: Path, *paths: str) -> None:
 
 
 def files(out: Path) -> set[str]:
-    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    return {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
 
 
 def by_key(*paths: str) -> dict[str, str]:

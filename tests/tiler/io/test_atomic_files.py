@@ -13,6 +13,7 @@ import pytest
 import cli
 import ptd
 import tiler
+from tiler.errors import write_error
 from tiler.io import atomic_files
 from tiler.io.atomic_files import replace_file
 
@@ -41,7 +42,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return source, target
 
 
-@pytest.mark.parametrize("winerror", atomic_files.IN_USE)
+@pytest.mark.parametrize("winerror", [5, 32])
 def test_a_file_that_windows_has_in_use_is_replaced_once_it_is_free(
     winerror: int, files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -57,8 +58,12 @@ def test_a_file_that_stays_in_use_ends_in_the_error(
 ) -> None:
     monkeypatch.setattr(atomic_files, "IN_USE_SECONDS", 0.1)
     monkeypatch.setattr(os, "replace", Refusing(1000, 32))
-    with pytest.raises(PermissionError):
+    with pytest.raises(PermissionError) as refused:
         replace_file(*files)
+    told = str(write_error("dtm.tif", refused.value))
+    assert told.startswith("dtm.tif: ")
+    assert "another program has it open" in told
+    assert "close it there" in told
     assert files[1].read_text("utf-8") == "old"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tiler.errors import ConfigError
-from tiler.io.overwrite_check import Target, check_folder, check_targets
+from tiler.io.overwrite_check import Target, check_folder, check_names, check_targets
 
 
 @pytest.fixture
@@ -96,3 +96,11 @@ def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
         match=r"^-o ä{20}\.\.\.: its name has 256 bytes, 255 are possible; give a shorter name$",
     ):
         check_targets([Target("-o", tmp_path / f"{'ä' * 126}.png")], [])
+
+
+@pytest.mark.skipif(os.name != "nt", reason="other systems have no such names")
+@pytest.mark.parametrize("name", ["NUL", "aux.laz", "com1", "ab:c.laz"])
+def test_a_name_that_windows_does_not_allow_is_refused(name: str, tmp_path: Path) -> None:
+    check_names("-o", tmp_path / "auxiliary.laz")
+    with pytest.raises(ConfigError, match=f"-o .*'{name}' .*; give another name$"):
+        check_names("-o", tmp_path / name / "out")

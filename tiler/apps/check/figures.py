@@ -107,7 +107,7 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Accuracy) -> li
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in drawings.items():
             with atomic_path(folder / name) as partial:
-                partial.write_text(text, encoding="utf-8")
+                partial.write_bytes(text.encode())
     return [str(folder / name) for name in drawings]
 
 

@@ -23,7 +23,7 @@ from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
 from tiler.inputs import find_inputs, inspect
-from tiler.io.locations import is_url
+from tiler.io.locations import is_url, with_slashes
 from tiler.observe.events import Listener, Note, ignore_events
 from tiler.schedule import call_isolated, half_of_memory
 
@@ -165,8 +165,8 @@ def evaluate_scenes(
         results.append(
             {
                 "name": scene.name,
-                "cloud": str(scene.cloud),
-                "reference": str(scene.reference),
+                "cloud": with_slashes(scene.cloud),
+                "reference": with_slashes(scene.reference),
                 **findings.facts(ignore),
                 **how,
                 "maps": written,

@@ -239,7 +239,7 @@ def classified_tasks(
         work = WriteClassified(
             path=location(source.info.path),
             source=source.number,
-            out=joined(out, CLASSIFIED, str(plan.inputs.cloud_names[source.info.path])),
+            out=joined(out, CLASSIFIED, plan.inputs.cloud_names[source.info.path].as_posix()),
             labels=LABELS,
             cells=tuple(cells),
             salvage=plan.config.salvage,

@@ -20,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from tiler.core.words import listed
-from tiler.errors import ConfigError, write_error
+from tiler.errors import ConfigError, is_in_use, write_error
 from tiler.export.records import FileRecord
 from tiler.ingest.tasks.fingerprints import file_digests
 from tiler.io.journals import validate_closed
@@ -204,7 +204,9 @@ def _move(out: str, path: str, target: str) -> None:
     try:
         move_file(source, target)
     except OSError as error:
-        raise write_error(target, error, None if is_url(out) else Path(out)) from error
+        # Windows moves no file that is open, so the file to close is the source.
+        refused = source if is_in_use(error) else target
+        raise write_error(refused, error, None if is_url(out) else Path(out)) from error
     if not is_url(out):
         with suppress(OSError):  # The folder of a product's sheets is removed once it is empty.
             Path(source).parent.rmdir()
