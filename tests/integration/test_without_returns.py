@@ -64,6 +64,16 @@ def test_the_surface_has_no_height_in_them_and_they_are_told(
     assert "without returns" in place["why"]
 
 
+def test_two_gaps_near_each_other_are_told_at_a_place_in_one_of_them(tmp_path: Path) -> None:
+    gaps = shapely.box(10, 10, 22, 22), shapely.box(30, 30, 46, 46)
+    whole = ground(lambda x, y: 30 + 0.01 * y, number=8000)
+    inside = shapely.contains_xy(shapely.union_all(gaps), *whole.xyz[:, :2].T)
+    cloud = written(tmp_path / "a.laz", type(whole)(whole.xyz[~inside], whole.truth[~inside]))
+    _, (place,) = made(cloud, tmp_path / "out")
+    x, y = np.array(place["at"]) - (EAST, NORTH)
+    assert any(gap.contains(shapely.Point(x, y)) for gap in gaps)
+
+
 def test_an_option_fills_the_surface(cloud: Path, tmp_path: Path) -> None:
     models, told = made(cloud, tmp_path, voids="fill")
     assert np.isfinite(models["dsm"][in_strip(models["dsm"].shape, 0)]).all()

@@ -230,12 +230,15 @@ class VoidResult(Record):
     area_m2 : float
     at_border : bool
         Whether one of the pixels touches a pixel outside the survey.
+    at : [x, y]
+        Centre of one of the pixels, where they are dense. The middle of the bounds may lie in none.
     """
 
     pixels: int
     bounds: list[float]
     area_m2: float
     at_border: bool
+    at: list[float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -95,8 +95,8 @@ def holes_of_block(
 def hole_cells(holes: Mask, block: Block, outside: Mask) -> list[list[int]]:
     """Return a list of numbers for each cell with holes.
 
-    These are the number of holes, their first row and column, their last row and column, and
-    the number of holes that touch a pixel outside the survey.
+    These are the number of holes, their first row and column, their last row and column, the number of holes that
+    touch a pixel outside the survey, and row and column of the hole next to the mean of all.
 
     Parameters
     ----------
@@ -114,12 +114,19 @@ def hole_cells(holes: Mask, block: Block, outside: Mask) -> list[list[int]]:
     cell_positions = np.stack((rows // CELL_PIXELS, cols // CELL_PIXELS))
     cells, number = np.unique(cell_positions, axis=1, return_inverse=True)
     number = number.ravel()
-    counts_and_extents = np.empty((6, cells.shape[1]), np.int64)
+    counts_and_extents = np.empty((8, cells.shape[1]), np.int64)
     counts_and_extents[0] = np.bincount(number)
     counts_and_extents[1:3], counts_and_extents[3:5] = np.iinfo(np.int64).max, -1
     counts_and_extents[5] = np.bincount(number[at_border], minlength=cells.shape[1])
     for axis, values in enumerate((rows, cols)):
         np.minimum.at(counts_and_extents[1 + axis], number, values)
         np.maximum.at(counts_and_extents[3 + axis], number, values)
+    mean_row, mean_col = (
+        np.bincount(number, values) / counts_and_extents[0] for values in (rows, cols)
+    )
+    from_mean = np.hypot(rows - mean_row[number], cols - mean_col[number])
+    nearest_first = np.lexsort((cols, rows, from_mean, number))
+    nearest = nearest_first[np.searchsorted(number[nearest_first], np.arange(cells.shape[1]))]
+    counts_and_extents[6:] = rows[nearest], cols[nearest]
     listed: list[list[int]] = counts_and_extents.T.tolist()
     return listed

@@ -87,11 +87,11 @@ class OutlineRecord(BlockRecord):
         Number of pixels that have a height or should have one.
     voided : int
         Number of pixels without a height that edits request.
-    holes : list of [pixels, row, col, last_row, last_col, pixels at the border]
+    holes : list of [pixels, row, col, last_row, last_col, pixels at the border, row, col of one of them]
         Cells with other pixels without a height, see `tiler.grid.holes.hole_cells`.
     edit_holes : list of [number, pixels]
         Number (name) of each edit in the block, and count of its pixels without a height.
-    bare : list of [pixels, row, col, last_row, last_col, pixels at the border]
+    bare : list of [pixels, row, col, last_row, last_col, pixels at the border, row, col of one of them]
         Cells with pixels in places without returns that have a height and are not in water.
     """
 

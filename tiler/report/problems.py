@@ -47,6 +47,8 @@ class Problem(NamedTuple):
         Remedy in words. It is empty if there is nothing to do.
     area_m2 : float or None
         Area of a place whose pixels are the problem.
+    at : tuple of float, or None
+        x and y of a pixel of it, unless the middle of the extent is meant.
     """
 
     what: str
@@ -54,6 +56,7 @@ class Problem(NamedTuple):
     why: str
     remedy: str = ""
     area_m2: float | None = None
+    at: tuple[float, float] | None = None
 
 
 def problems_of(run: Run) -> list[Problem]:
@@ -200,16 +203,16 @@ def _all_voids(run: Run) -> Iterator[Problem]:
             what = AT_BORDER
             remedy = "use --edits with action ground if land behind a wall was classified as a building"
         remedy += ", or --edits with action void to accept it"
-        yield Problem(what, place_of(void["bounds"]), why, remedy, void["area_m2"])
+        where, area_m2, at = place_of(void["bounds"]), void["area_m2"], void.get("at")
+        yield Problem(what, where, why, remedy, area_m2, at)
 
 
 def _without_returns(run: Run) -> Iterator[Problem]:
     for place in run.get("without_returns", ()):
         why = f"{_area(run, place['area_m2'])} without returns: the terrain there is interpolated from its rim"
         remedy = "ask for the missing strip, or use --edits with action void to leave it without heights"
-        yield Problem(
-            "place without returns", place_of(place["bounds"]), why, remedy, place["area_m2"]
-        )
+        where, area_m2, at = place_of(place["bounds"]), place["area_m2"], place.get("at")
+        yield Problem("place without returns", where, why, remedy, area_m2, at)
 
 
 def _edits(run: Run) -> Iterator[Problem]:
@@ -336,7 +339,7 @@ def problems(run: Run) -> Node:
         )
         return section("problems", "Problems", el("p", none))
     rows: list[tuple[Content, ...]] = [
-        (p.what, _link(p.where), p.why, p.remedy) for p in all_problems[:MAX_ROWS]
+        (p.what, _link(p.where, p.at), p.why, p.remedy) for p in all_problems[:MAX_ROWS]
     ]
     found, total = problems_of(run), None
     if len(found) > len(all_problems):
@@ -353,12 +356,13 @@ def problems(run: Run) -> Node:
     )
 
 
-def _link(where: Place | None) -> Content:
+def _link(where: Place | None, at: Sequence[float] | None) -> Content:
     """Return an extent as a link that shows it on the map."""
     if where is None:
         return "-"
     west, south, east, north = where
-    text = f"{(west + east) / 2:.1f}, {(south + north) / 2:.1f}"
+    x, y = at or ((west + east) / 2, (south + north) / 2)
+    text = f"{x:.1f}, {y:.1f}"
     return el("a", text, href="#map", data_place=",".join(f"{edge:.10g}" for edge in where))
 
 

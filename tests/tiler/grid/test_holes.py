@@ -33,6 +33,8 @@ def test_voids_are_connected_cells_whatever_the_blocks_are(seed: int) -> None:
     found = voids_of(cells, spec, 4.0)
     assert sum(void.pixels for void in found) == holes.sum()
     assert found == sorted(found, key=lambda void: -void.pixels)
+    for x, y in (void.at for void in found):
+        assert holes[int(3000 - y), int(x - 7)]
     expected = []
     cell_holes = np.pad(holes, ((0, -900 % CELL_PIXELS), (0, -1100 % CELL_PIXELS)))
     pooled = cell_holes.reshape(
@@ -81,6 +83,21 @@ def test_a_void_is_at_the_border_if_it_touches_a_pixel_outside_the_survey(
     ]
     (void,) = voids_of(cells, spec, 1.0)
     assert void.at_border == at_border
+
+
+@pytest.mark.parametrize("block_pixels", [96, 512])
+def test_gaps_that_are_one_void_are_told_at_a_pixel_of_the_largest(block_pixels: int) -> None:
+    spec = RasterSpec(Lattice(Fraction(1000)), 7, 3000, 600, 600)
+    holes = np.zeros((600, 600), bool)
+    holes[100:130, 100:160] = holes[140:400, 150:400] = True
+    cells = [
+        cell
+        for block in spec.blocks(block_pixels)
+        for cell in hole_cells(part(holes, block), block, np.zeros((602, 602), bool))
+    ]
+    (void,) = voids_of(cells, spec, 1.0)
+    assert abs(void.at[0] - (7 + 275)) < CELL_PIXELS
+    assert abs(void.at[1] - (3000 - 270)) < CELL_PIXELS
 
 
 def test_no_holes_are_no_voids() -> None:

@@ -9,6 +9,7 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from tiler.core.frame import COUNTS_PER_UNIT
@@ -60,8 +61,9 @@ def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
     """Merge touching cells with holes (see `tiler.grid.holes.hole_cells`) into voids, the largest first."""
-    # Records of an earlier version lack the pixels at the border.
-    table = np.array([[*cell, 0][:6] for cell in cells], np.int64).reshape(-1, 6)
+    # Records of an earlier version lack the pixels at the border, or the position of a hole.
+    rows = [[*[*cell, 0][:6], *(cell[6:] or cell[1:3])] for cell in cells]
+    table = np.array(rows, np.int64).reshape(-1, 8)
     if not len(table):
         return []
     n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:5]
@@ -76,6 +78,7 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
     last = np.zeros((n_voids, 2), np.int64)
     np.minimum.at(first, void_of_cell, first_pixel)
     np.maximum.at(last, void_of_cell, last_pixel)
+    at = table[_central_cells(void_of_cell, n_holes, table[:, 6:]), 6:]
     order = np.lexsort((first[:, 1], first[:, 0], -pixels))
     return [
         VoidResult(
@@ -83,9 +86,33 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
             _bounds(spec, first[i], last[i]),
             int(pixels[i]) * pixel_m2,
             bool(at_border[i]),
+            _centre(_bounds(spec, at[i], at[i])),
         )
         for i in order
     ]
+
+
+def _central_cells(
+    void_of_cell: Any, n_holes: Any, positions: npt.NDArray[np.int64]
+) -> npt.NDArray[np.intp]:
+    """Return for each void its cell with most holes, of several the one next to their mean."""
+    most = np.zeros(void_of_cell.max() + 1, np.int64)
+    np.maximum.at(most, void_of_cell, n_holes)
+    is_full = n_holes == most[void_of_cell]
+    n_full = np.bincount(void_of_cell, is_full)
+    means = np.stack(
+        [np.bincount(void_of_cell, is_full * values) / n_full for values in positions.T]
+    )
+    from_mean = np.hypot(*(positions.T - means[:, void_of_cell]))
+    best_first = np.lexsort(
+        (positions[:, 1], positions[:, 0], from_mean, ~is_full, void_of_cell)
+    )
+    return best_first[np.searchsorted(void_of_cell[best_first], np.arange(len(most)))]
+
+
+def _centre(bounds: list[float]) -> list[float]:
+    west, south, east, north = bounds
+    return [(west + east) / 2, (south + north) / 2]
 
 
 def _bounds(spec: RasterSpec, first: Any, last: Any) -> list[float]:
