@@ -47,7 +47,7 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "Terrain": {
         "--max-edge": "longest edge of a facet that fills pixels",
-        "--voids": "leave or fill holes in the terrain",
+        "--voids": "leave or fill holes in the DTM and DSM",
         "--breaklines": "lines that the terrain follows",
         "--edits": "polygons that correct the ground",
         "--bridges": "keep bridge decks in the terrain, or remove them",

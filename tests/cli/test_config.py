@@ -131,6 +131,16 @@ def test_a_bad_option_does_not_name_the_file(
     assert str(file) not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", ["--help", "--help-all"])
+def test_the_help_of_voids_names_the_models_that_it_fills(
+    capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    main(["run", option])
+    text = capsys.readouterr().out.split("--voids")[1].split("--canopy")[0]
+    assert "DTM" in text
+    assert "DSM" in text
+
+
 def test_template_gives_the_defaults(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "--template"]) == 0
     text = capsys.readouterr().out

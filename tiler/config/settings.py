@@ -153,8 +153,8 @@ class RunConfig:
     )
     voids: str = setting(
         "leave",
-        "holes inside the survey that are wider than `max-edge`: leave (no heights), fill (from their boundary), or "
-        "mark (fill, and write the mask)",
+        "holes inside the survey, wider than `max-edge` in the DTM, without returns in the DSM: leave (no heights), "
+        "fill (from their boundary), or mark (fill, and write the mask)",
         choices=("leave", "fill", "mark"),
     )
     canopy: str = setting(
