@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("logging_as_before")
 MAX_LINES = 25
 STAGES = ("read the clouds: ", "filter: ", "grid: ", "write the files: ")
 DECISIONS = (
-    "the CRS is WGS 84 / UTM zone 32N, from the files; x and y are in metres",
+    "the CRS is WGS 84 / UTM zone 32N, from the files, data at 48.75° N, 9.00° E; x and y are in metres",
     "heights are assumed to be in metres, like x and y, because there is no vertical CRS in 2 of 2 files (--units h,v)",
     "decided: pixels of 1 m, the default for clouds of this density (--resolution)",
 )

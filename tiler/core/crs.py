@@ -181,19 +181,37 @@ def placement(wkt: str, x: float, y: float) -> Placement | None:
     area = _projected_area(crs, horizontal, projection)
     if area is None:
         return None
-    try:
-        longitude, latitude = projection(x, y, inverse=True, errcheck=True)
-        back = projection(longitude, latitude, errcheck=True)
-    except ProjError:
+    position = _on_earth(projection, x, y)
+    if position is None:
         return Placement(math.nan, math.nan, area, math.inf)
-    if not all(map(math.isfinite, (longitude, latitude, *back))) or math.dist(back, (x, y)) > 1:
-        return Placement(math.nan, math.nan, area, math.inf)
+    longitude, latitude = position
     west, south, _, north = area
     # Longitudes are compared modulo 360, because an area of use may contain the antimeridian.
     from_west = (longitude - west) % 360
     beyond = max(min(from_west - _sides(area)[0], 360 - from_west), 0.0)
     outside_deg = max(beyond, south - latitude, latitude - north)
     return Placement(longitude, latitude, area, outside_deg)
+
+
+def _on_earth(projection: Proj, x: float, y: float) -> tuple[float, float] | None:
+    """Return longitude and latitude of coordinates, or None if they have no position."""
+    try:
+        longitude, latitude = projection(x, y, inverse=True, errcheck=True)
+        back = projection(longitude, latitude, errcheck=True)
+    except ProjError:
+        return None
+    if not all(map(math.isfinite, (longitude, latitude, *back))) or math.dist(back, (x, y)) > 1:
+        return None
+    return longitude, latitude
+
+
+def at_degrees(wkt: str | None, x: float, y: float) -> str:
+    """Return where coordinates lie, such as ``, data at 4.07° N, 0.11° E``, or an empty text if that is unknown."""
+    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    if horizontal is None or not horizontal.is_projected:
+        return ""
+    position = _on_earth(Proj(horizontal), x, y)
+    return "" if position is None else f", data at {_place(*position)}"
 
 
 def _projected_area(crs: CRS, horizontal: CRS, projection: Proj) -> AreaOfUse | None:
@@ -234,13 +252,17 @@ def misplaced(wkt: str | None, x: float, y: float) -> str | None:
     west, south, east, north = found.area
     place = "no place on Earth"
     if math.isfinite(found.outside_deg):
-        place = f"{_degrees(found.latitude, 'NS')}, {_degrees(found.longitude, 'EW')}"
+        place = _place(found.longitude, found.latitude)
     return (
         f"the data lie at {place}, outside the area of use of their CRS {crs_name(wkt)}, {_degrees(south, 'NS')} to "
         f"{_degrees(north, 'NS')} and {_degrees(west, 'EW')} to {_degrees(east, 'EW')}; if the place is wrong, so is "
         "the CRS: give the right one with --crs, or write it into files that have a CRS "
         "(`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
     )
+
+
+def _place(longitude: float, latitude: float) -> str:
+    return f"{_degrees(latitude, 'NS')}, {_degrees(longitude, 'EW')}"
 
 
 def _degrees(angle: float, signs: str) -> str:

@@ -12,7 +12,13 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from tiler.config import RunConfig
-from tiler.core.crs import same_horizontal, same_vertical_datum, split, vertical_name
+from tiler.core.crs import (
+    at_degrees,
+    same_horizontal,
+    same_vertical_datum,
+    split,
+    vertical_name,
+)
 from tiler.core.units import METRE, Units, unit_named, unit_plural
 from tiler.core.words import name_in_wkt
 from tiler.errors import ConfigError, InputError
@@ -22,11 +28,21 @@ from tiler.inputs.sources import SourceInfo
 
 
 class CommonCrs(NamedTuple):
-    """CRS of a run (None if it is unknown), its units, and notes for the user."""
+    """CRS of a run (None if it is unknown), its units, notes for the user, and what declared the CRS."""
 
     wkt: str | None
     units: Units
     notes: list[str]
+    origin: str
+
+    def note_at(self, x: float, y: float) -> list[str]:
+        """Return the note that names the CRS and the place of a position, or none if there is no CRS."""
+        if self.wkt is None:
+            return []
+        where, unit = at_degrees(self.wkt, x, y), unit_plural(self.units.horizontal)
+        return [
+            f"the CRS is {name_in_wkt(self.wkt)}, from {self.origin}{where}; x and y are in {unit}"
+        ]
 
 
 def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> CommonCrs:
@@ -60,11 +76,8 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
         key=lambda text: (_parts(text)[1] is None, -text.count("ID["), text),
         default=None,
     )
-    if wkt is not None:
-        origin = "the files" if any(g is not given for _, g in members) else "--crs"
-        unit = unit_plural(units.horizontal)
-        notes.insert(0, f"the CRS is {name_in_wkt(wkt)}, from {origin}; x and y are in {unit}")
-    return CommonCrs(wkt, units, notes)
+    origin = "the files" if any(g is not given for _, g in members) else "--crs"
+    return CommonCrs(wkt, units, notes, origin)
 
 
 def _wkt_with(vertical_unit: Fraction, crs: Georeference) -> str | None:

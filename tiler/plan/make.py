@@ -150,8 +150,9 @@ def make_plan(
 def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Plan:
     """Return the plan for the inspected files. Memory, disk and sizes are validated later."""
     units = inspected.crs.units
-    notes = [*inspected.notes, *inspected.covered[1]]
     inputs = inspected.planned(CLOUD_SUFFIXES[config.classified])
+    of_crs = inspected.crs.note_at(*sizes.middle(inputs.extent))
+    notes = [*of_crs, *inspected.notes, *inspected.covered[1]]
     resources = _resources(config, notes)
     frame = CoordFrame(units, sizes.origin_of(inputs.extent), inspected.crs.wkt)
     meta = _store_meta(inputs, frame, config, resources.memory, params)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ptd.matched.survey import in_words
-from tiler.core.crs import vertical_name
+from tiler.core.crs import at_degrees, vertical_name
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import unit_label
 from tiler.core.units_text import length_text, short_unit
@@ -19,6 +19,7 @@ from tiler.plan.method import steps_of
 from tiler.plan.model import Plan
 from tiler.plan.projection import overlap_of, projected_memory
 from tiler.plan.rates import projected_seconds
+from tiler.plan.sizes import middle
 
 WIDTH = 120
 """Maximum length of a line of the plan, in characters."""
@@ -70,7 +71,7 @@ def _units_from(plan: Plan) -> str:
 def plan_lines(plan: Plan) -> list[str]:
     """Return the plan as lines of text."""
     inputs, method, units = plan.inputs, plan.method, plan.frame.units
-    unit = units.horizontal
+    unit, wkt = units.horizontal, plan.frame.crs_wkt
     west, south = inputs.extent.x0 / COUNTS_PER_UNIT, inputs.extent.y0 / COUNTS_PER_UNIT
     width_m, height_m = plan.sides_m
     lines = [
@@ -78,8 +79,8 @@ def plan_lines(plan: Plan) -> list[str]:
         f"{inputs.density:.3g} per m2",
         f"extent      {width_m / float(unit):,.0f} x {height_m / float(unit):,.0f} {short_unit(unit)} from "
         f"({west:,.1f}, {south:,.1f})",
-        f"CRS         {name_in_wkt(plan.frame.crs_wkt, 'unknown')}; x, y in {unit_label(unit)}, "
-        f"z in {unit_label(units.vertical)}",
+        f"CRS         {name_in_wkt(wkt, 'unknown')}{at_degrees(wkt, *middle(inputs.extent))}; "
+        f"x, y in {unit_label(unit)}, z in {unit_label(units.vertical)}",
         *([] if plan.finding is None else [f"made by     {in_words(plan.finding)}"]),
         f"method      {plan.config.method}" + _passes_in_words(plan),
         f"DTM         pixels of {length_text(plan.grid.resolution, unit)}, "

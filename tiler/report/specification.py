@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from pyproj import CRS
 
-from tiler.core.crs import split, vertical_name
+from tiler.core.crs import at_degrees, split, vertical_name
 from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import DEFAULT as SHEET_NAME
@@ -58,11 +58,11 @@ def _horizontal(run: Run) -> str:
     horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
     if horizontal is None:
         return "not given"
-    if (
-        "crs_code" not in run
-    ):  # The search for the code takes long, so only a finished run has it.
-        return horizontal.name
-    return f"{horizontal.name} ({run['crs_code'] or _GIVEN_BY_NAME})"
+    west, south, east, north = run["plan"]["extent"]
+    at = at_degrees(wkt, (west + east) / 2, (south + north) / 2)
+    # The search for the code takes long, so only a finished run has it.
+    code = f" ({run['crs_code'] or _GIVEN_BY_NAME})" if "crs_code" in run else ""
+    return f"{horizontal.name}{code}{at}"
 
 
 def _nodata(run: Run) -> str:

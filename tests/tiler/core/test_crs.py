@@ -9,6 +9,7 @@ from pyproj import CRS, Proj
 from pyproj.crs import CompoundCRS
 
 from tiler.core.crs import (
+    at_degrees,
     crs_warnings,
     misplaced,
     placement,
@@ -98,6 +99,15 @@ def test_data_far_outside_the_area_of_use_have_a_warning(
     assert len(crs_warnings(texts[0], (x - 9, y - 9, 0, x + 9, y + 9, 9))) == (
         place is not None
     )
+
+
+def test_the_place_of_data_in_a_wrong_crs_is_known_inside_its_area_of_use() -> None:
+    wkt = CRS("EPSG:32631").to_wkt()
+    assert misplaced(wkt, 180_000, 450_000) is None
+    assert at_degrees(wkt, 180_000, 450_000) == ", data at 4.07° N, 0.12° E"
+    local = 'LOCAL_CS["a mine",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
+    for unknown in (None, CRS(local).to_wkt()):
+        assert at_degrees(unknown, 180_000, 450_000) == ""
 
 
 def test_a_crs_without_a_known_area_has_no_warning() -> None:

@@ -86,7 +86,7 @@ def test_specification_holds_what_a_tender_asks_for(tmp_path: Path) -> None:
     content["plan"]["crs"] = CRS.from_user_input("EPSG:32632+5703").to_wkt()
     text = page_of(tmp_path / "out", content).texts["specification"]
     assert text == (
-        " Specification horizontal CRS WGS 84 / UTM zone 32N (EPSG:32632); unit: metre"
+        " Specification horizontal CRS WGS 84 / UTM zone 32N (EPSG:32632), data at 48.75° N, 9.00° E; unit: metre"
         " vertical datum NAVD88 height (EPSG:5703); unit: foot pixel 1 m, 60 x 40 pixels"
         " nodata -32768 (dtm); none (density); 0 (mask)"
         " sheets 12 sheets with sides of 1000 m, files named {name}_{x_km}_{y_km}, with the names dtm=MNT"
