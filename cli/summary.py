@@ -80,12 +80,22 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         lines.append(f"report      {joined(out, summary['report'])}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
-    lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")
-    left_out = [
-        f"left out    {path}: {error.removeprefix(f'{path}: ')}"  # most errors begin with the path
-        for path, error in ((q["path"], q["error"]) for q in summary["quarantined"])
-    ]
+    lines.append(f"memory      {memory_text(summary['peak_rss_bytes'])}")
+    left_out = left_out_lines(summary["quarantined"])
     return [*lines, *_first(left_out), *_first(failed_lines(summary["failed_tasks"]))]
+
+
+def memory_text(peak_bytes: float) -> str:
+    """Return the peak memory of a run as text."""
+    return f"{size_text(peak_bytes)} at most in one process"
+
+
+def left_out_lines(files: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return one line per file of run.json that was left out."""
+    return [
+        f"left out    {path}: {error.removeprefix(f'{path}: ')}"  # most errors begin with the path
+        for path, error in ((f["path"], f["error"]) for f in files)
+    ]
 
 
 def _first(lines: Sequence[str]) -> list[str]:

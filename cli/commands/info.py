@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -12,7 +12,9 @@ import click
 from cli.options import json_option
 from cli.output import map_lines, print_facts, print_json, print_table, write_line
 from cli.session import TilerCommand
+from cli.summary import failed_lines, left_out_lines, memory_text
 from tiler.core.words import counted
+from tiler.observe.progress import duration_text, size_text
 
 
 @click.command("info", cls=TilerCommand, reads=True)
@@ -50,7 +52,7 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
 
 
 def _in_words(description: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the description with the names that the report has for the counts of a run."""
+    """Return the description with the names and units that the summary of a run and its report have."""
     from tiler.report.tables import COUNTED, LABELLED
 
     terrain = {
@@ -59,9 +61,26 @@ def _in_words(description: Mapping[str, Any]) -> dict[str, Any]:
         "surveyed": "of the survey has a height",
     }
     names = {"counts": COUNTED, "filter": LABELLED, "dtm": terrain}
-    return {
-        key: {names[key].get(name, name): number for name, number in value.items()}
-        if key in names and isinstance(value, Mapping)
-        else value
-        for key, value in description.items()
-    }
+    facts: dict[str, Any] = {}
+    for key, value in description.items():
+        if key == "outputs" and value is not None:
+            value = {name: size_text(size) for name, size in value.items()}
+        elif isinstance(value, Mapping) and key != "tags":
+            words: Mapping[Any, str] = names.get(key, {})
+            value = _in_words({words.get(name, name): fact for name, fact in value.items()})
+        name, text = _TEXTS.get(key, (key, None))
+        facts[name] = value if text is None or value is None else text(value)
+    return facts
+
+
+_TEXTS: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "quarantined": ("left out", lambda files: [line[12:] for line in left_out_lines(files)]),
+    "failed_tasks": ("failed", lambda tasks: [line[12:] for line in failed_lines(tasks)]),
+    "seconds": ("time", duration_text),
+    "peak_rss_bytes": ("memory", memory_text),
+    "size_bytes": ("size", size_text),
+    "overlap_work": ("work with halos", lambda ratio: f"{ratio:.2f} times"),
+    "dropped": ("dropped", lambda reasons: reasons or None),
+    "unselected": ("unselected", lambda reasons: reasons or None),
+}
+"""Name and text of facts by their key in the description."""

@@ -140,7 +140,14 @@ def test_a_result_has_the_words_and_figures_of_its_report(
 ) -> None:
     run = {
         "counts": {"participating": 7},
-        "filter": {"marked": 1},
+        "filter": {"marked": 1, "overlap_work": 5.197998047},
+        "quarantined": [{"path": "b.laz", "error": "b.laz: cut short"}],
+        "failed_tasks": [
+            {"stage": "filter0", "title": "filter", "key": "0_0", "error": "killed"}
+        ],
+        "outputs": {"dtm.tif": 2048},
+        "seconds": 205.2,
+        "peak_rss_bytes": 280_776_704,
         "dtm": {"filled": 5, "marked": 2},
         "voids": {"surveyed_pixels": 8, "pixels": 3, "asked_pixels": 0},
         "problems": [{"what": "void inside the survey"}] * 2,
@@ -154,6 +161,12 @@ def test_a_result_has_the_words_and_figures_of_its_report(
         "pixels with a height 5",
         "of the survey has a height 62.5 %",
         "problems 2: void inside the survey (2)",
+        "left out b.laz: cut short",
+        "failed filter 0_0: killed",
+        "work with halos 5.20 times",
+        "dtm.tif 2.0 KiB",
+        "time 3:25 min",
+        "memory 267.8 MiB at most in one process",
     ):
         assert line in lines
     assert describe(str(tmp_path))["dtm"]["filled"] == 5
