@@ -41,11 +41,15 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     # Modules of the report load libraries, and `tiler --help` must be fast.
     from tiler.report.problems import kinds_text
     from tiler.report.sections import share_with_height
+    from tiler.report.tables import COUNTED
 
     points = summary["counts"]["stored"]
     lines = ["nothing to do: all results are up to date"] if did_nothing else []
     files, dropped = len(summary["inputs"]), sum(summary["counts"]["dropped"].values())
     lost = f", {dropped:,} dropped" if dropped else ""
+    for name in ("duplicates_within_files", "duplicates_between_files"):
+        if repeats := summary["counts"].get(name):
+            lost += f", {repeats:,} {COUNTED[name]}"
     lines.append(f"points      {points:,} of {counted(files, 'file')}{lost}")
     stages = list(summary.get("stages", {}).values())
     if not did_nothing and (kept := sum(stage["done"] for stage in stages)):

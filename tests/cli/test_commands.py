@@ -176,6 +176,15 @@ def test_a_summary_tells_what_was_made() -> None:
     ]
 
 
+def test_a_summary_tells_points_that_are_in_several_files() -> None:
+    counts: dict[str, Any] = {"stored": 30, "dropped": {}, "duplicates_within_files": 0}
+    lines = summary_lines({**SUMMARY, "counts": counts}, "OUT")
+    assert lines[0] == "points      30 of 2 files"
+    counts["duplicates_between_files"] = 1200
+    lines = summary_lines({**SUMMARY, "counts": counts}, "OUT")
+    assert lines[0] == "points      30 of 2 files, 1,200 duplicates between files"
+
+
 def test_summary_of_an_early_stage() -> None:
     early = {k: v for k, v in SUMMARY.items() if k not in ("filter", "dtm", "outputs")}
     names = [line.split()[0] for line in summary_lines(early, "OUT")]
