@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 
+from tiler.core import words
 from tiler.errors import ConfigError, InputError
 from tiler.inputs.lists import read_list
 from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, node_files, read_point_tiles
@@ -20,6 +21,8 @@ from tiler.io.locations import as_path, is_url, list_inputs
 from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results
 
 SUFFIXES = (".las", ".laz")
+PACKED = (".zip", ".gz", ".zst", ".bz2", ".xz", ".7z", ".rar")
+"""Suffixes of files that programs pack. Their clouds have to be unpacked first."""
 
 MADE = (CLASSIFIED, OUTDATED)
 """Folders in OUT into which a run writes clouds."""
@@ -112,12 +115,23 @@ def find_inputs(
     if failed and not clouds:
         raise failed
     if not clouds:
-        why = f" ({reported[0]})" if reported else ""
+        why, remedy = f" ({reported[0]})" if reported else "", "give files, folders or globs"
+        if packed := _packed([str(path) for path in paths]):
+            why += f", but packed files ({words.listed(packed, 2, 'files')})"
+            remedy = "unpack them and give the LAS or LAZ files in them"
         raise InputError(
-            f"{', '.join(map(str, paths))}: no .las or .laz file there{why}; give files, folders or globs"
+            f"{', '.join(map(str, paths))}: no .las or .laz file there{why}; {remedy}"
         )
     urls = sorted((path for path in clouds.values() if is_url(path)), key=str)
     return sorted(path for path in clouds.values() if not is_url(path)) + urls
+
+
+def _packed(paths: Sequence[str]) -> list[str]:
+    """Return the packed files in local folders and globs."""
+    found = chain.from_iterable(
+        _expanded(text, lambda text: None, PACKED)[1] for text in paths if not is_url(text)
+    )
+    return [str(path) for path in found if path.suffix.lower() in PACKED]
 
 
 def is_list(text: str | Path) -> bool:
@@ -169,8 +183,10 @@ def _identity(path: Path) -> Path | FileNumber:
     return Path(os.path.realpath(path))
 
 
-def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
-    """Return the root folder (or file) of an input, and the clouds there."""
+def _expanded(
+    text: str, note: Tell, suffixes: Sequence[str] = SUFFIXES
+) -> tuple[Path, list[Path]]:
+    """Return the root folder (or file) of an input, and the clouds there, or files with other suffixes."""
     if is_url(text):
         fixed = text[: _glob_base(text)].rpartition("/")[0] if glob.has_magic(text) else text
         return as_path(fixed if is_url(fixed) else text), list_inputs(text, SUFFIXES)
@@ -186,7 +202,7 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
             f"{text}: {error.strerror}; give LAS or LAZ files, folders, globs or .vpc files"
         ) from error
     if is_folder:
-        return path, list(_walk(path, note))
+        return path, list(_walk(path, note, suffixes))
     if is_there:
         return path, [path]
     matches = sorted(glob.glob(text, recursive=True))
@@ -197,8 +213,8 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
     clouds: list[Path] = []
     for match in map(Path, matches):
         if match.is_dir():
-            clouds += _walk(match, note)
-        elif match.suffix.lower() in SUFFIXES:
+            clouds += _walk(match, note, suffixes)
+        elif match.suffix.lower() in suffixes:
             clouds.append(match)
     return Path(text[: _glob_base(text)] + "x").parent, clouds
 
@@ -208,8 +224,8 @@ def _glob_base(pattern: str) -> int:
     return min(pattern.index(sign) for sign in "*?[" if sign in pattern)
 
 
-def _walk(folder: Path, note: Tell) -> Iterator[Path]:
-    """Yield the clouds in a folder, recursively.
+def _walk(folder: Path, note: Tell, suffixes: Sequence[str]) -> Iterator[Path]:
+    """Yield the files in a folder that have one of the suffixes, recursively.
 
     Links to folders are not followed, because they may be circular or lead anywhere.
     """
@@ -226,7 +242,7 @@ def _walk(folder: Path, note: Tell) -> Iterator[Path]:
                     f"{here / name} is a link to a folder, not followed; give it as an input to read it"
                 )
         for name in sorted(names):
-            if Path(name).suffix.lower() in SUFFIXES:
+            if Path(name).suffix.lower() in suffixes:
                 yield here / name
 
 

@@ -33,6 +33,19 @@ def test_links_to_folders_are_not_followed_and_named(make_cloud: Any, tmp_path: 
     )
 
 
+@pytest.mark.parametrize("pattern", ["", "*", "*.zip"])
+def test_a_folder_of_packed_clouds_has_the_advice_to_unpack_them(
+    pattern: str, tmp_path: Path
+) -> None:
+    for name in ("a.laz.gz", "b.zip", "readme.txt"):
+        (tmp_path / name).write_bytes(b"PK\x03\x04")
+    with pytest.raises(InputError) as caught:
+        find_inputs([os.path.join(tmp_path, pattern)])
+    assert "no .las or .laz file there, but packed files (" in str(caught.value)
+    assert str(tmp_path / "b.zip") in str(caught.value)
+    assert str(caught.value).endswith("; unpack them and give the LAS or LAZ files in them")
+
+
 def test_an_unreadable_folder_is_named(
     make_cloud: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
