@@ -80,6 +80,7 @@ _TEXTS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "peak_rss_bytes": ("memory", memory_text),
     "size_bytes": ("size", size_text),
     "overlap_work": ("work with halos", lambda ratio: f"{ratio:.2f} times"),
+    "resolution_m": ("resolution", lambda metres: None),  # The text of the pixel has the unit.
     "dropped": ("dropped", lambda reasons: reasons or None),
     "unselected": ("unselected", lambda reasons: reasons or None),
 }

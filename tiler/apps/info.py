@@ -174,7 +174,7 @@ def _commits(store: TileStore) -> dict[str, Commits]:
 def describe_result(folder: Path) -> dict[str, Any]:
     """Describe the OUT of a run from its run.json, and from its store if it still exists."""
     from tiler.report.problems import kinds_text
-    from tiler.report.sections import share_with_height
+    from tiler.report.sections import length, share_with_height
     from tiler.store import store_exists
 
     try:
@@ -194,8 +194,10 @@ def describe_result(folder: Path) -> dict[str, Any]:
     }
     if isinstance(run.get("problems"), list):
         description["problems"] = kinds_text(run["problems"]) if run["problems"] else "none"
-    if run.get("dtm") and run.get("voids"):
-        description["dtm"] = {**run["dtm"], "surveyed": share_with_height(run["voids"])}
+    if terrain := run.get("dtm"):
+        description["dtm"] = {**terrain, "pixel": length(run, terrain["resolution_m"])}
+        if run.get("voids"):
+            description["dtm"]["surveyed"] = share_with_height(run["voids"])
     store = joined(str(folder), STORE)
     if store_exists(store):
         try:

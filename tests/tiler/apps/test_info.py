@@ -148,7 +148,8 @@ def test_a_result_has_the_words_and_figures_of_its_report(
         "outputs": {"dtm.tif": 2048},
         "seconds": 205.2,
         "peak_rss_bytes": 280_776_704,
-        "dtm": {"filled": 5, "marked": 2},
+        "plan": {"metres_per_unit": {"horizontal": 0.3048}},
+        "dtm": {"filled": 5, "marked": 2, "resolution_m": 0.6096},
         "voids": {"surveyed_pixels": 8, "pixels": 3, "asked_pixels": 0},
         "problems": [{"what": "void inside the survey"}] * 2,
     }
@@ -165,6 +166,7 @@ def test_a_result_has_the_words_and_figures_of_its_report(
         "failed filter 0_0: killed",
         "work with halos 5.20 times",
         "dtm.tif 2.0 KiB",
+        "pixel 2 ft",
         "time 3:25 min",
         "memory 267.8 MiB at most in one process",
     ):
