@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import click
@@ -39,13 +41,21 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
             print_table(counted(len(clouds), "cloud"), COLUMNS, rows(clouds))
         return
     from tiler.apps.info import describe
+    from tiler.report.runfile import run_file_errors
 
     description = describe(paths[0])
     if as_json:
         print_json(description)
     else:
         density = description.pop("density_map", None)
-        print_facts(_in_words(description))
+        # Only the facts of a run come from a file that may hold anything.
+        with (
+            run_file_errors(Path(paths[0]))
+            if description["kind"] == "result"
+            else nullcontext()
+        ):
+            facts = _in_words(description)
+        print_facts(facts)
         if density is not None:
             for line in map_lines(density, sys.stdout.encoding):
                 write_line(line)

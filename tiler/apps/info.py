@@ -174,6 +174,7 @@ def _commits(store: TileStore) -> dict[str, Commits]:
 def describe_result(folder: Path) -> dict[str, Any]:
     """Describe the OUT of a run from its run.json, and from its store if it still exists."""
     from tiler.report.problems import kinds_text
+    from tiler.report.runfile import run_file_errors
     from tiler.report.sections import length, share_with_height
     from tiler.store import store_exists
 
@@ -192,12 +193,13 @@ def describe_result(folder: Path) -> dict[str, Any]:
         "path": str(folder),
         **{name: run.get(name) for name in _RUN_FACTS},
     }
-    if isinstance(run.get("problems"), list):
-        description["problems"] = kinds_text(run["problems"]) if run["problems"] else "none"
-    if terrain := run.get("dtm"):
-        description["dtm"] = {**terrain, "pixel": length(run, terrain["resolution_m"])}
-        if run.get("voids"):
-            description["dtm"]["surveyed"] = share_with_height(run["voids"])
+    with run_file_errors(folder):
+        if isinstance(run.get("problems"), list):
+            description["problems"] = kinds_text(run["problems"]) if run["problems"] else "none"
+        if terrain := run.get("dtm"):
+            description["dtm"] = {**terrain, "pixel": length(run, terrain["resolution_m"])}
+            if run.get("voids"):
+                description["dtm"]["surveyed"] = share_with_height(run["voids"])
     store = joined(str(folder), STORE)
     if store_exists(store):
         try:

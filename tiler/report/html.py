@@ -7,7 +7,6 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
 from tiler.errors import InputError, ProcessingError, write_error
@@ -30,7 +29,7 @@ from tiler.report.expected import at_checkpoints, expected
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
 from tiler.report.problems import problems
-from tiler.report.runfile import write_run_file
+from tiler.report.runfile import run_file_errors, write_run_file
 from tiler.report.specification import raster_files, specification
 from tiler.store import locked_folder
 
@@ -63,20 +62,8 @@ def write_report(
     """
     content = _read_run(out) if run is None else run
     try:
-        page = _page(out, content, products or content.get("products_at") or str(out))
-    except (
-        KeyError,
-        TypeError,
-        AttributeError,
-        ValueError,
-        OverflowError,
-        IndexError,
-        CRSError,
-    ) as error:
-        remedy = "run again" if read_run(str(out)) is not None else AGAIN_WITHOUT_RUN
-        raise InputError(
-            f"{out / RUN}: was not written by this version of tiler ({type(error).__name__}: {error}); {remedy}"
-        ) from error
+        with run_file_errors(out):
+            page = _page(out, content, products or content.get("products_at") or str(out))
     except (RasterioError, OSError) as error:
         raise ProcessingError(
             f"{out}: a raster cannot be read ({' '.join(str(error).split())}); run again"

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from pyproj.exceptions import CRSError
+
 from tiler.core.links import without_links
 from tiler.core.stage_names import stage_title
-from tiler.errors import write_error
+from tiler.errors import InputError, write_error
 from tiler.io.atomic_files import write_atomic
-from tiler.io.result_folder import RUN
+from tiler.io.result_folder import AGAIN_WITHOUT_RUN, RUN, read_run
 
 
 def write_run_file(out: Path, content: Mapping[str, Any]) -> None:
@@ -40,6 +42,26 @@ def record_end(out: Path, state: str, exit_code: int) -> None:
             if at >= 0 and len(after) <= len(before):
                 file.seek(at)
                 file.write(after.encode().ljust(len(before)))
+
+
+@contextmanager
+def run_file_errors(out: Path) -> Iterator[None]:
+    """Raise InputError that names ``OUT/run.json`` if its content is not what a run writes."""
+    try:
+        yield
+    except (
+        KeyError,
+        TypeError,
+        AttributeError,
+        ValueError,
+        OverflowError,
+        IndexError,
+        CRSError,
+    ) as error:
+        remedy = "run again" if read_run(str(out)) is not None else AGAIN_WITHOUT_RUN
+        raise InputError(
+            f"{out / RUN}: was not written by this version of tiler ({type(error).__name__}: {error}); {remedy}"
+        ) from error
 
 
 def title_of(run: Mapping[str, Any], stage: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.main import main
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tests.tiler.junk import spoilt
 from tests.tiler.report import results
@@ -88,7 +89,7 @@ def test_a_damaged_log_costs_the_times_alone(out: Path) -> None:
     assert times["t+000+000"] == 5
 
 
-def test_a_run_with_junk_anywhere(out: Path) -> None:
+def test_a_run_with_junk_anywhere(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever reads run.json either can, or says that it is to blame."""
     document = results.run(outputs={})
     for changed in random.Random(2).sample(list(spoilt(document)), 120):
@@ -99,6 +100,8 @@ def test_a_run_with_junk_anywhere(out: Path) -> None:
             except InputError as error:
                 said = str(error)
                 assert str(out / "run.json") in said
+        assert main(["info", str(out)]) in (0, 3)
+        assert "unexpected" not in capsys.readouterr().err
         try:
             earlier_statistics(out, "classic", document["plan"]["parameters"])
         except ConfigError as error:
