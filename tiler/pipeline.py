@@ -226,7 +226,7 @@ def _tell(job: Job, until: str) -> None:
         )
     if is_url(job.products):
         job.note(
-            f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
+            f"{RUN}, {EVENTS} and {REPORT} are in {job.out}; copies go to {job.products} when the run ends"
         )
     seconds = stage_seconds(
         plan, [raster.stage for raster in required_rasters(plan.config)], until

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -83,7 +84,7 @@ def test_summary_to_stdout_progress_to_stderr(
         "points      3,000,000 of 2 files, 12 dropped",
         "ground      2,000,000 points, in 6 tiles, 3 labels not certified",
         "low noise   1,200 points below the ground",
-        "DTM         OUT/dtm.tif, 1,200 x 600 pixels of 0.5 m",
+        f"DTM         OUT{os.sep}dtm.tif, 1,200 x 600 pixels of 0.5 m",
         "time        1:30 min, 33.3 k points/s",
         "memory      300.0 MiB at most in one process",
         "left out    bad.laz: cut short",
@@ -146,14 +147,14 @@ def test_a_summary_tells_what_was_made() -> None:
     assert lines[1:15] == [
         "ground      1,999,000 points, in 6 tiles, 3 labels not certified",
         "low noise   1,200 points below the ground",
-        "DTM         OUT/dtm.tif, 12 x 6 pixels of 2 ft",
-        "contours    12 lines every 5 ft, OUT/contours.gpkg",
-        "spots       1 top, 2 bottoms, OUT/spots.gpkg",
+        f"DTM         OUT{os.sep}dtm.tif, 12 x 6 pixels of 2 ft",
+        f"contours    12 lines every 5 ft, OUT{os.sep}contours.gpkg",
+        f"spots       1 top, 2 bottoms, OUT{os.sep}spots.gpkg",
         "water       none found",
         "bridges     none found",
-        "outline     1 polygon, OUT/outline.gpkg",
-        "clouds      1 classified cloud, OUT/classified",
-        "sheets      3 sheets, OUT/sheets.gpkg",
+        f"outline     1 polygon, OUT{os.sep}outline.gpkg",
+        f"clouds      1 classified cloud, OUT{os.sep}classified",
+        f"sheets      3 sheets, OUT{os.sep}sheets.gpkg",
         "edit        1 (not_ground): 7 of 9 points were ground before, none after; 94,637 pixels without a height",
         "edit        2 (flat): 1 pixel",
         "problems    3: void inside the survey (2), class that is not filtered",
@@ -165,8 +166,8 @@ def test_a_summary_tells_what_was_made() -> None:
     found = {"water": [{"kind": "lake"}, {"kind": "river"}, {"kind": "river"}], "bridges": [{}]}
     found["outputs"] = {"water.gpkg": 1, "bridges.gpkg": 1}
     lines = summary_lines({**SUMMARY, **found}, "OUT")
-    assert "water       1 lake, 2 rivers, OUT/water.gpkg" in lines
-    assert "bridges     1 bridge left out, OUT/bridges.gpkg" in lines
+    assert f"water       1 lake, 2 rivers, OUT{os.sep}water.gpkg" in lines
+    assert f"bridges     1 bridge left out, OUT{os.sep}bridges.gpkg" in lines
     many = [{"path": f"{n}.laz", "error": f"{n}.laz: cut short"} for n in range(40)]
     lines = summary_lines({**SUMMARY, **MADE, "quarantined": many}, "OUT")
     left_out = [line for line in lines if line.startswith("left out")]

@@ -22,7 +22,7 @@ PLAIN = {"dtm.tif", "outline.gpkg", "classified/hill.laz", "classified.vpc", "st
 
 def rasters(out: Path) -> set[str]:
     return {
-        str(path.relative_to(out))
+        path.relative_to(out).as_posix()
         for path in out.rglob("*.tif")
         if "store.zarr" not in path.parts
     }

@@ -113,7 +113,9 @@ def test_a_product_that_came_between_two_runs_is_the_users(cloud: Path, tmp_path
     before |= put(out, "density")
     with pytest.raises(ConfigError, match="density: already exists"):
         do(cloud, out, products="density", sheets="40")
-    with pytest.raises(ProcessingError, match=re.escape(f"{out}/density: cannot be written")):
+    with pytest.raises(
+        ProcessingError, match=re.escape(f"{out / 'density'}: cannot be written")
+    ):
         do(cloud, out, products="density", sheets="40", force=True)
     mine = {name: data for name, data in before.items() if data.startswith(b"mine")}
     assert content(out).items() >= mine.items()

@@ -101,6 +101,12 @@ def end_of(call: list[str], at_work: Callable[[psutil.Process], bool]) -> str:
     return error
 
 
+no_sigterm = pytest.mark.skipif(
+    sys.platform == "win32", reason="Windows kills a process instead of sending it SIGTERM"
+)
+
+
+@no_sigterm
 @pytest.mark.processes
 @pytest.mark.parametrize("name", ["plan --aoi", pytest.param("info", marks=pytest.mark.slow)])
 def test_sigterm_ends_the_reading_of_what_never_ends(
@@ -137,6 +143,7 @@ def interrupted(folder: Path, program: str, grace_seconds: float) -> str:
     )
 
 
+@no_sigterm
 @pytest.mark.processes
 def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
     """As a compressor does whose file is written by Python."""
@@ -146,6 +153,7 @@ def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path
     assert interrupted(tmp_path, stuck, grace_seconds=900) == "tiler: interrupted\n"
 
 
+@no_sigterm
 @pytest.mark.processes
 @pytest.mark.parametrize(
     "what",

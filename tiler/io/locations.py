@@ -299,8 +299,9 @@ def _url_of(name: str, url: str, place: str) -> str | None:
 
 
 def joined(place: str, *names: str) -> str:
-    """Return the path or URL of a name in a folder."""
-    return "/".join((place.rstrip("/"), *names))
+    """Return the path or URL of a name in a folder. A path has the system's own separators: it is opened and shown."""
+    whole = "/".join((place.rstrip("/" + os.sep), *names))
+    return whole if is_url(place) else whole.replace("/", os.sep)
 
 
 def names_in(place: str) -> list[str]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from tiler.errors import ConfigError
 from tiler.io.json_text import parse_json_object
-from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at
+from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at, with_slashes
 from tiler.redaction import without_secrets
 
 RUN = "run.json"
@@ -105,8 +105,8 @@ def is_results(place: str) -> bool:
 
 
 def below(out: str, place: str) -> str:
-    """Return the path in ``out`` of the file at ``place``, a path or URL."""
-    return place.removeprefix(out.rstrip("/")).lstrip("/")
+    """Return the path in ``out`` of the file at ``place``, a path or URL. It has slashes, as in run.json."""
+    return with_slashes(place).removeprefix(with_slashes(out).rstrip("/")).lstrip("/")
 
 
 def _earlier_run(out: Path, products: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ def write_run_file(out: Path, content: Mapping[str, Any]) -> None:
     try:
         write_atomic(out / RUN, text.encode())
     except OSError as error:
-        raise write_error(f"{out}/{RUN}", error, out) from error
+        raise write_error(str(out / RUN), error, out) from error
 
 
 def record_end(out: Path, state: str, exit_code: int) -> None:

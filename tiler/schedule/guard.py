@@ -7,6 +7,7 @@ the cause of its death.
 
 from __future__ import annotations
 
+import ctypes
 import pickle
 import signal
 import struct
@@ -16,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from types import TracebackType
 from typing import IO, Any, TypeAlias, TypeVar
 
@@ -296,13 +297,38 @@ def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | 
     if FORKS:
         return fork_child(memory_bytes, call, prepare)
     limit = [] if memory_bytes is None else [str(memory_bytes)]
-    return subprocess.Popen(
+    child = subprocess.Popen(
         [sys.executable, "-P", "-m", "tiler.schedule.guarded", *limit],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=child_environment(),
     )
+    if sys.platform == "win32":
+        _end_with_this_process(child)
+    return child
+
+
+if sys.platform == "win32":
+
+    @cache
+    def _job() -> ctypes.c_void_p:
+        """Return a job of Windows, which ends its processes when the last handle of the job is closed."""
+        kernel = ctypes.WinDLL("kernel32")
+        kernel.CreateJobObjectW.restype = ctypes.c_void_p
+        job = ctypes.c_void_p(kernel.CreateJobObjectW(None, None))
+        # A JOBOBJECT_EXTENDED_LIMIT_INFORMATION with JOB_OBJECT_LIMIT_KILL_ON_JOB_CLOSE alone.
+        limits = struct.pack("<16xI124x", 0x2000)
+        kernel.SetInformationJobObject(job, 9, limits, len(limits))
+        return job
+
+    def _end_with_this_process(child: Any) -> None:
+        """Let Windows end a child when this process has ended, even if the child hangs and holds Python's lock.
+
+        Where Windows refuses this, the child ends at the limit of its call.
+        """
+        handle = ctypes.c_void_p(int(child._handle))  # a child of `subprocess.Popen`
+        ctypes.WinDLL("kernel32").AssignProcessToJobObject(_job(), handle)
 
 
 def _pipe(stream: IO[bytes] | None) -> IO[bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import uuid
 from contextlib import suppress
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from tiler.errors import ConfigError, ProcessingError
 from tiler.io import cloud_reading, locations
 from tiler.io.atomic_files import partial_path
+from tiler.io.result_folder import below
 
 
 @pytest.fixture
@@ -85,7 +87,18 @@ def test_a_path_is_a_path(tmp_path: Path) -> None:
     with locations.staging_folder(str(tmp_path)) as folder:
         assert folder == tmp_path
     assert locations.state_at(str(tmp_path / "nowhere")) is None
-    assert locations.joined("a/", "b", "c") == "a/b/c"
+    assert locations.joined("a/", "b", "c/d.tif") == str(Path("a/b/c/d.tif"))
+    assert locations.joined("s3://a/", "b", "c/d.tif") == "s3://a/b/c/d.tif"
+
+
+def test_paths_on_windows_have_its_own_separators(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as windows:
+        windows.setattr(os, "sep", "\\")
+        assert locations.joined("job/out", "sheets/a.tif") == r"job\out\sheets\a.tif"
+        assert locations.joined("C:\\", "dtm.tif") == r"C:\dtm.tif"
+        assert locations.joined("s3://a", "b/c.tif") == "s3://a/b/c.tif"
+        assert below("job/out", locations.joined("job/out", "sheets/a.tif")) == "sheets/a.tif"
+        assert locations.with_slashes(r"job\out\dtm.tif") == "job/out/dtm.tif"
 
 
 def test_a_url_that_no_library_knows_is_refused() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import signal
+import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import psutil
 import pytest
 
+from tests.integration.command import started
 from tests.scenes.running import wait_until_gone
 from tests.tiler.schedule import calls
 from tests.waiting import PATIENCE_SECONDS
@@ -74,6 +77,25 @@ def test_a_child_that_dies_is_replaced(
     with pytest.raises(ChildDiedError, match=f"^{fate}"):
         guard.call(work, *arguments, seconds=seconds)
     assert guard.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
+
+
+OF_ANOTHER_PROCESS = f"""
+from tests.tiler.schedule import calls
+from tiler.schedule import ChildProcess
+with ChildProcess() as guard:
+    print(guard.call(calls.pid, seconds={PATIENCE_SECONDS}), flush=True)
+    guard.call(calls.hang_with_the_lock, seconds={3 * PATIENCE_SECONDS})
+"""
+
+
+@pytest.mark.processes
+def test_a_child_that_holds_the_lock_ends_when_its_parent_is_killed() -> None:
+    with started([sys.executable, "-c", OF_ANOTHER_PROCESS]) as parent:
+        assert parent.stdout is not None
+        child = psutil.Process(int(parent.stdout.readline()))
+        time.sleep(0.3)  # Usually it hangs by now; it has to end in either case.
+        parent.kill()
+    wait_until_gone([child])
 
 
 @pytest.mark.processes
