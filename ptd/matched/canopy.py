@@ -16,9 +16,10 @@ other surfaces:
 The canopy is the area that wavy and tall cells cover together, with small openings filled. A square must fit into it: a
 smaller one if half of it is wavy, a larger one otherwise, because gardens and gables are rough, too. In the canopy,
 crowns that were classified as ground are not ground. Ground seen next to and between them stays as far as it continues
-without a step. Pits in crowns do not stay: they are far shallower than the trees are high. The height of trees is
-measured where the ground at their foot is visible. Every sum ends at a fixed distance, so cells farther than
-`reach_cells` do not change the result.
+without a step. Pits in crowns do not stay: they are far shallower than the trees are high. So is a surface that still
+runs over crowns after these were removed, so `pits` is called again for it. The height of trees is measured where the
+ground at their foot is visible. Every sum ends at a fixed distance, so cells farther than `reach_cells` do not change
+the result.
 
 Colours are not used, because a store contains them only for the few methods that need them.
 ``docs/filters.md`` reports what colours would add, and which canopies are found and missed.
@@ -87,10 +88,13 @@ GROWN_M, STEEPEST = 8.0, 0.3
 largest slope from cell to cell."""
 
 
+AMID_M, AMID, CROWDED = 41.0, 0.3, 0.3
+"""Side of the squares around a pit of which a canopy covers more than `AMID`, and smallest share of
+crowns in the square of `PIT_M`."""
 PIT_M, WIDE_M, TREES_M, PIT_SHARE = 15.0, 6.0, 160.0, 0.5
 """Sides of three squares, and part of the height of trees below which an opening is a pit and not ground.
 
-The depth of ground is measured from the highest crown in the first square. A wide opening is
+The depth of the surface is measured from the highest crown in the first square. A wide opening is
 one into which the second square fits. The mean depth of the ground in wide openings of the
 third square is the height of the trees. The largest depth would not do: it may be that of
 ground at the foot of a cliff.
@@ -116,12 +120,15 @@ def reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which heights do not change `canopy`, for a given surface."""
     wavy = 2 * (_odd_cells(AROUND_M, cell_m) // 2)
     shape = 2 * (_odd_cells(CLOSED_M, cell_m) // 2 + _odd_cells(TALL_SIZE_M, cell_m) // 2)
-    pits = (
-        2 * (_odd_cells(WIDE_M, cell_m) // 2)
-        + _odd_cells(PIT_M, cell_m) // 2
-        + _odd_cells(TREES_M, cell_m) // 2
+    return wavy + shape + _steps(cell_m) + pit_reach_cells(cell_m, 1)
+
+
+def pit_reach_cells(cell_m: float, rounds: int) -> int:
+    """Return the distance in cells beyond which cells do not change `pits`, for a given surface."""
+    wide, trees, crowns, amid = (
+        _odd_cells(size_m, cell_m) // 2 for size_m in (WIDE_M, TREES_M, PIT_M, AMID_M)
     )
-    return wavy + shape + _steps(cell_m) + pits
+    return max(trees + max(crowns, 2 * wide), amid) + (rounds - 1) * crowns
 
 
 def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> Canopy:
@@ -151,7 +158,43 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
         wide &= ~_roofs(heights, tall, around)
     seen = _grown(heights, ground & ~wide & ~climbed & ~wavy, ground & climbed, cell_m)
     covered, crowns = (wide | climbed) & ~seen, climbed & ~seen
-    return Canopy(covered, crowns | covered & _pits(heights, ground & ~crowns, covered, around))
+    below_crowns = pits(heights, surface.height, ground & ~crowns, covered, cell_m, 1)
+    return Canopy(covered, crowns | below_crowns)
+
+
+def pits(
+    heights: Float64, surface: Float64, ground: Bool, covered: Bool, cell_m: float, rounds: int
+) -> Bool:
+    """Return the cells amid a canopy where the surface is far less deep below crowns than ground in wide openings.
+
+    Parameters
+    ----------
+    heights : float64 [rows, columns]
+        Heights of all cells in metres; NaN elsewhere.
+    surface : float64 [rows, columns]
+        Heights of the ground surface in metres.
+    ground : bool [rows, columns]
+        Cells near the surface.
+    covered : bool [rows, columns]
+        Cells that the canopy covers.
+    cell_m : float
+        Size of the cells in metres.
+    rounds : int
+        The pits of a round are crowns in the next one, so an area of crowns is found from its edge inwards.
+    """
+    found = np.zeros_like(ground)
+    if not covered.any():
+        return found
+    there, around = np.isfinite(heights), _Squares(cell_m)
+    is_amid = there & (around.mean(covered.astype(np.float64), there, AMID_M) > AMID)
+    crowns = covered & there & ~ground
+    depth = _depths(heights, surface, crowns, around)
+    wide = ground & np.isfinite(depth) & around.opened(ground, WIDE_M)
+    least = PIT_SHARE * around.mean(depth, wide, TREES_M)
+    for _ in range(rounds):
+        found |= is_amid & (depth < least)
+        depth = _depths(heights, surface, crowns | found, around)
+    return found
 
 
 def may_be(heights: Float64, cell_m: float) -> Bool:
@@ -259,15 +302,11 @@ def _grown(heights: Float64, seen: Bool, may_join: Bool, cell_m: float) -> Bool:
     return reached
 
 
-def _pits(heights: Float64, ground: Bool, covered: Bool, around: _Squares) -> Bool:
-    """Return the ground cells that are far less deep below the crowns next to them than ground in wide openings."""
-    crowns = np.where(covered & ~ground, heights, -np.inf)
-    tops = around.highest(crowns, PIT_M)
-    beside = ground & np.isfinite(tops)
-    depth = np.where(beside, tops - heights, 0.0)
-    tree_height = around.mean(depth, beside & around.opened(ground, WIDE_M), TREES_M)
-    pits: Bool = beside & (depth < PIT_SHARE * tree_height)
-    return pits
+def _depths(heights: Float64, surface: Float64, crowns: Bool, around: _Squares) -> Float64:
+    """Return the depths of the surface below the highest crown around, NaN where crowns are few."""
+    share = around.mean(crowns.astype(np.float64), np.isfinite(heights), PIT_M)
+    tops = around.highest(np.where(crowns, heights, -np.inf), PIT_M)
+    return np.where(share > CROWDED, tops - surface, np.nan)
 
 
 @dataclass(frozen=True)

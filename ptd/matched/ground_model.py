@@ -71,6 +71,8 @@ class Ground:
     scale : Scale
     sigma_m, radius_m : Field
         Noise and radius of the vote in metres, by place.
+    hidden : bool [rows, columns] or None
+        Cells without ground, because a canopy hides it.
     around : Around or None
         Features of the cells around each point for the last look; None: there is no last look.
     """
@@ -80,6 +82,7 @@ class Ground:
     scale: Scale
     sigma_m: Field
     radius_m: Field
+    hidden: Bool | None = None
     around: cell_features.Around | None = None
 
     def classes(self, x: Int32, y: Int32, z: Int32) -> UInt8:
@@ -94,13 +97,17 @@ class Ground:
         voted = voting.votes(x, y, residual, asked, self.radius_m, self.sigma_m, self.scale)
         limits = _Limits(sigma, narrowing, GROUND_M)
         labels = _classes(x, y, above, voted, limits, self.position, parts_per_metre)
-        if self.around is None:
-            return labels
-        heights = last_look.Heights.of(
-            x, y, above, np.where(asked, voted / parts_per_metre, above), labels
-        )
         cell = _cell_of(x, y, self.position, *height.shape)
-        return last_look.relabelled(heights, cell, self.around, self.scale, last_look_trees())
+        if self.around is not None:
+            heights = last_look.Heights.of(
+                x, y, above, np.where(asked, voted / parts_per_metre, above), labels
+            )
+            labels = last_look.relabelled(
+                heights, cell, self.around, self.scale, last_look_trees()
+            )
+        if self.hidden is not None:
+            labels[(labels == GROUND) & self.hidden.reshape(-1)[cell]] = UNCLASSIFIED
+        return labels
 
 
 class GroundModel(Model):
@@ -117,13 +124,14 @@ class GroundModel(Model):
         cells: CellLattice,
         scale: Scale,
         state: State,
+        hidden: Bool | None = None,
     ) -> GroundModel:
-        """Return the model of a surface on the cells of a raster."""
+        """Return the model of a surface on the cells of a raster, without ground in hidden cells."""
         position = RasterPosition(
             cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row
         )
         ground = Ground(
-            found, position, scale, noise_m(state, scale), vote_radius_m(state, scale)
+            found, position, scale, noise_m(state, scale), vote_radius_m(state, scale), hidden
         )
         return cls(ground, {"cells": int(raster.keys.size)})
 

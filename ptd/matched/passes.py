@@ -18,9 +18,10 @@ from ptd.matched import (
     surface,
     voting,
 )
+from ptd.matched.canopy import pit_reach_cells, pits
 from ptd.matched.canopy_pass import CanopyPass, below_canopy
 from ptd.matched.cells import CELL_M, EMPTY, SPARSE_CELL_M, cell_heights, raster_of
-from ptd.matched.ground_model import GroundModel
+from ptd.matched.ground_model import GroundModel, band
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, lower_envelope
 from ptd.matched.place_figures import CELL_SIZES_M, cell_sizes
 from ptd.matched.step import (
@@ -38,6 +39,9 @@ from ptd.matched.step import (
 )
 from ptd.passes import Int32, Model, Pass, Points, State, UInt8
 from ptd.places import PLACES, on_cells
+
+PIT_ROUNDS = 5
+"""Number of times that pits of a canopy are searched for next to those found before."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +181,7 @@ class SurfacePass(MatchedPass):
         (
             surface.reach_cells(size_m)
             + islands.reach_cells(size_m)
+            + pit_reach_cells(size_m, PIT_ROUNDS)
             + cell_features.reach_cells(size_m)
         )
         * size_m
@@ -225,8 +230,19 @@ class SurfacePass(MatchedPass):
         fitted_surface = islands.without_islands(
             fitted_surface, raster.heights, everything, scale, size_m
         )
-        model = GroundModel.of(fitted_surface, raster, cells, scale, state)
+        hidden = _pits(everything, codes, fitted_surface, scale, size_m)
+        model = GroundModel.of(fitted_surface, raster, cells, scale, state, hidden)
         return model.with_last_look(raster, size_m) if self.refine else model
+
+
+def _pits(
+    heights: Int32, codes: UInt8, fitted: surface.Surface, scale: Scale, cell_m: float
+) -> Bool:
+    """Return the cells of crowns near a surface, from heights in counts and codes of all cells."""
+    metres = np.where(heights == EMPTY, np.nan, heights / scale.counts_z(1.0))
+    near = np.abs(metres - fitted.height) < band(fitted.sigma, fitted.narrowing)
+    ground = near & (codes & CODE != OBJECT) & (codes & CROWN == 0)
+    return pits(metres, fitted.height, ground, codes >= COVERED, cell_m, PIT_ROUNDS)
 
 
 PASSES: tuple[Pass, ...] = (

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ptd.matched.canopy import Canopy, canopy, may_be, reach_cells
+from ptd.matched.canopy import Canopy, canopy, may_be, pit_reach_cells, pits, reach_cells
+from ptd.matched.passes import PIT_ROUNDS
 from ptd.matched.surface import Surface
 
 SIDE = 160
@@ -113,6 +114,33 @@ def test_ground_in_openings_of_tall_crowns_stays_and_is_covered() -> None:
     found = seen(np.where(glimpse, 0.0, tall), np.zeros_like(tall))
     assert found.covered.mean() > 0.95
     assert not found.crowns.any()
+
+
+def pits_in_a_wood(rounds: int, beyond: int = SIDE) -> np.ndarray:
+    """Pits found in a wood of 12 m with a lawn, and with crowns that are ground with 0.1 m, 28 cells wide."""
+    lawn = (abs(ROWS - 80) < 20) & (abs(COLUMNS - 80) < 20)
+    climbed = (abs(ROWS - 80) < 14) & (abs(COLUMNS - 130) < 14)
+    heights = np.where(lawn, 0.0, 12.0 + crowns())
+    surface = np.where(climbed, heights - 0.1, 0.0)
+    ground = lawn | climbed
+    far = np.hypot(ROWS - 80, COLUMNS - 130) > beyond
+    heights[far], ground[far], surface[far] = 50.0, True, 50.0
+    return pits(heights, surface, ground, ~ground, 1.0, rounds)
+
+
+def test_crowns_that_are_ground_are_pits_from_their_edge_inwards() -> None:
+    climbed = (abs(ROWS - 80) < 14) & (abs(COLUMNS - 130) < 14)
+    once, often = pits_in_a_wood(1), pits_in_a_wood(PIT_ROUNDS)
+    assert 0 < once[climbed].mean() < 1
+    assert often[climbed].all()
+    assert not often[~climbed].any()
+
+
+def test_cells_beyond_the_reach_of_pits_have_no_part() -> None:
+    found = pits_in_a_wood(PIT_ROUNDS)
+    changed = pits_in_a_wood(PIT_ROUNDS, pit_reach_cells(1.0, PIT_ROUNDS))
+    assert found[80, 130]
+    assert changed[80, 130]
 
 
 def test_nothing_beyond_the_reach_has_a_part() -> None:

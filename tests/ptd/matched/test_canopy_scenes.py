@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from ptd.api import _counts, do_passes
 from ptd.frame import Window
+from ptd.matched.canopy import AMID_M
 from ptd.matched.canopy_pass import BORDER_M, CanopyPass
 from ptd.matched.cell_features import CELL_REACH_M
 from ptd.matched.cells import SPARSE_CELL_M
@@ -24,9 +25,11 @@ from tests.benchmarks.scan_scenes import scan_scenes
 from tests.benchmarks.scorecard_scenes import Cloud, read_clouds, simulated
 from tests.scenes.canopies import Canopy as Wood
 
-BESIDE_M = np.sqrt(2.0) * (BORDER_M + CELL_REACH_M + REACH_M + 2 * SPARSE_CELL_M)
+BESIDE_M = np.sqrt(2.0) * (
+    max(BORDER_M, AMID_M / 2) + CELL_REACH_M + REACH_M + 2 * SPARSE_CELL_M
+)
 """A label hangs on the surface as far as the last look sees, and there on a canopy within the
-border."""
+border or the square around a pit."""
 
 
 class Found(NamedTuple):
@@ -117,7 +120,7 @@ def assert_no_harm(cloud: Cloud, labels: Found) -> None:
 @pytest.mark.parametrize("clearings", [False, True])
 @pytest.mark.parametrize("hilly", [False, True])
 def test_simulated_woods_are_told_and_bridged(hilly: bool, clearings: bool) -> None:
-    """The share is told within a third; the terrain is 0.47 to 0.64 times as wrong as without the pass."""
+    """The share is told within a third; the terrain is 0.05 to 0.56 times as wrong as without the pass."""
     wood = Wood(hilly, clearings)
     points = wood.points()
     cloud = Cloud(
@@ -128,7 +131,7 @@ def test_simulated_woods_are_told_and_bridged(hilly: bool, clearings: bool) -> N
     before, after = (dtm_rmse_m(cloud, found == 2) for found in (labels.before, labels.after))
     assert before is not None
     assert after is not None
-    assert after < 0.7 * before
+    assert after < 0.6 * before
     assert ((labels.after == 2) & (points.label != 2)).mean() < 0.06
     assert changed_beyond(points.xyz, labels) == 0
 
