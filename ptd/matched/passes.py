@@ -180,9 +180,10 @@ class SurfacePass(MatchedPass):
     influence_radius_m: float | None = max(
         (
             surface.reach_cells(size_m)
-            + islands.reach_cells(size_m)
-            + pit_reach_cells(size_m, PIT_ROUNDS)
-            + cell_features.reach_cells(size_m)
+            + max(
+                islands.reach_cells(size_m) + cell_features.reach_cells(size_m),
+                pit_reach_cells(size_m, PIT_ROUNDS),
+            )
         )
         * size_m
         for size_m in CELL_SIZES_M
@@ -227,10 +228,11 @@ class SurfacePass(MatchedPass):
                 raster, heights=np.where(crowns, EMPTY, raster.heights).astype(np.int32)
             )
             fitted_surface = below_canopy(fitted_surface, ground(raster.heights), ~bare, size_m)
+        # The pits are those of the surface with islands, so that the two radii do not add up.
+        hidden = _pits(everything, codes, fitted_surface, scale, size_m)
         fitted_surface = islands.without_islands(
             fitted_surface, raster.heights, everything, scale, size_m
         )
-        hidden = _pits(everything, codes, fitted_surface, scale, size_m)
         model = GroundModel.of(fitted_surface, raster, cells, scale, state, hidden)
         return model.with_last_look(raster, size_m) if self.refine else model
 
