@@ -136,15 +136,15 @@ def write_error(what: str, error: Exception, folder: Path | None = None) -> Proc
         return DiskFullError(
             f"{what}: cannot be written ({reason}): the disk is full; free some space and run again"
         )
-    if os.name == "nt" and len(os.path.abspath(what)) > _MAX_WINDOWS_PATH:
-        return ProcessingError(
-            f"{what}: cannot be written ({reason}): its path has more than {_MAX_WINDOWS_PATH} characters; use a "
-            "shorter one, or enable long paths in Windows, then run again"
-        )
     if is_in_use(error):
         return ProcessingError(
             f"{what}: cannot be written ({reason}): another program has it open, or it is protected; close it there, "
             "check permissions, then run again"
+        )
+    if os.name == "nt" and len(os.path.abspath(what)) > _MAX_WINDOWS_PATH:
+        return ProcessingError(
+            f"{what}: cannot be written ({reason}): its path has more than {_MAX_WINDOWS_PATH} characters; use a "
+            "shorter one, or enable long paths in Windows, then run again"
         )
     return ProcessingError(
         f"{what}: cannot be written ({reason}); check free space and permissions, then run again"

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import click
@@ -16,6 +15,7 @@ from cli.output import map_lines, print_facts, print_json, print_table, write_li
 from cli.session import TilerCommand
 from cli.summary import failed_lines, left_out_lines, memory_text
 from tiler.core.words import counted
+from tiler.io.locations import as_path
 from tiler.observe.progress import duration_text, size_text
 
 
@@ -50,7 +50,7 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
         density = description.pop("density_map", None)
         # Only the facts of a run come from a file that may hold anything.
         with (
-            run_file_errors(Path(paths[0]))
+            run_file_errors(as_path(paths[0]))
             if description["kind"] == "result"
             else nullcontext()
         ):

@@ -16,10 +16,10 @@ other surfaces:
 The canopy is the area that wavy and tall cells cover together, with small openings filled. A square must fit into it: a
 smaller one if half of it is wavy, a larger one otherwise, because gardens and gables are rough, too. In the canopy,
 crowns that were classified as ground are not ground. Ground seen next to and between them stays as far as it continues
-without a step. Pits in crowns do not stay: they are far shallower than the trees are high. So is a surface that still
-runs over crowns after these were removed, so `pits` is called again for it. The height of trees is measured where the
-ground at their foot is visible. Every sum ends at a fixed distance, so cells farther than `reach_cells` do not change
-the result.
+without a step. Pits in crowns do not stay: they are far shallower than the trees are high. The height of trees is
+measured where the ground at their foot is visible. When these crowns are removed, the surface may still run over
+others, so `pits` is called again for it. Every sum ends at a fixed distance, so cells farther than `reach_cells` do
+not change the result.
 
 Colours are not used, because a store contains them only for the few methods that need them.
 ``docs/filters.md`` reports what colours would add, and which canopies are found and missed.
@@ -158,8 +158,8 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
         wide &= ~_roofs(heights, tall, around)
     seen = _grown(heights, ground & ~wide & ~climbed & ~wavy, ground & climbed, cell_m)
     covered, crowns = (wide | climbed) & ~seen, climbed & ~seen
-    below_crowns = pits(heights, surface.height, ground & ~crowns, covered, cell_m, 1)
-    return Canopy(covered, crowns | below_crowns)
+    found = pits(heights, surface.height, ground & ~crowns, covered, cell_m, 1)
+    return Canopy(covered, crowns | found)
 
 
 def pits(
@@ -191,9 +191,10 @@ def pits(
     depth = _depths(heights, surface, crowns, around)
     wide = ground & np.isfinite(depth) & around.opened(ground, WIDE_M)
     least = PIT_SHARE * around.mean(depth, wide, TREES_M)
-    for _ in range(rounds):
-        found |= is_amid & (depth < least)
+    found |= is_amid & (depth < least)
+    for _ in range(rounds - 1):
         depth = _depths(heights, surface, crowns | found, around)
+        found |= is_amid & (depth < least)
     return found
 
 

@@ -14,7 +14,7 @@ import scipy
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
 from ptd.matched import by_size, surface
-from ptd.matched.canopy import canopy, may_be
+from ptd.matched.canopy import PIT_M, canopy, may_be
 from ptd.matched.canopy import reach_cells as canopy_reach_cells
 from ptd.matched.cells import CELL_M, EMPTY, raster_of
 from ptd.matched.evidence import percent
@@ -90,7 +90,9 @@ class CanopyPass(MatchedPass):
         flat[raster.keys] = codes
         coded = flat.reshape(raster.heights.shape)
         metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
-        is_near_core = _widened(core, scale.counts(size_m)).contains(*points.xyz[:2])
+        # Pits lie next to a canopy, too.
+        beside = scale.counts(PIT_M / 2 + 2 * size_m)
+        is_near_core = _widened(core, beside).contains(*points.xyz[:2])
         # Without cells that a canopy may cover, no surface is needed. The surface is nearly all
         # of the work.
         if not may_be(metres, size_m).reshape(-1)[raster.keys[is_near_core]].any():
@@ -104,7 +106,7 @@ class CanopyPass(MatchedPass):
         )
         near = band(ground.sigma, ground.narrowing)
         covered, crowns = canopy(metres, ground, np.abs(metres - ground.height) < near, size_m)
-        coded[crowns] |= CROWN
+        coded[crowns & (coded != OBJECT)] |= CROWN
         coded[covered] |= COVERED
         return Codes(raster, coded.reshape(-1)[raster.keys], cells)
 

@@ -17,7 +17,7 @@ from ptd.places import PLACES, Field, field
 LEFT, TERRAIN, OBJECT = 1, 2, 3
 """Codes of cells between passes: undecided, terrain, and large object."""
 CODE, CROWN, COVERED = 3, 4, 8
-"""Mask of these codes, bit of crowns that were classified as ground, and bit of cells where a
+"""Mask of these codes, bit of cells that a surface over crowns would use, and bit of cells where a
 canopy hides the ground."""
 
 

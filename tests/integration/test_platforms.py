@@ -99,7 +99,7 @@ def windows(tmp_path: Path) -> dict[str, Any]:
         "PYTHONPATH": os.pathsep.join((str(folder), paths["PYTHONPATH"])),
         "PYTHONIOENCODING": "cp1252:strict",
     }
-    return {"env": {**paths, **own}, "start_new_session": True}
+    return {"env": {**paths, **own}, "encoding": "cp1252", "start_new_session": True}
 
 
 @pytest.mark.slow

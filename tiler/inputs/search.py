@@ -116,7 +116,7 @@ def find_inputs(
         raise failed
     if not clouds:
         why, remedy = f" ({reported[0]})" if reported else "", "give files, folders or globs"
-        if packed := _packed([str(path) for path in paths]):
+        if not reported and (packed := _packed([str(path) for path in paths])):
             why += f", but packed files ({words.listed(packed, 2, 'files')})"
             remedy = "unpack them and give the LAS or LAZ files in them"
         raise InputError(
@@ -129,7 +129,9 @@ def find_inputs(
 def _packed(paths: Sequence[str]) -> list[str]:
     """Return the packed files in local folders and globs."""
     found = chain.from_iterable(
-        _expanded(text, lambda text: None, PACKED)[1] for text in paths if not is_url(text)
+        _expanded(text, lambda text: None, PACKED)[1]
+        for text in paths
+        if not is_url(text) and not is_list(text)
     )
     return [str(path) for path in found if path.suffix.lower() in PACKED]
 
