@@ -73,7 +73,9 @@ def test_a_canopy_is_bridged_and_marked_and_told(cloud: Path, tmp_path: Path) ->
     beyond = np.isnan(heights)  # where no ground is seen on one side
     assert ((mask == 6) | beyond).mean() == pytest.approx(share, abs=0.1)
     assert np.isfinite(heights[mask == 6]).all()
-    assert np.abs(heights - truth(heights.shape))[mask == 1].mean() < 1.0
+    errors = np.abs(heights - truth(heights.shape))
+    assert errors[mask == 1].mean() < 1.0
+    assert errors[mask == 6].mean() < 1.0  # hills of 12 m below trees of 14 to 22 m
     page = (tmp_path / "out/report.html").read_text()
     for (x, y), doubt in zip(run["canopy"]["places"], run["canopy_doubts"], strict=True):
         west, south, east, north = doubt["place"]
@@ -84,6 +86,13 @@ def test_a_canopy_is_bridged_and_marked_and_told(cloud: Path, tmp_path: Path) ->
         assert doubt["text"] in page
         assert f'data-place="{west:.10g},{south:.10g},{east:.10g},{north:.10g}"' in page
     assert "canopy, bridged" in page
+
+
+def test_a_canopy_has_heights_where_facets_are_too_long(cloud: Path, tmp_path: Path) -> None:
+    _, _, usual = ran(cloud, tmp_path / "out")
+    _, heights, mask = ran(cloud, tmp_path / "short", "--max-edge", 10)
+    assert (mask == 6).sum() > 0.8 * (usual == 6).sum()
+    assert np.abs(heights - truth(heights.shape))[mask == 6].mean() < 1.0
 
 
 def test_a_canopy_may_be_left_without_heights(cloud: Path, tmp_path: Path) -> None:

@@ -159,8 +159,8 @@ class RunConfig:
     )
     canopy: str = setting(
         FILL_CANOPY,
-        "terrain where a closed canopy hides the ground of a photogrammetric cloud: fill (interpolate from the ground "
-        "around it and in its openings, value 6 of the mask) or void (no heights)",
+        "terrain where a closed canopy hides the ground of a photogrammetric cloud: fill (from the ground around it, "
+        "farther in from the height of its crowns, value 6 of the mask) or void (no heights)",
         choices=(FILL_CANOPY, VOID_CANOPY),
     )
     breaklines: tuple[str, ...] = files(

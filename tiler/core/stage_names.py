@@ -37,6 +37,7 @@ _FORMS = {
     "voids": "voids",
     "filled": "voids filled",
     "outlined": "cut at the outline",
+    "below": "terrain below it",
     "above": "where it lies above all returns",
     "open": "gaps",
     "terrain": "terrain in cells",

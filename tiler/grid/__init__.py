@@ -8,6 +8,7 @@ from tiler.grid.above import (
     AboveBlock,
     above_block,
 )
+from tiler.grid.below_canopy import BelowCanopy, below_canopy, cells_below
 from tiler.grid.blank import BlankBlocks, blank_blocks
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.bridges.examine import (
@@ -17,7 +18,7 @@ from tiler.grid.bridges.examine import (
     examined_bounds,
     find_deck_cells,
 )
-from tiler.grid.canopy import CANOPY_AROUND, CanopyBlock, canopy_block
+from tiler.grid.canopy import CanopyBlock, canopy_block, canopy_reach_cells
 from tiler.grid.coarse import blocks_of
 from tiler.grid.coverage import (
     NO_PIECE,
@@ -67,12 +68,12 @@ from tiler.grid.work import GridBlock, GridBlocks, PointsBlock
 __all__ = [
     "ABOVE_M",
     "BELOW_M",
-    "CANOPY_AROUND",
     "CELLS_PER_BLOCK",
     "CELL_PIXELS",
     "MIN_PLACE_M2",
     "NO_PIECE",
     "AboveBlock",
+    "BelowCanopy",
     "BlankBlocks",
     "CanopyBlock",
     "CloseBlock",
@@ -106,9 +107,12 @@ __all__ = [
     "Void",
     "VoidRasters",
     "above_block",
+    "below_canopy",
     "blank_blocks",
     "blocks_of",
     "canopy_block",
+    "canopy_reach_cells",
+    "cells_below",
     "close_block",
     "count_edited_points",
     "count_plane_rims",

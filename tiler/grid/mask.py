@@ -22,6 +22,7 @@ from tiler.core.mask_values import (
 )
 from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.canopy import OPEN
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
 from tiler.grid.records import MaskRecord
@@ -42,7 +43,7 @@ class MaskBlock(PointsBlock):
     coarse : RasterSpec
         Raster of the survey's cells.
     canopy : str or None
-        Raster of the pixels in which a canopy hides the ground.
+        Raster of the canopy.
     holes : tuple of Bounds
         Bounds of tiles that failed.
     area : str or None
@@ -87,7 +88,7 @@ def mask_block(store_url: str, work: MaskBlock) -> MaskRecord:
         OUTSIDE,
     ).astype(np.float32)
     if work.canopy is not None:
-        mask[(store.read_block(work.canopy, block) > 0) & filled] = CANOPY
+        mask[(store.read_block(work.canopy, block) > OPEN) & filled] = CANOPY
     waters = store.waters(work.waters, spec.block_bounds(block))
     if waters is not None:
         mask[waters.inside(spec, block) & filled] = WATER

@@ -10,6 +10,7 @@ from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.products import BEYOND, SURVEYED, VOID
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.block import edit_heights
+from tiler.grid.canopy import OPEN
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import padded
 from tiler.grid.holes import hole_cells, holes_of_block
@@ -33,7 +34,9 @@ class OutlineBlock(BlockWork):
     cut : bool
         Whether heights beyond the survey are removed.
     canopy : str or None
-        Raster of the pixels in which a canopy hides the ground. These pixels get no height.
+        Raster of the canopy. Where it hides the ground, pixels get no height.
+    below : str or None
+        Raster of the heights below a canopy, which replace those of the model.
     waters, edits : str or None
         Keys in the store of bodies of water, and of edits, which are applied after water. The digest includes those
         that touch the block.
@@ -48,6 +51,7 @@ class OutlineBlock(BlockWork):
     coarse: RasterSpec
     cut: bool = True
     canopy: str | None = None
+    below: str | None = None
     waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     finds_water: bool = False
@@ -73,7 +77,11 @@ def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
     beyond = cells[1:-1, 1:-1] == BEYOND
     heights, water = heights_before.copy(), []
     if work.canopy is not None:
-        heights[store.read_block(work.canopy, block) > 0] = nodata
+        heights[store.read_block(work.canopy, block) > OPEN] = nodata
+    if work.below is not None:
+        below = store.read_block(work.below, block)
+        heights = np.where(below != nodata, below, heights)
+    if work.canopy is not None or work.below is not None:
         edit_heights(store, work.edits, spec, block, heights)
     hidden = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
     waters = store.waters(work.waters, spec.block_bounds(block))

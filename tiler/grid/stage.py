@@ -97,8 +97,7 @@ def grid(
         report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
     job.results.dtm = replace(job.results.dtm, filled=_delivered_heights(gridding, "dtm"))
     _report_outline(job, gridding)
-    if "dtm-outlined" in gridding.made:
-        report_voids(job, gridding, gridding.made["dtm-outlined"])
+    report_voids(job, gridding, gridding.made["dtm-outlined"])
     report_above(job, gridding.spec, gridding.made[ABOVE])
     report_implausible(job, gridding.spec, gridding.made[ABOVE])
     if "dsm" in gridding.made:
@@ -186,7 +185,7 @@ def _delivered_heights(gridding: GridContext, model: str) -> int:
 
 
 def _report_outline(job: Job, gridding: GridContext) -> None:
-    made = gridding.made.get("dtm-outlined")
+    made = gridding.made["dtm-outlined"]
     if not made or job.plan.config.outline != "survey":
         return
     cut = sum(record.cut for record in records_of(OutlineRecord, made))

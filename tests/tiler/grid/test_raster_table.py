@@ -23,15 +23,21 @@ def test_each_raster_comes_after_its_inputs_and_only_once(voids: str) -> None:
 
 def test_nothing_is_made_that_no_product_needs() -> None:
     def names(
-        products: list[str], voids: str = "leave", outline: str = "hull", water: str = "none"
+        products: list[str], voids: str = "leave", outline: str = "hull", **more: str
     ) -> list[str]:
-        settings = {"products": products, "voids": voids, "outline": outline, "water": water}
+        settings = {
+            "products": products,
+            "voids": voids,
+            "outline": outline,
+            "water": "none",
+        } | more
         made = [raster.name for raster in required_rasters(RunConfig.from_mapping(settings))]
         assert made.pop() == "dtm-above"  # every run looks for terrain above all returns
         return made
 
-    assert names(["slope"]) == ["dtm", "slope"]
-    survey = ["occupancy", "survey-open", "survey"]
+    survey, canopy = ["occupancy", "survey-open", "survey"], ["canopy", "canopy-below"]
+    terrain = ["dtm", *survey, *canopy, "dtm-outlined"]
+    assert names(["slope"]) == [*terrain, "slope"]
     search = [
         "water-terrain",
         "water-ground",
@@ -46,12 +52,20 @@ def test_nothing_is_made_that_no_product_needs() -> None:
         "water-crowns",
         "water-cells",
     ]
-    assert names(["slope"], water="auto") == ["dtm", *survey, *search, "dtm-outlined", "slope"]
-    assert names(["ndsm"]) == ["dtm", *survey, "dsm", "ndsm"]
-    assert names(["mask"]) == ["dtm", *survey, "canopy", "mask"]
-    filled = ["dtm", *survey, "dtm-voids", "dtm-filled"]
+    with_water = ["dtm", *survey, *search, *canopy, "dtm-outlined", "slope"]
+    assert names(["slope"], water="auto") == with_water
+    assert names(["slope"], canopy="void") == [
+        "dtm",
+        *survey,
+        "canopy",
+        "dtm-outlined",
+        "slope",
+    ]
+    assert names(["ndsm"]) == [*terrain, "dsm", "ndsm"]
+    assert names(["mask"]) == [*terrain, "mask"]
+    filled = ["dtm", *survey, "dtm-voids", "dtm-filled", *canopy, "dtm-outlined"]
     assert names(["slope"], "fill") == [*filled, "slope"]
-    assert names(["dtm"], "fill", "survey") == [*filled, "dtm-outlined"]
+    assert names(["dtm"], "fill", "survey") == filled
     assert names(["ndsm"], "fill") == [*filled, "dsm", "dsm-voids", "dsm-filled", "ndsm"]
 
 

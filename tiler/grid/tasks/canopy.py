@@ -105,11 +105,11 @@ def _report(job: Job, share: float, made: Commits) -> None:
     ]
     around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in centres)
     effect = (
-        "the terrain there is bridged from the ground around the canopy, up to --max-edge, and has the value 6 in the "
-        "mask; use --voids fill to bridge wider gaps as well, or --canopy void to leave it without heights"
+        "the terrain there is computed from the ground around the canopy and the height of its crowns, and has the "
+        "value 6 in the mask; use --canopy void to leave it without heights"
     )
     if job.plan.config.canopy == VOID_CANOPY:
-        effect = "the terrain has no heights there (use --canopy fill to bridge it from the ground around the canopy)"
+        effect = "the terrain has no heights there (use --canopy fill to compute them from ground around and crowns)"
     hidden = f"{HIDES} in {percent(share)} % of the area, most of all around {around}"
     job.listener(Warned(f"{hidden}: {effect}"))
 

@@ -15,19 +15,20 @@ Rasters of pixels:
 
 - ``<name>-filled``: a model with filled voids.
 - ``<name>-outlined``: a model that ends at the outline of the survey, with level water.
-- ``canopy``: the pixels in which crowns hide the ground.
+- ``canopy``: the crowns where they hide the ground, and ``canopy-below``: the terrain there.
 - ``dtm-above``: no pixels, but a record for each block of where the terrain lies above all returns.
 """
 
 from __future__ import annotations
 
-from tiler.config import AUTO_WATER, NO_WATER, VOID_CANOPY, RunConfig
+from tiler.config import AUTO_WATER, VOID_CANOPY, RunConfig
 from tiler.core.edits import ACTIONS, OF_PIXELS
 from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.grid import (
     NO_PIECE,
     above_block,
+    below_canopy,
     canopy_block,
     close_block,
     count_plane_rims,
@@ -54,8 +55,10 @@ from tiler.grid import (
 )
 from tiler.grid.tasks.gridding import Grid, RasterStep
 from tiler.grid.tasks.rasters import (
+    BELOW_CANOPY,
     CANOPY,
     above_tasks,
+    below_canopy_tasks,
     canopy_tasks,
     coarse_terrain_tasks,
     derived_tasks,
@@ -101,11 +104,9 @@ def _outlined(config: RunConfig) -> tuple[str, ...]:
     """Return the models from which a raster ``<name>-outlined`` is made.
 
     With ``--outline survey``, all models end at the outline of the survey. Otherwise only the
-    terrain may need this raster, for level water or for canopies without heights.
+    terrain needs this raster, for level water and for canopies.
     """
-    if config.outline == "survey":
-        return MODELS
-    return () if config.water == NO_WATER and config.canopy != VOID_CANOPY else ("dtm",)
+    return MODELS if config.outline == "survey" else ("dtm",)
 
 
 def filled_raster(product: str, config: RunConfig) -> str:
@@ -147,7 +148,15 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
             "survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE
         ),
         RasterStep("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
-        RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks),
+        RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks, NODATA),
+        RasterStep(
+            BELOW_CANOPY,
+            (filled_raster("dtm", config), CANOPY),
+            below_canopy,
+            Grid.PIXELS,
+            below_canopy_tasks,
+            NODATA,
+        ),
         RasterStep(
             "mask",
             ("dtm", dtm, "survey", CANOPY),
@@ -184,8 +193,8 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
         inputs = [filled_raster(model, config), "survey"]
         if model == "dtm" and finds_water:
             inputs.append("water-cells")
-        if model == "dtm" and config.canopy == VOID_CANOPY:
-            inputs.append(CANOPY)
+        if model == "dtm":
+            inputs.append(CANOPY if config.canopy == VOID_CANOPY else BELOW_CANOPY)
         rows.append(
             RasterStep(
                 final_raster(model, config),

@@ -13,8 +13,8 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.core.water import Waters
 from tiler.grid import (
-    CANOPY_AROUND,
     AboveBlock,
+    BelowCanopy,
     CanopyBlock,
     DeriveBlock,
     DistanceBlock,
@@ -24,18 +24,21 @@ from tiler.grid import (
     PointsBlock,
     SigmaBlock,
     SurfaceBlock,
+    canopy_reach_cells,
+    cells_below,
     full_halo,
     reach_of,
     reach_pixels,
 )
 from tiler.grid.coarse import padded
 from tiler.grid.pieces import around
+from tiler.grid.records import BlockRecord
 from tiler.grid.tasks.gridding import GridContext, RasterStep
 from tiler.grid.tasks.survey import surveyed_blocks
 from tiler.schedule import Task
 
-CANOPY = "canopy"
-"""Raster of the pixels in which a canopy hides the ground."""
+CANOPY, BELOW_CANOPY = "canopy", "canopy-below"
+"""Rasters of a canopy that hides the ground, and of the terrain below it."""
 
 
 def terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
@@ -182,9 +185,8 @@ def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     if context.canopy is None:
         return
     canopy = context.canopy
-    for block, near in _near(
-        context, context.spec, math.ceil(CANOPY_AROUND * canopy.side)
-    ).items():
+    reach = canopy_reach_cells(float(canopy.side * context.plan.frame.metres_xy))
+    for block, near in _near(context, context.spec, math.ceil(reach * canopy.side)).items():
         work = CanopyBlock(
             name=raster.name,
             spec=context.spec,
@@ -204,12 +206,33 @@ def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
         )
 
 
+def below_canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
+    """Yield a task for each block with a canopy. A task also reads heights and crowns around its block."""
+    terrain, canopy = raster.inputs
+    spec = context.spec
+    pixel_m = float(spec.lattice.size * context.plan.frame.metres_xy)
+    for key, (_, record) in sorted(context.made[canopy].items()):
+        if not BlockRecord.of(record).filled:
+            continue
+        block = spec.block_named(key, BLOCK_PIXELS)
+        work = BelowCanopy(
+            name=raster.name, spec=spec, block=block, terrain=terrain, canopy=canopy
+        )
+        window = spec.block_bounds(cells_below(spec, block, pixel_m).window)
+        names = [other.name for other in spec.blocks_within(window, BLOCK_PIXELS)]
+        inputs = [context.checksums(name, names) for name in raster.inputs]
+        yield context.block_task(raster, work, inputs)
+
+
 def outline_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of a model, and for the terrain also each block of the survey."""
     model, survey, *other_inputs = raster.inputs
-    canopy = CANOPY if CANOPY in other_inputs and context.made[CANOPY] else None
+    canopy, below = (
+        name if name in other_inputs and context.made[name] else None
+        for name in (CANOPY, BELOW_CANOPY)
+    )
     waters = context.waters if raster.name.startswith("dtm") else Waters(())
-    keys = {*context.made[model]}
+    keys = {*context.made[model], *context.made.get(BELOW_CANOPY, ())}
     if raster.name.startswith("dtm"):
         # Blocks inside the survey without heights are voids.
         keys |= {block.name for block in surveyed_blocks(context, survey)}
@@ -225,6 +248,7 @@ def outline_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             coarse=context.coarse,
             cut=context.plan.config.outline == "survey",
             canopy=canopy,
+            below=below,
             waters=waters.key if water_digest else None,
             edits=context.corrections.edits_key,
             finds_water=context.plan.config.water == AUTO_WATER,
@@ -236,7 +260,7 @@ def outline_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             context.checksums(model, [key]),
             context.coarse_checksums(survey, padded(block, 1)),
             water_digest,
-            context.checksums(CANOPY, [key]) if canopy else [],
+            [context.checksums(name, [key]) for name in (canopy, below) if name],
         )
 
 
