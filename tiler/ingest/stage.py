@@ -338,7 +338,7 @@ def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> 
     job.results.strays = strays
     if strays:
         job.note(
-            f"{len(strays)} points far from all others of their file, or outside of its bounds, are not filtered: "
+            f"{len(strays)} points far from all others, or outside of the bounds of their file, are not filtered: "
             "run.json lists them (strays)"
         )
 
