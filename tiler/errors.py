@@ -14,7 +14,7 @@ _NEXT_TO_NOTHING_BYTES = 1 << 20
 _MAX_WINDOWS_PATH = 259
 """Length of the longest path on Windows while its setting for long paths is off, as it is at first."""
 _PARTIAL = ".tiler-.partial"
-"""What `tiler.io.atomic_files.partial_path` adds to the name of a file."""
+"""Prefix and suffix that `tiler.io.atomic_files.partial_path` adds to the name of a file."""
 _IN_USE = (5, 32)
 """Numbers of the Windows errors for a file that another process has open."""
 
