@@ -13,6 +13,8 @@ _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 _NEXT_TO_NOTHING_BYTES = 1 << 20
 _MAX_WINDOWS_PATH = 259
 """Length of the longest path on Windows while its setting for long paths is off, as it is at first."""
+_PARTIAL = ".tiler-.partial"
+"""Prefix and suffix that `tiler.io.atomic_files.partial_path` adds to the name of a file."""
 _IN_USE = (5, 32)
 """Numbers of the Windows errors for a file that another process has open."""
 
@@ -141,10 +143,12 @@ def write_error(what: str, error: Exception, folder: Path | None = None) -> Proc
             f"{what}: cannot be written ({reason}): another program has it open, or it is protected; close it there, "
             "check permissions, then run again"
         )
-    if os.name == "nt" and len(os.path.abspath(what)) > _MAX_WINDOWS_PATH:
+    # Libraries do not name the file that they write, which has a longer name until it is complete.
+    written = getattr(error, "filename", None) or f"{what}{_PARTIAL}"
+    if os.name == "nt" and len(os.path.abspath(written)) > _MAX_WINDOWS_PATH:
         return ProcessingError(
-            f"{what}: cannot be written ({reason}): its path has more than {_MAX_WINDOWS_PATH} characters; use a "
-            "shorter one, or enable long paths in Windows, then run again"
+            f"{what}: cannot be written ({reason}): the path of its temporary file has more than "
+            f"{_MAX_WINDOWS_PATH} characters; use a shorter one, or enable long paths in Windows, then run again"
         )
     return ProcessingError(
         f"{what}: cannot be written ({reason}); check free space and permissions, then run again"

@@ -1,3 +1,7 @@
-"""Version of the distribution, which hatchling reads."""
+"""Versions of the distribution, which hatchling reads, and of the rules of its tasks."""
 
 __version__ = "0.1.0"
+
+RULES = f"{__version__}-1"
+"""Version of the rules of all tasks, part of their digests. Raise its last number if results or records change within
+a version, so that a store of an earlier checkout is filtered and gridded again."""

@@ -156,9 +156,8 @@ class Evidence:
 
     def _sensor(self) -> Piece | None:
         if self.several is not None and self.several >= SEVERAL_SHARE:
-            return Piece(
-                SEVERAL, f"{percent(self.several)} % of the points are one of several returns"
-            )
+            # The share is that of a sample, which depends on how the cloud is cut into files.
+            return Piece(SEVERAL, "some pulses have several returns")
         if self.several is None and self.trace is None:
             return None
         traced = min((self.trace or 0.0) / TRACED_SHARE, 1.0)

@@ -26,7 +26,9 @@ from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
+from tiler.filter.tasks import passes
 from tiler.grid.roofs import Advice
+from tiler.grid.tasks import gridding
 from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
@@ -128,6 +130,15 @@ def test_two_resolutions_from_one_store(demo: DemoScene, tmp_path: Path) -> None
 def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScene) -> None:
     found = again(demo, out, parameters={"iteration_distance": "1.3"})
     assert found.keys() == {"filter0", *GROUND, "grid-occupancy", "export", "catalogue"}
+
+
+def test_other_rules_of_a_checkout_filter_and_grid_but_do_not_ingest(
+    out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (passes, gridding):
+        monkeypatch.setattr(module, "RULES", "0.1.0-other")
+    made = {"filter0", *GROUND, *PIXELS, *POINTS}
+    assert made <= again(demo, out).keys() <= made | {"export", "catalogue"}
 
 
 def test_cells_that_the_store_was_not_made_for_are_told(out: Path, demo: DemoScene) -> None:

@@ -1,4 +1,4 @@
-"""One stray point must not make a run for an area without points; an island or a file far away is data."""
+"""One stray point must not make a run for an area without points; an island far away is data, in any file."""
 
 from __future__ import annotations
 
@@ -64,6 +64,29 @@ def test_a_stray_point_is_written_back_and_listed(
     truth = laspy.read(alone / "classified" / "in.laz").classification
     assert np.array_equal(np.asarray(after.classification)[others], np.asarray(truth))
     assert "far from all others" in (tmp_path / "out" / "events.jsonl").read_text()
+
+
+@pytest.mark.parametrize(
+    "cut", ["a file of its own", "in both files", "as far as the other file"]
+)
+def test_strays_of_a_cut_cloud_are_those_of_the_uncut_one(
+    cut: str, city: Cloud, alone: Path, tmp_path: Path
+) -> None:
+    """Points in two files count once. Points near another file are no strays, however far from their own."""
+    stray = moved(city.take(np.arange(len(city.xyz)) < 6), 3_000.0, 0.0, 0.0)
+    west = city.xyz[:, 0] < np.median(city.xyz[:, 0])
+    parts = {
+        "a file of its own": (city, stray),
+        "in both files": (together(city.take(west), stray), together(city.take(~west), stray)),
+        "as far as the other file": (together(city, stray), moved(city, 3_000.0, 200.0, 0.0)),
+    }[cut]
+    paths = [clouds.write(tmp_path / f"{i}.laz", part) for i, part in enumerate(parts)]
+    result = do(paths, tmp_path / "out")
+    if cut == "as far as the other file":
+        assert result.summary["strays"] == []
+        return
+    assert len({(s["x"], s["y"], s["z"]) for s in result.summary["strays"]}) == 6
+    assert_same_terrain(tmp_path / "out", alone)
 
 
 def test_a_point_outside_of_the_bounds_of_a_header_is_a_stray(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -15,7 +16,6 @@ from hypothesis import strategies as st
 from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
 from tests.invariants.runs import (
-    assert_same_terrain,
     classes_by_point,
     computed,
     do,
@@ -86,8 +86,18 @@ def positions_with_classes(out: Path) -> np.ndarray:
     return np.unique(classes_by_point(out), axis=0)
 
 
+def terrain_bytes(out: Path) -> bytes:
+    """Bytes of dtm.tif without the value of the tag that names the input files, which has a fixed length."""
+    path = out / "dtm.tif"
+    with rasterio.open(path) as raster:
+        inputs = raster.tags()["TILER_INPUTS"].encode()
+    content = path.read_bytes()
+    assert content.count(inputs) == 1
+    return content.replace(inputs, bytes(32))
+
+
 def assert_same_place(out: Path, uncut: Path) -> None:
-    assert_same_terrain(out, uncut)
+    assert terrain_bytes(out) == terrain_bytes(uncut)
     np.testing.assert_array_equal(positions_with_classes(out), positions_with_classes(uncut))
 
 

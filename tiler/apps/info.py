@@ -216,7 +216,8 @@ def describe_raster(path: Path) -> dict[str, Any]:
     with open_raster(path, "neither a cloud nor a raster that can be read") as raster:
         wkt = raster.crs.to_wkt() if raster.crs else None
         # A VRT is a small text, and its pixels are in other files.
-        sources = [Path(file) for file in raster.files[1:]] if raster.driver == "VRT" else []
+        is_vrt = raster.driver == "VRT"
+        sources = [Path(file) for file in raster.files[1:]] if is_vrt else []
         files = [file for file in sources if file.is_file()]
         return {
             "kind": "raster",
@@ -234,11 +235,16 @@ def describe_raster(path: Path) -> dict[str, Any]:
             "vertical_unit": raster.units[0],
             "nodata": raster.nodata,
             "overviews": raster.overviews(1),
-            "compression": raster.compression.value.lower() if raster.compression else "none",
+            "compression": None if is_vrt else _compression_of(raster),
             "heights": _heights(raster),
             "tags": dict(raster.tags()),
             "warnings": crs_warnings(wkt, raster.bounds),
         }
+
+
+def _compression_of(raster: Any) -> str:
+    name: str = raster.compression.value.lower() if raster.compression else "none"
+    return name
 
 
 def _heights(raster: Any) -> dict[str, float]:

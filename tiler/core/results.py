@@ -96,7 +96,7 @@ class PointCounts(Record):
     buckets : int
         Number of buckets with points.
     strays : int
-        Number of points far from all others of their file.
+        Number of points far from all others, or outside the bounds of their file.
     """
 
     read: int

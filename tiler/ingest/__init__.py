@@ -6,7 +6,7 @@ collects the points of a bucket, finds duplicates and puts the candidates first.
 
 from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets
 from tiler.ingest.spool import OUTSIDE_AREA, SpoolPiece, spool_piece
-from tiler.ingest.strays import Strays, find_strays
+from tiler.ingest.strays import Strays, far_buckets
 
 __all__ = [
     "OUTSIDE_AREA",
@@ -15,6 +15,6 @@ __all__ = [
     "SpoolPiece",
     "Strays",
     "assemble_buckets",
-    "find_strays",
+    "far_buckets",
     "spool_piece",
 ]

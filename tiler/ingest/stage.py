@@ -338,8 +338,8 @@ def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> 
     job.results.strays = strays
     if strays:
         job.note(
-            f"{len(strays)} points far from all others of their file, or outside of its bounds, are not filtered: "
-            "run.json lists them (strays)"
+            "not filtered, because far from all others or outside of the bounds of their file: "
+            f"{counted(len(strays), 'point')} (strays in run.json)"
         )
 
 

@@ -1,8 +1,9 @@
-"""Stray points: a few points far from the others of their file, or outside its header's bounds.
+"""Stray points: a few points far from all others, or outside the bounds in the header of their file.
 
 A stray is not filtered and does not extend rasters. It keeps its class in the classified cloud.
-Each file is judged as a whole and separately, so the result does not depend on tiles. Whole
-files, and groups of more than a few points, are never strays, however far away they lie.
+All files are judged together and as a whole, so distances do not depend on tiles or on how a
+cloud is cut into files. Groups of more than a few points are never strays, however far away they
+lie.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Strays:
     Attributes
     ----------
     alone : frozenset of Cell
-        Buckets in which every point of the source is a stray.
+        Buckets in which every point is a stray.
     extent : Bounds or None
         Bounds outside which every point of the source is a stray.
     """
@@ -50,32 +51,24 @@ class Strays:
         return None if bounds.union(self.extent) == self.extent else self.extent
 
 
-def find_strays(
-    buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int
-) -> Strays:
-    """Find the stray points of a source.
+def far_buckets(buckets: Mapping[Cell, int], lattice: Lattice) -> frozenset[Cell]:
+    """Return the buckets in which every point is a stray, as only a few points lie there and all others are far away.
 
     Parameters
     ----------
     buckets : mapping of Cell to int
-        Number of the source's points in each bucket.
+        Number of points in each bucket of all files.
     lattice : Lattice
         Lattice of the buckets.
-    extent : Bounds, optional
-        Bounds in the header of the source, in absolute counts.
-    outside : int
-        Number of points outside that extent. If there are many, they are not strays, because the header is wrong.
     """
     total = sum(buckets.values())
-    alone: set[Cell] = set()
+    far: set[Cell] = set()
     parts = _parts(buckets, lattice)
     largest = max(parts, key=lambda part: sum(buckets[c] for c in part), default=[])
     for part in parts:
         if part is not largest and can_be_strays(sum(buckets[c] for c in part), total):
-            alone.update(part)
-    return Strays(
-        frozenset(alone), extent if outside and can_be_strays(outside, total) else None
-    )
+            far.update(part)
+    return frozenset(far)
 
 
 def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:

@@ -34,9 +34,9 @@ _WIDEST = 1e6
 fits int32 counts."""
 
 FEW = 10
-"""Maximum number of strays of a file."""
+"""Maximum number of strays of a group."""
 SHARE = 1000
-"""Minimum ratio of the points of a file to its strays."""
+"""Minimum ratio of all points to the strays of a group."""
 
 FAR = 1000.0
 """Distance in units of the CRS above which points count as far apart."""
@@ -78,7 +78,7 @@ class Extent:
 
 
 def can_be_strays(number: int, total: int) -> bool:
-    """Return whether ``number`` of the ``total`` points of a file are few enough to be strays."""
+    """Return whether ``number`` of the ``total`` points of a survey or a file are few enough to be strays."""
     return number <= FEW and number * SHARE <= total
 
 

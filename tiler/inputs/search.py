@@ -22,7 +22,7 @@ from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results
 
 SUFFIXES = (".las", ".laz")
 PACKED = (".zip", ".gz", ".zst", ".bz2", ".xz", ".7z", ".rar")
-"""Suffixes of files that programs pack. Their clouds have to be unpacked first."""
+"""Suffixes of packed files. A packed cloud, such as ``a.laz.gz``, has to be unpacked first."""
 
 MADE = (CLASSIFIED, OUTDATED)
 """Folders in OUT into which a run writes clouds."""
@@ -85,6 +85,7 @@ def find_inputs(
         raise ConfigError("no input; give LAS or LAZ files, folders, globs or .vpc files")
     clouds: dict[Path | FileNumber, Path] = {}
     reported: list[str] = []
+    packed: list[str] = []
     failed: InputError | None = None
 
     def report(text: str) -> None:
@@ -97,7 +98,7 @@ def find_inputs(
                 for path in _listed(text, wanted, listed, in_process):
                     clouds.setdefault(_identity(path), path)
                 continue
-            root, candidates = _expanded(text, report)
+            root, candidates = _expanded(text, report, packed)
         except InputError as error:
             if unlisted is None:
                 raise
@@ -116,7 +117,7 @@ def find_inputs(
         raise failed
     if not clouds:
         why, remedy = f" ({reported[0]})" if reported else "", "give files, folders or globs"
-        if not reported and (packed := _packed([str(path) for path in paths])):
+        if packed and not reported:
             why += f", but packed files ({words.listed(packed, 2, 'files')})"
             remedy = "unpack them and give the LAS or LAZ files in them"
         raise InputError(
@@ -126,14 +127,9 @@ def find_inputs(
     return sorted(path for path in clouds.values() if not is_url(path)) + urls
 
 
-def _packed(paths: Sequence[str]) -> list[str]:
-    """Return the packed files in local folders and globs."""
-    found = chain.from_iterable(
-        _expanded(text, lambda text: None, PACKED)[1]
-        for text in paths
-        if not is_url(text) and not is_list(text)
-    )
-    return [str(path) for path in found if path.suffix.lower() in PACKED]
+def _is_packed_cloud(name: str) -> bool:
+    *inner, last = ["", *(suffix.lower() for suffix in Path(name).suffixes)]
+    return last in PACKED and not {*SUFFIXES, ".copc"}.isdisjoint(inner)
 
 
 def is_list(text: str | Path) -> bool:
@@ -185,10 +181,8 @@ def _identity(path: Path) -> Path | FileNumber:
     return Path(os.path.realpath(path))
 
 
-def _expanded(
-    text: str, note: Tell, suffixes: Sequence[str] = SUFFIXES
-) -> tuple[Path, list[Path]]:
-    """Return the root folder (or file) of an input, and the clouds there, or files with other suffixes."""
+def _expanded(text: str, note: Tell, packed: list[str]) -> tuple[Path, list[Path]]:
+    """Return the root folder (or file) of an input, and the clouds there. Append packed clouds to ``packed``."""
     if is_url(text):
         fixed = text[: _glob_base(text)].rpartition("/")[0] if glob.has_magic(text) else text
         return as_path(fixed if is_url(fixed) else text), list_inputs(text, SUFFIXES)
@@ -204,7 +198,7 @@ def _expanded(
             f"{text}: {error.strerror}; give LAS or LAZ files, folders, globs or .vpc files"
         ) from error
     if is_folder:
-        return path, list(_walk(path, note, suffixes))
+        return path, list(_walk(path, note, packed))
     if is_there:
         return path, [path]
     matches = sorted(glob.glob(text, recursive=True))
@@ -215,9 +209,11 @@ def _expanded(
     clouds: list[Path] = []
     for match in map(Path, matches):
         if match.is_dir():
-            clouds += _walk(match, note, suffixes)
-        elif match.suffix.lower() in suffixes:
+            clouds += _walk(match, note, packed)
+        elif match.suffix.lower() in SUFFIXES:
             clouds.append(match)
+        elif _is_packed_cloud(match.name):
+            packed.append(str(match))
     return Path(text[: _glob_base(text)] + "x").parent, clouds
 
 
@@ -226,8 +222,8 @@ def _glob_base(pattern: str) -> int:
     return min(pattern.index(sign) for sign in "*?[" if sign in pattern)
 
 
-def _walk(folder: Path, note: Tell, suffixes: Sequence[str]) -> Iterator[Path]:
-    """Yield the files in a folder that have one of the suffixes, recursively.
+def _walk(folder: Path, note: Tell, packed: list[str]) -> Iterator[Path]:
+    """Yield the clouds in a folder, recursively. Append packed clouds to ``packed``.
 
     Links to folders are not followed, because they may be circular or lead anywhere.
     """
@@ -244,8 +240,10 @@ def _walk(folder: Path, note: Tell, suffixes: Sequence[str]) -> Iterator[Path]:
                     f"{here / name} is a link to a folder, not followed; give it as an input to read it"
                 )
         for name in sorted(names):
-            if Path(name).suffix.lower() in suffixes:
+            if Path(name).suffix.lower() in SUFFIXES:
                 yield here / name
+            elif _is_packed_cloud(name):
+                packed.append(str(here / name))
 
 
 class _Made:

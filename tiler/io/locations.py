@@ -34,6 +34,17 @@ def is_url(text: str | Path) -> bool:
     return "://" in str(text)
 
 
+def no_such_file(path: Path, remedy: str) -> InputError:
+    """Return the error for a local file that does not exist. Only clouds are read from URLs."""
+    scheme, is_rooted, rest = path.as_posix().partition(":/")
+    if is_rooted and len(scheme) > 1:  # A drive of Windows has one letter.
+        url = f"{scheme}://{rest.lstrip('/')}"
+        return InputError(
+            f"{url}: this file is not read from a URL; download it and give its path"
+        )
+    return InputError(f"{path}: no such file; {remedy}")
+
+
 def with_slashes(place: str | Path) -> str:
     """Return a path or URL as results name it: with slashes, also on Windows."""
     return str(place).replace(os.sep, "/")

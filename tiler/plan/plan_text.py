@@ -76,7 +76,7 @@ def plan_lines(plan: Plan) -> list[str]:
     width_m, height_m = plan.sides_m
     lines = [
         f"inputs      {counted(len(inputs.sources), 'file')}, {counted(inputs.points, 'point')}, "
-        f"{inputs.density:.3g} per m2",
+        f"{inputs.density:.3g} per m2 (by the headers, with duplicates, withheld points and noise)",
         f"extent      {width_m / float(unit):,.0f} x {height_m / float(unit):,.0f} {short_unit(unit)} from "
         f"({west:,.1f}, {south:,.1f})",
         f"CRS         {name_in_wkt(wkt, 'unknown')}{at_degrees(wkt, *middle(inputs.extent))}; "

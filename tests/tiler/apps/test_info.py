@@ -132,6 +132,7 @@ def test_size_of_a_mosaic_is_that_of_its_files(tmp_path: Path) -> None:
     facts = describe(str(vrt))
     assert facts["size_bytes"] == tif.stat().st_size + vrt.stat().st_size
     assert facts["source_files"] == 1
+    assert facts["compression"] is None
     assert "source_files" not in describe(str(tif))
 
 

@@ -15,7 +15,7 @@ import ptd
 import tiler
 from tiler.errors import write_error
 from tiler.io import atomic_files
-from tiler.io.atomic_files import replace_file
+from tiler.io.atomic_files import partial_path, replace_file
 
 
 class Refusing:
@@ -65,6 +65,19 @@ def test_a_file_that_stays_in_use_ends_in_the_error(
     assert "another program has it open" in told
     assert "close it there" in told
     assert files[1].read_text("utf-8") == "old"
+
+
+def test_on_windows_the_path_of_the_temporary_file_counts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    target = Path("/" + "a" * 100 + "/" + "b" * 144)
+    refused = FileNotFoundError(2, "no such file", str(partial_path(target)))
+    with monkeypatch.context() as windows:
+        windows.setattr(os, "name", "nt")
+        told = [str(write_error(str(target), error)) for error in (refused, Exception("x"))]
+        short = str(write_error("/dtm.tif", refused.__class__(2, "no such file", "/dtm.tif")))
+    assert all("temporary file has more than 259 characters" in text for text in told)
+    assert "characters" not in short
 
 
 def test_other_systems_refuse_for_good_and_are_asked_once(

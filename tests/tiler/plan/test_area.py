@@ -94,6 +94,11 @@ def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
         ),
         ({"bounds": (0.0001, 0.0, 0.0002, 1.0)}, ConfigError, "is empty"),
         ({"aoi": "absent.gpkg"}, InputError, "no such file"),
+        (
+            {"aoi": "https://host/x.geojson"},
+            InputError,
+            "^https://host/x.geojson: this file is not read from a URL; download it",
+        ),
         ({"aoi": "a.shp"}, InputError, "has no CRS; write it with one"),
         ({"aoi": "odd.shp"}, InputError, "its CRS .* is not known|has no CRS"),
         (

@@ -20,6 +20,7 @@ from tiler.core.units import FARTHEST
 from tiler.core.words import counted, listed
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
+from tiler.io.locations import no_such_file
 from tiler.io.vector import POINTS, Feature, Kind, read_features
 
 NVA = "NVA"  # non-vegetated vertical accuracy
@@ -139,9 +140,7 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     path = Path(path)
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise InputError(
-            f"{path}: no such file; give a CSV, GeoJSON or GeoPackage file of checkpoints"
-        )
+        raise no_such_file(path, "give a CSV, GeoJSON or GeoPackage file of checkpoints")
     notes: list[str] = []
     if suffix in (".csv", ".txt"):
         crs = None

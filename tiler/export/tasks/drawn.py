@@ -26,7 +26,7 @@ from tiler.grid.tasks.raster_table import final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.plan import water_is_given
 from tiler.schedule import Task, Work
-from tiler.version import __version__
+from tiler.version import RULES
 
 SMOOTH_PIXELS = 2
 """Standard deviation in pixels of the Gaussian that smooths the heights, if the user gives
@@ -66,19 +66,19 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
             blocks=tuple(sorted(context.made[terrain])), area=plan.inputs.area_key,
         )  # fmt: skip
         digest = digest_of(
-            __version__, outline, context.checksums("survey"), context.checksums(terrain)
+            RULES, outline, context.checksums("survey"), context.checksums(terrain)
         )
         yield Task("export", OUTLINE, digest, write_outline, outline)
     if context.corrections.decks:
         bridges = WriteBridges(name=BRIDGES, decks=context.corrections.decks, out=out)
-        yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
+        yield Task("export", BRIDGES, digest_of(RULES, bridges), write_bridges, bridges)
     has_water = bool(context.waters.bodies) or config.water_file is not None
     if has_water and not water_is_given(config, out):
         water = WriteWater(name=WATER, waters=context.waters.key, out=out)
-        yield Task("export", WATER, digest_of(__version__, water), write_water, water)
+        yield Task("export", WATER, digest_of(RULES, water), write_water, water)
     for name in config.drawn:
         write, work = works[name]
-        digest = digest_of(__version__, work, context.checksums(terrain))
+        digest = digest_of(RULES, work, context.checksums(terrain))
         yield Task(
             "export",
             f"{name}.gpkg",

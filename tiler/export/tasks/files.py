@@ -43,7 +43,7 @@ from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS, mosaic_file, rast
 from tiler.plan import PIECE_POINTS, Plan, chunks_of
 from tiler.schedule import Task
 from tiler.store import Commits, KeptPiece
-from tiler.version import __version__
+from tiler.version import RULES, __version__
 
 Inputs = Mapping[Cell, Collection[str]]
 """Digests of the sources that have points in a bucket, by bucket."""
@@ -138,7 +138,7 @@ def legend_tasks(context: GridContext, out: str) -> Iterator[Task]:
     for name in context.plan.config.exported if context.plan.config.sheets is None else ():
         if PRODUCTS[name].values:
             work = WriteLegend(product=name, name=f"{raster_file(name)}{LEGEND}", out=out)
-            yield Task("export", work.name, digest_of(__version__, work), write_legend, work)
+            yield Task("export", work.name, digest_of(RULES, work), write_legend, work)
 
 
 def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
@@ -158,7 +158,7 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
             )
     if sheet_files:
         index = WriteSheetIndex(name=SHEETS, sheets=tuple(sheet_files), out=out)
-        yield Task("mosaic", SHEETS, digest_of(__version__, index), write_sheet_index, index)
+        yield Task("mosaic", SHEETS, digest_of(RULES, index), write_sheet_index, index)
 
 
 def nodata_of(plan: Plan, name: str) -> float | None:
@@ -256,7 +256,7 @@ def classified_tasks(
             wkt=crs_to_write(source.info, plan.frame.crs_wkt, plan.config.crs),
         )
         digest = digest_of(
-            __version__, source.identity, work, [[labels[c], wet.get(c)] for c in cells]
+            RULES, source.identity, work, [[labels[c], wet.get(c)] for c in cells]
         )
         points = sum(count for _, count in work.ranges) or source.info.points
         yield Task("export", f"c{source.number:06d}", digest, write_classified, work, points)

@@ -22,7 +22,7 @@ from tiler.grid.tasks.raster_table import MODELS, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
-from tiler.version import __version__
+from tiler.version import RULES
 
 STAGE = "sheets"
 
@@ -68,7 +68,7 @@ def height_tasks(context: GridContext) -> Iterator[Task]:
         work = FindSheets(rasters=rasters, spec=context.spec, block=block, side=side, area=area)
         seen = [context.checksums(name, [key]) for name in rasters]
         pixels = block.height * block.width
-        digest = digest_of(__version__, work, seen)
+        digest = digest_of(RULES, work, seen)
         yield Task(STAGE, key, digest, find_sheets, work, pixels=pixels)
 
 

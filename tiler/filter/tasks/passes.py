@@ -25,7 +25,7 @@ from tiler.plan import Plan
 from tiler.plan.memory import held_bytes
 from tiler.schedule import Task
 from tiler.store import Commits
-from tiler.version import __version__
+from tiler.version import RULES
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def filter_tasks(
         bucket_digests = [[c.ix, c.iy, digests[c]] for c in near]
         elected_digests = [inputs.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c].n for c in tile.cells)
-        digest = digest_of(__version__, step.name, work, bucket_digests, elected_digests)
+        digest = digest_of(RULES, step.name, work, bucket_digests, elected_digests)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
 
 

@@ -39,7 +39,7 @@ from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
 from tiler.store import Commits
-from tiler.version import __version__
+from tiler.version import RULES
 
 REMOVE = "remove"
 """Value of ``--bridges`` that searches for bridges and removes them."""
@@ -109,7 +109,7 @@ def _cell_tasks(context: GridContext) -> Iterator[Task]:
     for block, buckets in spec.blocks_near(lattice, context.labels, BLOCK_PIXELS).items():
         work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
         near = lattice.among(spec.block_bounds(block).pad(margin), context.labels)
-        digest = digest_of(__version__, work, context.label_digests(near))
+        digest = digest_of(RULES, work, context.label_digests(near))
         yield Task(CELLS, block.name, digest, find_deck_cells, work, context.n_points(buckets))
 
 
@@ -131,7 +131,7 @@ def _deck_tasks(context: GridContext, deck_cells: Commits) -> Iterator[Task]:
         work = ExamineDecks(rule, spec, tuple(candidates))
         examined = [examined_bounds(spec, cells, metres) for cells in candidates]
         near = lattice.among(reduce(Bounds.union, examined), context.labels)
-        digest = digest_of(__version__, work, context.label_digests(near))
+        digest = digest_of(RULES, work, context.label_digests(near))
         yield Task(DECKS, cell.name, digest, examine_decks, work, context.n_points(near))
 
 

@@ -29,7 +29,7 @@ from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
 from tiler.store import Commits
-from tiler.version import __version__
+from tiler.version import RULES
 
 
 def correct(
@@ -113,7 +113,7 @@ def _count_tasks(
     rule = ground_rule(plan)
     for cell, near in edits.by_cell(plan.buckets, labels).items():
         edit_digests = [[edit.number, *edit.digest] for edit in near]
-        digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], edit_digests)
+        digest = digest_of(RULES, rule, edits.cell, cell, labels[cell], edit_digests)
         work = CountEditedPoints(rule, edits.key, cell)
         yield Task(
             "edits", cell.name, digest, count_edited_points, work, assembled.records[cell].n

@@ -27,7 +27,7 @@ from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
 from tiler.schedule import Task, Work
 from tiler.store import Commits
-from tiler.version import __version__
+from tiler.version import RULES
 
 COARSE_CELL_M = 2
 """Side of a coarse cell in metres, unless ``--max-edge`` is small or pixels are large.
@@ -235,7 +235,7 @@ class GridContext:
         ``inputs`` are digests of the data that the task reads. The digest of the task also includes the corrections
         that can change the block. Without ``points``, the size of the task is the number of its pixels.
         """
-        digest = digest_of(__version__, work, *inputs)
+        digest = digest_of(RULES, work, *inputs)
         corrections = self._correction_digests(raster, work.place(self.plan.buckets))
         if corrections:
             digest = digest_of(digest, corrections)

@@ -61,9 +61,7 @@ def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
     """Merge touching cells with holes (see `tiler.grid.holes.hole_cells`) into voids, the largest first."""
-    # Records of an earlier version lack the pixels at the border, or the position of a hole.
-    rows = [[*[*cell, 0][:6], *(cell[6:] or cell[1:3])] for cell in cells]
-    table = np.array(rows, np.int64).reshape(-1, 8)
+    table = np.array(list(cells), np.int64).reshape(-1, 8)
     if not len(table):
         return []
     n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:5]

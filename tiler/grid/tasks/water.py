@@ -28,7 +28,7 @@ from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
-from tiler.version import __version__
+from tiler.version import RULES
 
 FINDING, STAGE = "water-search", "water"
 """Names of the stages: outlines of bodies of water, and levels of bodies."""
@@ -121,7 +121,7 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
         near = block_names(near_places(coarse, places))
         rasters = [context.checksums(raster, near) for raster in (CELLS, CROWNS, *SOURCES)]
         digest = digest_of(
-            __version__, work, *rasters, context.label_digests(_buckets_near(context, places))
+            RULES, work, *rasters, context.label_digests(_buckets_near(context, places))
         )
         key = f"{block_names(places)[0]}a{name.label}"
         yield Task(FINDING, key, digest, describe_body, work, pixels=n_cells)
@@ -174,7 +174,7 @@ def level_tasks(context: GridContext, bodies: tuple[Water, ...]) -> Iterator[Tas
             blocks = [block.name for block in context.coarse.blocks_within(near, BLOCK_PIXELS)]
             inputs += [context.checksums(name, blocks) for name in cells]
         digest = digest_of(
-            __version__,
+            RULES,
             body.digest,
             body.number,
             auto,

@@ -16,11 +16,12 @@ from tiler.ingest import (
     SpoolPiece,
     Strays,
     assemble_buckets,
-    find_strays,
+    far_buckets,
     spool_piece,
 )
 from tiler.ingest.tasks.assembled import skip_flags
 from tiler.inputs import SourceInfo, header_bounds, pieces, window_pieces
+from tiler.inputs.extent import can_be_strays
 from tiler.io.locations import location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
 from tiler.schedule import Task
@@ -122,19 +123,31 @@ def fragments_of(spooled: Commits) -> Fragments:
 
 
 def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[int, Strays]:
-    """Return the strays of each source that may have some, by its number."""
-    held: dict[str, dict[Cell, int]] = defaultdict(lambda: defaultdict(int))
+    """Return the strays of each source that may have some, by its number.
+
+    The buckets of all sources are judged together. The number of points in a bucket is the largest of any source, since
+    a sum would count points several times that several files contain.
+    """
+    held: dict[Cell, int] = defaultdict(int)
+    total: dict[str, int] = defaultdict(int)
     outside: dict[str, int] = defaultdict(int)
+    cells: dict[str, set[Cell]] = defaultdict(set)
     for name, records in by_source(spooled).items():
+        of_source: dict[Cell, int] = defaultdict(int)
         for record in records:
             outside[name] += record.outside
             for ix, iy, count in record.buckets + record.left:  # A file is judged as a whole.
-                held[name][Cell(ix, iy)] += count
+                of_source[Cell(ix, iy)] += count
+        total[name], cells[name] = sum(of_source.values()), set(of_source)
+        for cell, count in of_source.items():
+            held[cell] = max(held[cell], count)
+    far = far_buckets(held, plan.buckets)
     strays_by_source = {}
     for source in sources:
-        strays = find_strays(
-            held[source.name], plan.buckets, header_bounds(source.info), outside[source.name]
-        )
+        name, n_outside = source.name, outside[source.name]
+        # If there are many, they are not strays, because the header is wrong.
+        lies = n_outside > 0 and can_be_strays(n_outside, total[name])
+        strays = Strays(far & cells[name], header_bounds(source.info) if lies else None)
         if strays != Strays():
             strays_by_source[source.number] = strays
     return strays_by_source

@@ -21,7 +21,7 @@ from tiler.io.atomic_files import SCRATCH_PREFIX
 from tiler.io.journals import SUFFIXES as JOURNAL_SUFFIXES
 from tiler.io.journals import journals_of
 from tiler.io.json_text import excerpt, member, parse_json_object
-from tiler.io.locations import states_at
+from tiler.io.locations import no_such_file, states_at
 from tiler.redaction import printable
 
 SIGNATURES = {
@@ -57,9 +57,7 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
             f"convert it, for example with `ogr2ogr {wanted}.gpkg FILE`"
         )
     if not path.is_file():
-        raise InputError(
-            f"{path}: no such file; give a GeoPackage, GeoJSON or Shapefile with {wanted}"
-        )
+        raise no_such_file(path, f"give a GeoPackage, GeoJSON or Shapefile with {wanted}")
     if "!" in str(path.resolve()) or str(path.resolve()).startswith("/vsi"):
         raise InputError(
             f"{path}: GDAL would read it as an archive because of its name; rename it"

@@ -197,3 +197,7 @@ def test_unfit_geopackages_are_refused(tmp_path: Path) -> None:
         read_checkpoints(square)
     with pytest.raises(InputError, match="no such file"):
         read_checkpoints(tmp_path / "absent.csv")
+    with pytest.raises(
+        InputError, match="^https://host/x.csv: this file is not read from a URL"
+    ):
+        read_checkpoints(Path("https://host/x.csv"))
