@@ -22,7 +22,7 @@ from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results
 
 SUFFIXES = (".las", ".laz")
 PACKED = (".zip", ".gz", ".zst", ".bz2", ".xz", ".7z", ".rar")
-"""Suffixes of packed files. A packed cloud, such as ``a.laz.gz``, has to be unpacked first."""
+"""Suffixes of packed files, which may contain clouds. They have to be unpacked first."""
 
 MADE = (CLASSIFIED, OUTDATED)
 """Folders in OUT into which a run writes clouds."""
@@ -127,11 +127,6 @@ def find_inputs(
     return sorted(path for path in clouds.values() if not is_url(path)) + urls
 
 
-def _is_packed_cloud(name: str) -> bool:
-    *inner, last = ["", *(suffix.lower() for suffix in Path(name).suffixes)]
-    return last in PACKED and not {*SUFFIXES, ".copc"}.isdisjoint(inner)
-
-
 def is_list(text: str | Path) -> bool:
     """Return whether an input has the name of a file that lists clouds: ``.vpc`` or ``ept.json``."""
     return is_virtual(text) or is_ept(text)
@@ -212,7 +207,7 @@ def _expanded(text: str, note: Tell, packed: list[str]) -> tuple[Path, list[Path
             clouds += _walk(match, note, packed)
         elif match.suffix.lower() in SUFFIXES:
             clouds.append(match)
-        elif _is_packed_cloud(match.name):
+        elif match.suffix.lower() in PACKED:
             packed.append(str(match))
     return Path(text[: _glob_base(text)] + "x").parent, clouds
 
@@ -242,7 +237,7 @@ def _walk(folder: Path, note: Tell, packed: list[str]) -> Iterator[Path]:
         for name in sorted(names):
             if Path(name).suffix.lower() in SUFFIXES:
                 yield here / name
-            elif _is_packed_cloud(name):
+            elif Path(name).suffix.lower() in PACKED:
                 packed.append(str(here / name))
 
 
