@@ -47,6 +47,8 @@ NODE_M = 32.0
 BEND_M = 14.0
 """The error of interpolated terrain is the square of the distance to ground over the square of this, in metres: 1 m at
 14 m, 9 m at 42 m. With 12 m woods that hide hills have 0.1 m less error, but a bluff of which much is seen has more."""
+CONTINUED_BEND_M = 5.0
+"""The same for ground that is continued to one side, as there are no facets to the other."""
 MIN_TREES_ERROR_M = 0.5
 """Least error of the height of trees."""
 MAX_TREES_ERROR_M = 2.5
@@ -132,22 +134,25 @@ def _terrain(
     bridge = cells.means(terrain, known) * unit_m
     gap_m = np.minimum(distances(seen, SIGHT_M / cell_m) * cell_m, SIGHT_M)
     mean_tops = _smooth(tops, cell_m)
-    # Facets from the edge of a wide wood to its other side are too long.
-    ground = np.where(np.isnan(bridge), _smooth(np.where(seen, bridge, np.nan), cell_m), bridge)
+    # Facets from the edge of a wide wood to its other side are too long, so ground is continued.
+    bend_m = np.where(np.isnan(bridge), CONTINUED_BEND_M, BEND_M)
+    near = _smooth(np.where(seen, bridge, np.nan), cell_m)
+    bridge = np.where(np.isnan(bridge), near, bridge)
     wide = opened(seen, WIDE_M / 2 / cell_m)
     from_wide_m = distances(wide, EDGE_M[1] / cell_m) * cell_m
     is_edge = (from_wide_m >= EDGE_M[0]) & (from_wide_m <= EDGE_M[1])
-    trees = _trees(cells, np.where(is_edge, tops - ground, np.nan), mean_tops - ground, cell_m)
+    trees = _trees(cells, np.where(is_edge, tops - bridge, np.nan), mean_tops - bridge, cell_m)
     from_crowns = mean_tops - trees.height
-    bridge_variance = (gap_m / BEND_M) ** 4
+    bridge_variance = (gap_m / bend_m) ** 4
     weight = bridge_variance / (bridge_variance + trees.error**2)
     correction = np.where(np.isnan(tops), 0.0, weight * (from_crowns - bridge))
+    continued = np.where(
+        np.isnan(bridge), from_crowns, bridge + weight * (from_crowns - bridge)
+    )
+    continued[np.isnan(trees.error) | (trees.error > MAX_TREES_ERROR_M)] = np.nan
     own = np.ix_(cells.rows, cells.columns)
     corrected = terrain[own] + np.nan_to_num(_at_pixels(cells, correction)) / unit_m
-    # Crowns at the border of the data are as low as at an edge.
-    is_sure = (gap_m >= EDGE_M[0]) & (trees.error <= MAX_TREES_ERROR_M)
-    alone = np.where(is_sure, from_crowns, np.nan)
-    return np.where(known[own], corrected, _at_pixels(cells, alone) / unit_m)
+    return np.where(known[own], corrected, _at_pixels(cells, continued) / unit_m)
 
 
 def _smooth(heights: Float64, cell_m: float) -> Float64:
