@@ -11,7 +11,6 @@ from typing import Any
 
 from ptd.kernel import cache_refusal
 from tiler.config import RunConfig
-from tiler.core.results import LeftOut
 from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, exit_code_of
 from tiler.export.stage import export
 from tiler.export.tasks.outdated import WRITING
@@ -293,9 +292,9 @@ def _repaired(job: Job, stages: Callable[[], None]) -> None:
     """Run the stages. If objects of the store are damaged, repair it and run the stages again."""
     for number in range(ROUNDS + 1):
         job.record.failed = []
-        job.record.quarantined = [
-            LeftOut(path, error) for path, error in job.plan.inputs.left_out
-        ]
+        job.record.quarantined = []
+        for path, error in job.plan.inputs.left_out:
+            job.record.leave_out(path, error)
         try:
             stages()
             return

@@ -85,7 +85,7 @@ def test_replaced_before_it_is_decoded(
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     (left_out,) = result.summary["quarantined"]
-    assert left_out["path"] == str(path)
+    assert left_out["path"] == path.as_posix()
     assert CHANGED in left_out["error"]
     assert not (tmp_path / "out" / "classified" / "east.laz").exists()
     assert (tmp_path / "out" / "classified" / "west.laz").exists()
@@ -158,7 +158,7 @@ def test_replaced_while_its_digest_is_made(
     good, path, other = files
     change_before(monkeypatch, fingerprints, "read_files", by_name, path, other)
     result = do([good, path], tmp_path / "out")
-    assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
+    assert [q["path"] for q in result.summary["quarantined"]] == [path.as_posix()]
     assert result.exit_code == 5
 
 
@@ -182,7 +182,7 @@ def test_a_piece_that_is_decoded_again_is_of_the_same_file(
     change_before(monkeypatch, ingest_tasks, "spool_piece", by_name, path, other)
     result = do([good, path], out, keep_classes="7")
     assert result.exit_code == 5
-    assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
+    assert [q["path"] for q in result.summary["quarantined"]] == [path.as_posix()]
 
 
 def test_an_empty_file_and_one_that_went_away(

@@ -52,7 +52,7 @@ def test_a_stray_point_is_written_back_and_listed(
     result = do(path, tmp_path / "out")
     assert result.exit_code == 0
     (listed,) = result.summary["strays"]
-    assert (listed["path"], listed["point"]) == (str(path), middle)
+    assert (listed["path"], listed["point"]) == (path.as_posix(), middle)
     found = [listed[axis] for axis in "xyz"]
     np.testing.assert_allclose(found, stray.xyz[0] + (*CORNER, 0.0), atol=0.01)
     assert result.summary["counts"]["strays"] == 1

@@ -12,7 +12,7 @@ from tiler.core.classes import sum_by_class
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.records import SpoolRecord, TileRecord, buckets_in
-from tiler.core.results import ClassCounts, FetchedBytes, LeftOut, PointCounts, Stray
+from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
 from tiler.core.selection import WITHHELD
 from tiler.core.words import counted
 from tiler.errors import InputError, ProcessingError
@@ -28,7 +28,7 @@ from tiler.ingest.tasks.points import (
     strays_of,
 )
 from tiler.inputs import FAR
-from tiler.io.locations import is_url
+from tiler.io.locations import is_url, with_slashes
 from tiler.observe.events import Detail, Note, TaskFailed, Warned
 from tiler.plan import KEEP, Plan, bounds_of, settled_by_points, sparse_raster_remedy
 from tiler.runs.job import Job
@@ -72,7 +72,8 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
     good = [s for s in sources if s.name not in bad]
     left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
-    job.record.quarantined += [LeftOut(path, error) for path, error in left_out]
+    for path, error in left_out:
+        job.record.leave_out(path, error)
     # The error of a worker that died does not contain the path of the file.
     lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
     if not good:
@@ -329,7 +330,7 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
 
 def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> None:
     """List the stray points in run.json, and report their number."""
-    paths = {source.number: str(source.info.path) for source in sources}
+    paths = {source.number: with_slashes(source.info.path) for source in sources}
     strays: list[Stray] = []
     for record in assembled.records.values():
         for number, row, x, y, z in record.strays:

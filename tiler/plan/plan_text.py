@@ -13,6 +13,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import unit_label
 from tiler.core.units_text import length_text, short_unit
 from tiler.core.words import counted, name_in_wkt
+from tiler.io.locations import with_slashes
 from tiler.plan.disk import projected_disk
 from tiler.plan.memory import PlannedPass
 from tiler.plan.method import steps_of
@@ -35,7 +36,8 @@ def plan_json(plan: Plan) -> dict[str, Any]:
     frame, units = grid.meta.frame, grid.meta.frame.units
     seconds, measured = projected_seconds(plan)
     return {
-        "inputs": len(inputs.sources), "unreadable": [list(u) for u in inputs.left_out], "points": inputs.points,
+        "inputs": len(inputs.sources), "points": inputs.points,
+        "unreadable": [[with_slashes(path), why] for path, why in inputs.left_out],
         "area_m2": inputs.covered_m2, "density_per_m2": inputs.density, "crs": frame.crs_wkt,
         "units": {"horizontal": unit_label(units.horizontal), "vertical": unit_label(units.vertical)},
         "units_from": _units_from(plan),

@@ -7,14 +7,16 @@ them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from typing import Any
 
+from tiler.config import RunConfig
 from tiler.core.records import to_json
 from tiler.core.results import LeftOut, StageResult, TileResult
+from tiler.io.locations import with_slashes
 from tiler.observe.events import Event, TaskFailed
 from tiler.observe.json_lines import message_of
 from tiler.plan import Plan, plan_json
@@ -70,6 +72,11 @@ class RunRecord:
     tiles: dict[str, dict[str, TileResult]] = field(default_factory=dict)
     results: Results = field(default_factory=Results)
 
+    def leave_out(self, path: str, error: str) -> None:
+        """Add an input that is left out. Its error may begin with the path."""
+        named = with_slashes(path)
+        self.quarantined.append(LeftOut(named, error.replace(path, named)))
+
     def first_error(self, stage: str) -> str:
         """Return the error of the first failed task of a stage."""
         return next(failure.error for failure in self.failed if failure.stage == stage)
@@ -114,7 +121,7 @@ class RunRecord:
         content = {
             "state": state,
             "version": __version__,
-            "configuration": plan.config.to_json(),
+            "configuration": _settings(plan.config),
             "plan": plan_json(plan),
             "libraries": _libraries(),
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -131,6 +138,18 @@ class RunRecord:
         redacted: dict[str, Any] = stored(content)
         redacted["problems"] = [problem._asdict() for problem in problems_of(redacted)]
         return redacted
+
+
+def _settings(config: RunConfig) -> dict[str, Any]:
+    """Return the settings. Names of files have slashes, as all paths in run.json."""
+    settings = config.to_json()
+    files = {f.name for f in fields(config) if f.metadata["kind"] in ("file", "files")}
+    for name in files | {"store"}:
+        if isinstance(settings[name], str):
+            settings[name] = with_slashes(settings[name])
+        elif settings[name] is not None:
+            settings[name] = [with_slashes(path) for path in settings[name]]
+    return settings
 
 
 @cache

@@ -273,11 +273,17 @@ _AT_WORK = _AtWork()
 
 
 def _resident_bytes(pid: int) -> int:
-    """Return the resident memory of a process in bytes, or 0 if it has ended."""
-    try:
-        return int(psutil.Process(pid).memory_info().rss)
-    except psutil.Error:
-        return 0
+    """Return the resident memory of a process and its descendants in bytes. Those that have ended count as 0.
+
+    In a virtual environment on Windows, the process is a launcher, and Python is its child.
+    """
+    total = 0
+    with suppress(psutil.Error):
+        process = psutil.Process(pid)
+        for each in (process, *process.children(recursive=True)):
+            with suppress(psutil.Error):
+                total += int(each.memory_info().rss)
+    return total
 
 
 def _kill_surely(child: _Child) -> None:

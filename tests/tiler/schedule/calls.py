@@ -6,6 +6,8 @@ import ctypes
 import errno
 import os
 import signal
+import subprocess
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -79,6 +81,12 @@ def allocate_and_wait() -> None:
     kept = np.ones(80 << 20, dtype=np.float64)
     while kept.all():
         time.sleep(1)
+
+
+def allocate_in_a_child_and_wait() -> None:
+    """Have a child keep more than half a gibibyte until this process is killed."""
+    keep = "import sys; kept = b'x' * (640 << 20); sys.stdin.read()"
+    subprocess.Popen([sys.executable, "-c", keep], stdin=subprocess.PIPE).wait()
 
 
 class Panic(BaseException):

@@ -119,9 +119,13 @@ def test_stopped_processes_are_killed_and_replaced(
         assert stopped.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
 
 
+@pytest.mark.parametrize(
+    "allocate", [calls.allocate_and_wait, calls.allocate_in_a_child_and_wait]
+)
 def test_a_child_with_too_much_memory_is_killed_where_no_system_limits_it(
-    monkeypatch: pytest.MonkeyPatch,
+    allocate: Callable[[], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Also if the memory is a child's: in a virtual environment on Windows, a launcher starts Python."""
     if guard_module.limits_memory():  # as on macOS and Windows
         monkeypatch.setattr(guard_module, "FORKS", False)
         monkeypatch.setattr(guard_module, "limits_memory", lambda: False)
@@ -130,7 +134,7 @@ def test_a_child_with_too_much_memory_is_killed_where_no_system_limits_it(
         ChildProcess(memory_bytes=400 << 20) as guard,
         pytest.raises(ChildDiedError, match="^needs more than the 400 MiB"),
     ):
-        guard.call(calls.allocate_and_wait, seconds=PATIENCE_SECONDS)
+        guard.call(allocate, seconds=PATIENCE_SECONDS)
 
 
 def unlimited(start: Callable[..., Any]) -> Callable[..., Any]:

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
 from tiler.core.digests import digest_of
-from tiler.core.results import LeftOut
 from tiler.errors import InputError
 from tiler.ingest.contents import DigestsRecord, ReadFiles, read_files
 from tiler.ingest.tasks.points import Source
@@ -163,7 +162,7 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
     for file_location, reason in sorted(unreadable.items()):
         if job.plan.config.on_error == "stop" or len(job.plan.inputs.sources) == 1:
             raise InputError(reason)
-        job.record.quarantined.append(LeftOut(file_location, reason))
+        job.record.leave_out(file_location, reason)
         job.listener(
             Warned(f"{file_location}: left out: {reason.removeprefix(f'{file_location}: ')}")
         )
