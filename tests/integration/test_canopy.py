@@ -75,7 +75,7 @@ def test_a_canopy_is_bridged_and_marked_and_told(cloud: Path, tmp_path: Path) ->
     assert np.isfinite(heights[mask == 6]).all()
     errors = np.abs(heights - truth(heights.shape))
     assert errors[mask == 1].mean() < 1.0
-    assert errors[mask == 6].mean() < 1.0  # hills of 12 m below trees of 14 to 22 m
+    assert errors[mask == 6].mean() < 1.2  # hills of 12 m below trees of 14 to 22 m
     page = (tmp_path / "out/report.html").read_text()
     for (x, y), doubt in zip(run["canopy"]["places"], run["canopy_doubts"], strict=True):
         west, south, east, north = doubt["place"]
@@ -92,7 +92,7 @@ def test_a_canopy_has_heights_where_facets_are_too_long(cloud: Path, tmp_path: P
     _, _, usual = ran(cloud, tmp_path / "out")
     _, heights, mask = ran(cloud, tmp_path / "short", "--max-edge", 10)
     assert (mask == 6).sum() > 0.8 * (usual == 6).sum()
-    assert np.abs(heights - truth(heights.shape))[mask == 6].mean() < 1.0
+    assert np.abs(heights - truth(heights.shape))[mask == 6].mean() < 1.2
 
 
 def test_a_canopy_may_be_left_without_heights(cloud: Path, tmp_path: Path) -> None:

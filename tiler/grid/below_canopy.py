@@ -6,7 +6,8 @@ distance to ground, and the mean height of the crowns less the height of the tre
 of the trees. The height of a pixel is their mean, weighted by the inverse of the variances. Where facets are too long
 for the first, the second counts alone.
 
-The height of the trees is measured where ground is near. If there is none within `TREES_M`, the terrain stays as it is.
+The height of the trees is measured at the edges of wide ground. If there is none within `TREES_M`, or if pixels are
+wider than `EDGE_M`, the terrain stays as it is.
 """
 
 from __future__ import annotations
@@ -82,7 +83,9 @@ class _Trees(NamedTuple):
 
 
 def below_canopy(store_url: str, work: BelowCanopy) -> BlockRecord:
-    """Write the terrain below a canopy in one block, nodata elsewhere. This is a `tiler.schedule.task.Work`.
+    """Write the terrain below a canopy in one block. This is a `tiler.schedule.task.Work`.
+
+    Pixels in which the terrain stays as it is are nodata.
 
     Returns
     -------
@@ -125,7 +128,7 @@ def _terrain(
     pixel_m: float,
     unit_m: float,
 ) -> Float64:
-    """Return the heights of a block's pixels as if a canopy were over all of them, NaN where they are not known."""
+    """Return the heights of a block's pixels as if a canopy were over all of them, NaN where crowns do not help."""
     cell_m, known = cells.side * pixel_m, terrain != np.float32(NODATA)
     above = crowns > OPEN
     seen = cells.sums((crowns == np.float32(OPEN)).astype(np.int64)) > 0
@@ -146,12 +149,13 @@ def _terrain(
     bridge_variance = (gap_m / bend_m) ** 4
     weight = bridge_variance / (bridge_variance + trees.error**2)
     correction = np.where(np.isnan(tops), 0.0, weight * (from_crowns - bridge))
+    correction[np.isnan(trees.height)] = np.nan
     continued = np.where(
         np.isnan(bridge), from_crowns, bridge + weight * (from_crowns - bridge)
     )
     continued[np.isnan(trees.error) | (trees.error > MAX_TREES_ERROR_M)] = np.nan
     own = np.ix_(cells.rows, cells.columns)
-    corrected = terrain[own] + np.nan_to_num(_at_pixels(cells, correction)) / unit_m
+    corrected = terrain[own] + _at_pixels(cells, correction) / unit_m
     return np.where(known[own], corrected, _at_pixels(cells, continued) / unit_m)
 
 

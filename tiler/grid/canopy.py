@@ -112,7 +112,8 @@ def _crowns(
                 np.where(wide, wide_columns + right, columns),
             )
             there[index] = True
-            tops[index[0][hidden], index[1][hidden]] = cells.xyz[2][hidden] / COUNTS_PER_UNIT
+            places = index[0][hidden], index[1][hidden]
+            np.fmax.at(tops, places, cells.xyz[2][hidden] / COUNTS_PER_UNIT)
     _fill_gaps(tops, there)
     pixel_rows, pixel_columns = (lattice.index(centres) for centres in _centres(spec, block))
     values = tops[np.ix_(pixel_rows - south, pixel_columns - west)]

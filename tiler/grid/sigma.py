@@ -14,6 +14,7 @@ from tiler.core.mask_values import CANOPY, FILLED, WATER
 from tiler.core.nodata import NODATA
 from tiler.core.sigma_groups import COVERED_SHARE, EDGES_M, GROUPS
 from tiler.core.terrain_results import SigmaGroup, SigmaResult
+from tiler.grid.below_canopy import BEND_M
 from tiler.grid.checksum import checksum
 from tiler.grid.records import SigmaRecord
 from tiler.grid.sigma_measures import Measures, measures_of
@@ -33,6 +34,8 @@ class SigmaBlock(PointsBlock):
     ----------
     terrain, mask : str
         Rasters of the delivered heights, and of the mask.
+    below : str or None
+        Raster of the terrain below a canopy. There, ground farther than `BEND_M` counts as if it were as near as this.
     kind : str or None
         Source of the cloud as methods name it (`ptd.passes.RunHints`); None if it is not known.
     cap : Fraction
@@ -41,6 +44,7 @@ class SigmaBlock(PointsBlock):
 
     terrain: str
     mask: str
+    below: str | None
     kind: str | None
     cap: Fraction
 
@@ -61,6 +65,10 @@ def sigma_block(store_url: str, work: SigmaBlock) -> SigmaRecord:
     if there.any():
         mask = store.read_block(work.mask, block)
         measures = measures_of(store, work.rule, spec, block, work.terrain, work.cap)
+        if work.below is not None:
+            from_crowns = store.read_block(work.below, block) != np.float32(NODATA)
+            limit_m = np.where(from_crowns, BEND_M, np.inf)
+            measures = measures._replace(distance=np.minimum(measures.distance, limit_m))
         sigma_m = standard_error_m(measures, mask, work.kind)
         unit_m = float(store.meta.frame.units.vertical)
         values = np.where(there, sigma_m / unit_m, NODATA).astype(np.float32)

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.mask_values import CANOPY, WATER
-from tiler.grid.below_canopy import BEND_M
 from tiler.grid.sigma_measures import Measures
 
 LASER, MATCHED = "lidar", "dim"
@@ -88,12 +87,10 @@ WEIGHTS: Mapping[str, Weights] = {
 def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
     """Return the terms of the variance by the names of `Weights`, without their weights.
 
-    In water, gaps and objects do not count, as its level comes from the shores. Below a canopy, heights come from its
-    crowns where the gap is wider than `BEND_M`.
+    In water, gaps and objects do not count, as its level comes from the shores.
     """
     wet = mask == WATER
     gap = np.where(wet, 0.0, np.maximum(found.distance - GAP_M, 0.0))
-    gap = np.where(mask == CANOPY, np.minimum(gap, BEND_M), gap)
     objects = np.where(wet, 0.0, found.around_objects)
     rough, off = found.roughness**2, found.off_trend**2
     return {

@@ -54,6 +54,7 @@ def work_of(spec: RasterSpec, block: Block, kind: str | None = LASER) -> SigmaBl
         rule=FINAL,
         terrain="dtm",
         mask="mask",
+        below=None,
         kind=kind,
         cap=CAP,
     )

@@ -117,6 +117,7 @@ def filled_raster(product: str, config: RunConfig) -> str:
 def raster_table(config: RunConfig) -> dict[str, RasterStep]:
     """Return all rasters that these settings allow, by name."""
     dtm, dsm = final_raster("dtm", config), final_raster("dsm", config)
+    below = () if config.canopy == VOID_CANOPY else (BELOW_CANOPY,)
     rows = [
         RasterStep(
             "dtm",
@@ -166,7 +167,12 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
             _nodata("mask"),
         ),
         RasterStep(
-            "sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _nodata("sigma")
+            "sigma",
+            (dtm, "mask", *below),
+            sigma_block,
+            Grid.PIXELS,
+            sigma_tasks,
+            _nodata("sigma"),
         ),
     ]
     for model in MODELS if config.voids != "leave" else ():
@@ -194,7 +200,7 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
         if model == "dtm" and finds_water:
             inputs.append("water-cells")
         if model == "dtm":
-            inputs.append(CANOPY if config.canopy == VOID_CANOPY else BELOW_CANOPY)
+            inputs += below or (CANOPY,)
         rows.append(
             RasterStep(
                 final_raster(model, config),

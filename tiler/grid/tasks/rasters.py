@@ -318,7 +318,7 @@ def derived_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 def sigma_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the terrain. A task also reads points and pixels around its block."""
     spec, frame = context.spec, context.plan.frame
-    terrain, mask = raster.inputs
+    terrain, mask, *below = raster.inputs
     cap = frame.counts(context.plan.config.max_edge)
     near = _near(context, spec, reach_of(frame, spec.lattice.size, cap))
     for key in sorted(context.made[terrain]):
@@ -330,10 +330,12 @@ def sigma_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
             rule=context.rule,
             terrain=terrain,
             mask=mask,
+            below=below[0] if below and context.made[below[0]] else None,
             kind=context.kind,
             cap=cap,
         )
         inputs = [context.checksums(terrain, _around(block)), context.checksums(mask, [key])]
+        inputs += [context.checksums(name, [key]) for name in below]
         buckets = near.get(block, [])
         yield context.block_task(
             raster,
