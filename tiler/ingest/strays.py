@@ -2,8 +2,8 @@
 
 A stray is not filtered and does not extend rasters. It keeps its class in the classified cloud.
 All files are judged together and as a whole, so distances do not depend on tiles or on how a
-cloud is cut into files. Groups of more than a few points are never strays, however far away they
-lie.
+cloud is cut into files. Larger groups of points are not strays, however far away they lie, unless
+every file has only a few points of the group in each bucket.
 """
 
 from __future__ import annotations

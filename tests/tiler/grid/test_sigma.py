@@ -106,6 +106,25 @@ def test_more_noise_and_wider_gaps_are_more_uncertain(make_scene) -> None:
     assert holed[30, 30] > 3 * holed[5, 30]
 
 
+def test_far_from_ground_only_crowns_that_give_a_height_make_it_surer(make_scene) -> None:
+    xyz = plane(8000, 30.0)
+    scene = make_scene(xyz[np.hypot(*(xyz[:, :2] - 30_000).T) > 25_000])
+    spec = gridded(scene)
+    block = Block(0, 0, spec.height, spec.width)
+    crowns = np.full((spec.height, spec.width), NODATA, np.float32)
+    crowns[:, 30:] = 100.0
+    scene.store.create_raster("below", spec.height, spec.width, NODATA)
+    scene.store.write_block("below", block, crowns)
+    found = []
+    for below in (None, "below"):
+        sigma_block(scene.store.url, replace(work_of(spec, block, MATCHED), below=below))
+        found.append(scene.store.read_block("sigma", block))
+    usual, surer = found
+    assert np.array_equal(surer[:, :30], usual[:, :30])
+    assert surer[30, 30] < 0.9 * usual[30, 30]  # 25 m from ground
+    assert np.array_equal(surer[30, 50:], usual[30, 50:])  # ground is near
+
+
 @pytest.mark.parametrize("kind", [LASER, MATCHED])
 def test_each_term_only_adds(kind: str) -> None:
     base = Measures(*(np.full((1, 1), v) for v in (0.1, 1.0, 0.2, 0.1, 0.2, 0.2)))
