@@ -31,10 +31,11 @@ from tiler.store import open_store, read_cells
 
 CELL_M = 2.0
 """Side of the cells in which heights are compared, or that of a pixel if it is longer."""
-MEAN_M = 8.0
-"""Standard deviation of the weights of heights in a mean: an area of several trees."""
-MAX_MEAN = 3.0
-"""Distance in standard deviations beyond which heights do not count in a mean."""
+TREES_MEAN_M, GROUND_MEAN_M = 8.0, 2.0
+"""Standard deviations of the weights of heights in a mean: an area of several trees, and the nearest ground, so that
+continued ground has no step at the edge of a wood."""
+MEAN_REACH_M = 24.0
+"""Distance beyond which heights do not count in a mean."""
 EDGE_M = (5.0, 15.0)
 """Distances to ground between which trees are measured. Nearer crowns are lower, and farther terrain is not known."""
 WIDE_M = 10.0
@@ -117,7 +118,7 @@ def below_canopy(store_url: str, work: BelowCanopy) -> BlockRecord:
 def cells_below(spec: RasterSpec, block: Block, pixel_m: float) -> PixelCells:
     """Return the cells that can change the heights below a canopy in a block."""
     side = max(1, round(CELL_M / pixel_m))
-    reach_m = NODE_M + TREES_M + MAX_MEAN * MEAN_M
+    reach_m = NODE_M + TREES_M + MEAN_REACH_M
     return PixelCells(spec, block, side, round(reach_m / (side * pixel_m)) + 2)
 
 
@@ -136,10 +137,10 @@ def _terrain(
     tops = np.where(covered & ~seen, cells.means(crowns, above), np.nan) * unit_m
     bridge = cells.means(terrain, known) * unit_m
     gap_m = np.minimum(distances(seen, SIGHT_M / cell_m) * cell_m, SIGHT_M)
-    mean_tops = _smooth(tops, cell_m)
+    mean_tops = _smooth(tops, TREES_MEAN_M, cell_m)
     # Facets from the edge of a wide wood to its other side are too long, so ground is continued.
     bend_m = np.where(np.isnan(bridge), CONTINUED_BEND_M, BEND_M)
-    near = _smooth(np.where(seen, bridge, np.nan), cell_m)
+    near = _smooth(np.where(seen, bridge, np.nan), GROUND_MEAN_M, cell_m)
     bridge = np.where(np.isnan(bridge), near, bridge)
     wide = opened(seen, WIDE_M / 2 / cell_m)
     from_wide_m = distances(wide, EDGE_M[1] / cell_m) * cell_m
@@ -159,12 +160,12 @@ def _terrain(
     return np.where(known[own], corrected, _at_pixels(cells, continued) / unit_m)
 
 
-def _smooth(heights: Float64, cell_m: float) -> Float64:
+def _smooth(heights: Float64, deviation_m: float, cell_m: float) -> Float64:
     """Return the weighted mean of the known heights around each cell, NaN where there are none."""
     there = np.isfinite(heights)
     total, weight = (
         scipy.ndimage.gaussian_filter(
-            values, MEAN_M / cell_m, mode="constant", truncate=MAX_MEAN
+            values, deviation_m / cell_m, mode="constant", truncate=MEAN_REACH_M / deviation_m
         )
         for values in (np.where(there, heights, 0.0), there.astype(np.float64))
     )
