@@ -104,6 +104,16 @@ def test_a_canopy_may_be_left_without_heights(cloud: Path, tmp_path: Path) -> No
     assert run["canopy"]["mode"] == "void"
 
 
+def test_an_area_does_not_change_what_is_in_it(cloud: Path, tmp_path: Path) -> None:
+    _, whole, mask = ran(cloud, tmp_path / "whole")
+    bounds = EAST + 30, NORTH + 20, EAST + 110, NORTH + 90
+    _, heights, part_mask = ran(cloud, tmp_path / "part", "--bounds", *bounds)
+    part = np.s_[70:140, 30:110]
+    assert (mask[part] == 6).mean() > 0.5
+    assert np.array_equal(mask[part], part_mask)
+    assert np.array_equal(whole[part], heights, equal_nan=True)
+
+
 @pytest.mark.slow
 def test_tiles_do_not_show(cloud: Path, tmp_path: Path) -> None:
     _, heights, mask = ran(cloud, tmp_path / "whole", "--tile-size", 1000)

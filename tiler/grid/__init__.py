@@ -8,7 +8,7 @@ from tiler.grid.above import (
     AboveBlock,
     above_block,
 )
-from tiler.grid.below_canopy import BelowCanopy, below_canopy, cells_below
+from tiler.grid.below_canopy import CROWNS_REACH_M, BelowCanopy, below_canopy
 from tiler.grid.blank import BlankBlocks, blank_blocks
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.bridges.examine import (
@@ -70,6 +70,7 @@ __all__ = [
     "BELOW_M",
     "CELLS_PER_BLOCK",
     "CELL_PIXELS",
+    "CROWNS_REACH_M",
     "MIN_PLACE_M2",
     "NO_PIECE",
     "AboveBlock",
@@ -112,7 +113,6 @@ __all__ = [
     "blocks_of",
     "canopy_block",
     "canopy_reach_cells",
-    "cells_below",
     "close_block",
     "count_edited_points",
     "count_plane_rims",

@@ -20,17 +20,16 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.nodata import NODATA
-from tiler.core.raster import Block, RasterSpec
+from tiler.core.raster import RasterSpec
 from tiler.grid.canopy import OPEN, SIGHT_M
 from tiler.grid.checksum import checksum
-from tiler.grid.pixel_cells import PixelCells, linear
+from tiler.grid.coarse import padded
+from tiler.grid.pixel_cells import linear
 from tiler.grid.reach import distances, opened
 from tiler.grid.records import BlockRecord
 from tiler.grid.work import BlockWork
-from tiler.store import open_store, read_cells
+from tiler.store import Steps, between_centres, coarse_window, open_store, read_cells
 
-CELL_M = 2.0
-"""Side of the cells in which heights are compared, or that of a pixel if it is longer."""
 TREES_MEAN_M, GROUND_MEAN_M = 8.0, 2.0
 """Standard deviations of the weights of heights in a mean: an area of several trees, and the nearest ground, so that
 continued ground has no step at the edge of a wood."""
@@ -58,6 +57,9 @@ MAX_TREES_ERROR_M = 2.5
 MAD = 1.48
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
+CROWNS_REACH_M = NODE_M + TREES_M + MEAN_REACH_M
+"""Distance beyond which crowns do not change a height."""
+
 Float64 = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
@@ -68,12 +70,19 @@ class BelowCanopy(BlockWork):
 
     Attributes
     ----------
-    terrain, canopy : str
-        Rasters of the interpolated heights, and of the canopy.
+    heights, canopy : str
+        Rasters of the model and of the canopy, in pixels.
+    coarse : RasterSpec
+        Raster of the coarse cells.
+    crowns, terrain : str
+        Rasters of the canopy and of the interpolated terrain, in coarse cells. They go on beyond the area of the run.
     """
 
-    terrain: str
+    heights: str
     canopy: str
+    coarse: RasterSpec
+    crowns: str
+    terrain: str
 
 
 class _Trees(NamedTuple):
@@ -93,71 +102,75 @@ def below_canopy(store_url: str, work: BelowCanopy) -> BlockRecord:
     BlockRecord
         Record of the block.
     """
-    store, spec, block = open_store(store_url), work.spec, work.block
-    frame = store.meta.frame
-    pixel_m, unit_m = float(spec.lattice.size * frame.metres_xy), float(frame.units.vertical)
-    cells = cells_below(spec, block, pixel_m)
-    crowns = read_cells(store, work.canopy, spec, cells.window, NODATA)
-    terrain = read_cells(store, work.terrain, spec, cells.window, NODATA)
-    own = np.ix_(cells.rows, cells.columns)
-    hidden, heights = (
-        crowns[own] > OPEN,
-        np.full((block.height, block.width), NODATA, np.float32),
+    store, spec, block, coarse = open_store(store_url), work.spec, work.block, work.coarse
+    frame, nodata = store.meta.frame, np.float32(NODATA)
+    cell_m, unit_m = float(coarse.lattice.size * frame.metres_xy), float(frame.units.vertical)
+    window = padded(coarse_window(coarse, spec, block), round(CROWNS_REACH_M / cell_m) + 2)
+    crowns, terrain = (
+        read_cells(store, name, coarse, window, NODATA).astype(np.float64)
+        for name in (work.crowns, work.terrain)
     )
-    if hidden.any():
-        below = _terrain(cells, crowns, terrain, pixel_m, unit_m)
-        heights = np.where(hidden & np.isfinite(below), below, NODATA).astype(np.float32)
+    below = _terrain(
+        np.where(crowns > OPEN, crowns * unit_m, np.nan),
+        np.where(terrain != NODATA, terrain * unit_m, np.nan),
+        crowns == OPEN,
+        cell_m,
+        (window.row - coarse.north, window.col + coarse.west),
+    )
+    rows, columns = between_centres(coarse, spec, block)
+    steps = (rows[0] - window.row, rows[1]), (columns[0] - window.col, columns[1])
+    correction, continued = (_known_linear(values, *steps) / unit_m for values in below)
+    model = store.read_block(work.heights, block)
+    heights = np.where(
+        (model != nodata) & np.isfinite(correction), model + correction, continued
+    )
+    hidden = store.read_block(work.canopy, block) > OPEN
+    heights = np.where(hidden & np.isfinite(heights), heights, nodata).astype(np.float32)
     store.write_block(work.name, block, heights)
     return BlockRecord(
         pixels=heights.size,
-        filled=int(np.count_nonzero(heights != np.float32(NODATA))),
+        filled=int(np.count_nonzero(heights != nodata)),
         checksum=checksum(heights),
     )
 
 
-def cells_below(spec: RasterSpec, block: Block, pixel_m: float) -> PixelCells:
-    """Return the cells that can change the heights below a canopy in a block."""
-    side = max(1, round(CELL_M / pixel_m))
-    reach_m = NODE_M + TREES_M + MEAN_REACH_M
-    return PixelCells(spec, block, side, round(reach_m / (side * pixel_m)) + 2)
-
-
 def _terrain(
-    cells: PixelCells,
-    crowns: npt.NDArray[np.float32],
-    terrain: npt.NDArray[np.float32],
-    pixel_m: float,
-    unit_m: float,
-) -> Float64:
-    """Return the heights of a block's pixels as if a canopy were over all of them, NaN where crowns do not help."""
-    cell_m, known = cells.side * pixel_m, terrain != np.float32(NODATA)
-    above = crowns > OPEN
-    seen = cells.sums((crowns == np.float32(OPEN)).astype(np.int64)) > 0
-    covered = 2 * cells.sums(above.astype(np.int64)) >= cells.side**2
-    tops = np.where(covered & ~seen, cells.means(crowns, above), np.nan) * unit_m
-    bridge = cells.means(terrain, known) * unit_m
+    tops: Float64, bridge: Float64, seen: Bools, cell_m: float, first: tuple[int, int]
+) -> tuple[Float64, Float64]:
+    """Return corrections of the interpolated terrain, and the terrain itself, as if a canopy were over all cells.
+
+    Both are NaN where crowns do not help.
+
+    Parameters
+    ----------
+    tops, bridge : float64 (height, width)
+        Heights of crowns and of the interpolated terrain in metres, NaN where there are none.
+    seen : bool (height, width)
+        Cells with ground points.
+    cell_m : float
+    first : (int, int)
+        Row and column of the first cell, counted from CRS coordinate 0. Rows increase to the south.
+    """
     gap_m = np.minimum(distances(seen, SIGHT_M / cell_m) * cell_m, SIGHT_M)
     mean_tops = _smooth(tops, TREES_MEAN_M, cell_m)
     # Facets from the edge of a wide wood to its other side are too long, so ground is continued.
-    bend_m = np.where(np.isnan(bridge), CONTINUED_BEND_M, BEND_M)
+    beyond = np.isnan(bridge)
+    bend_m = np.where(beyond, CONTINUED_BEND_M, BEND_M)
     near = _smooth(np.where(seen, bridge, np.nan), GROUND_MEAN_M, cell_m)
-    bridge = np.where(np.isnan(bridge), near, bridge)
+    bridge = np.where(beyond, near, bridge)
     wide = opened(seen, WIDE_M / 2 / cell_m)
     from_wide_m = distances(wide, EDGE_M[1] / cell_m) * cell_m
     is_edge = (from_wide_m >= EDGE_M[0]) & (from_wide_m <= EDGE_M[1])
-    trees = _trees(cells, np.where(is_edge, tops - bridge, np.nan), mean_tops - bridge, cell_m)
+    edge_trees = np.where(is_edge, tops - bridge, np.nan)
+    trees = _trees(edge_trees, mean_tops - bridge, cell_m, first)
     from_crowns = mean_tops - trees.height
     bridge_variance = (gap_m / bend_m) ** 4
     weight = bridge_variance / (bridge_variance + trees.error**2)
     correction = np.where(np.isnan(tops), 0.0, weight * (from_crowns - bridge))
-    correction[np.isnan(trees.height)] = np.nan
-    continued = np.where(
-        np.isnan(bridge), from_crowns, bridge + weight * (from_crowns - bridge)
-    )
-    continued[np.isnan(trees.error) | (trees.error > MAX_TREES_ERROR_M)] = np.nan
-    own = np.ix_(cells.rows, cells.columns)
-    corrected = terrain[own] + _at_pixels(cells, correction) / unit_m
-    return np.where(known[own], corrected, _at_pixels(cells, continued) / unit_m)
+    correction[beyond | np.isnan(trees.height)] = np.nan
+    terrain = np.where(np.isnan(bridge), from_crowns, bridge + weight * (from_crowns - bridge))
+    terrain[np.isnan(trees.error) | (trees.error > MAX_TREES_ERROR_M)] = np.nan
+    return correction, terrain
 
 
 def _smooth(heights: Float64, deviation_m: float, cell_m: float) -> Float64:
@@ -172,14 +185,16 @@ def _smooth(heights: Float64, deviation_m: float, cell_m: float) -> Float64:
     return np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), np.nan)
 
 
-def _trees(cells: PixelCells, trees: Float64, mean_trees: Float64, cell_m: float) -> _Trees:
+def _trees(
+    trees: Float64, mean_trees: Float64, cell_m: float, first: tuple[int, int]
+) -> _Trees:
     """Return the height of trees from heights above wide ground at its edges (NaN elsewhere).
 
     The error is the scatter of ``mean_trees`` there, in which crowns are averaged.
     """
     step, half = max(1, round(NODE_M / cell_m)), TREES_M / cell_m
     n_rows, n_columns = trees.shape
-    first_row, first_column = -(cells.north % step), -(cells.west % step)
+    first_row, first_column = (-(index % step) for index in first)
     node_rows = np.arange(first_row, n_rows + step, step)
     node_columns = np.arange(first_column, n_columns + step, step)
     rows, columns = np.nonzero(np.isfinite(trees) & np.isfinite(mean_trees))
@@ -202,15 +217,10 @@ def _trees(cells: PixelCells, trees: Float64, mean_trees: Float64, cell_m: float
     return _Trees(height, error)
 
 
-def _at_pixels(cells: PixelCells, values: Float64) -> Float64:
-    """Interpolate the known values of cells at the block's pixels."""
-    return _known_linear(values, cells.between(cells.rows), cells.between(cells.columns))
-
-
 def _known_linear(
     values: Float64,
-    down: tuple[npt.NDArray[np.intp], Float64],
-    right: tuple[npt.NDArray[np.intp], Float64],
+    down: Steps,
+    right: Steps,
 ) -> Float64:
     """Interpolate linearly between the known values, NaN where none of the four is known."""
     known = np.isfinite(values)

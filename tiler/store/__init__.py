@@ -6,7 +6,14 @@ No other package depends on zarr, or on the paths, dtypes, chunks and schema ver
 from __future__ import annotations
 
 from tiler.store.arrays import packed_by_one_thread
-from tiler.store.coarse import coarse_cells, coarse_values, coarse_window, read_cells
+from tiler.store.coarse import (
+    Steps,
+    between_centres,
+    coarse_cells,
+    coarse_values,
+    coarse_window,
+    read_cells,
+)
 from tiler.store.commits import Commits
 from tiler.store.index import BucketInfo
 from tiler.store.layout import SPOOL_CHUNK, chunk_numbers
@@ -27,9 +34,11 @@ __all__ = [
     "KeptRecords",
     "Lease",
     "RecordKeeper",
+    "Steps",
     "StoreMeta",
     "StoreSize",
     "TileStore",
+    "between_centres",
     "chunk_numbers",
     "coarse_cells",
     "coarse_values",

@@ -9,6 +9,8 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.store.store import TileStore
 
 Floats = npt.NDArray[np.float32]
+Steps = tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]
+"""For each of some positions, the cell whose centre lies before it, and the share of the way to the next centre."""
 
 
 def read_cells(
@@ -43,6 +45,25 @@ def coarse_cells(
         (2 * (spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)) + 1) * p
     ) // (2 * q)
     return coarse.north - 1 - coarse.lattice.index(y), coarse.lattice.index(x) - coarse.west
+
+
+def between_centres(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[Steps, Steps]:
+    """Return the rows and the columns of coarse cells between whose centres the centres of a block's pixels lie.
+
+    Rows increase to the south. All numbers are whole up to the last division, so they do not depend on the block.
+    """
+    down = np.arange(block.height, dtype=np.int64) + block.row - spec.north
+    right = np.arange(block.width, dtype=np.int64) + spec.west + block.col
+    pixel, cell = spec.lattice, coarse.lattice
+    whole = 2 * pixel.q * cell.p
+    rows, columns = (
+        np.divmod((2 * pixels + 1) * (pixel.p * cell.q) - pixel.q * cell.p, whole)
+        for pixels in (down, right)
+    )
+    return (rows[0] + coarse.north, rows[1] / whole), (
+        columns[0] - coarse.west,
+        columns[1] / whole,
+    )
 
 
 def coarse_window(coarse: RasterSpec, spec: RasterSpec, block: Block) -> Block:

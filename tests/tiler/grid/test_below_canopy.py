@@ -1,4 +1,4 @@
-"""Terrain below a wood: true on a hill that facets cut off, continuous at the edge, the same in any block."""
+"""Terrain below a wood: true on a hill that facets cut off, continuous at the edge, the same in any raster."""
 
 from __future__ import annotations
 
@@ -6,14 +6,20 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.tiler.grid.conftest import Scene
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid import BelowCanopy, below_canopy
 from tiler.grid.canopy import OPEN
+from tiler.grid.coarse import coarse_raster
+from tiler.store import between_centres
 
 SIDE, RADIUS_M, HILL_M, TREES_M = 400, 90.0, 8.0, 17.0
+COARSE = coarse_raster(Lattice(Fraction(2000)), Bounds(0, 0, SIDE * 1000, SIDE * 1000))
+PIXELS = RasterSpec(Lattice(Fraction(1000)), 0, SIDE, SIDE, SIDE)
 
 
 @pytest.fixture
@@ -21,44 +27,56 @@ def scene(make_scene) -> Scene:
     return make_scene(np.zeros((1, 3), np.int64))
 
 
-def wood(side: int, glimpses: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """True terrain, terrain interpolated from the ground around a round wood on a hill, and crowns, pixels of 1 m."""
-    rows, columns = np.indices((side, side))
-    r = np.hypot(rows - side / 2, columns - side / 2)
+def wood(spec: RasterSpec, glimpses: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """True terrain, terrain interpolated from the ground around a round wood on a hill, and crowns."""
+    x, y = (
+        axis / 1000 - SIDE / 2 for axis in spec.centres(Block(0, 0, spec.height, spec.width))
+    )
+    r = np.hypot(x, y)
     truth = 100.0 + HILL_M * np.maximum(1 - (r / RADIUS_M) ** 2, -1.0)
     inside = r < RADIUS_M
-    crowns = truth + TREES_M + 2 * np.sin(rows / 2) * np.sin(columns / 2)
+    crowns = truth + TREES_M + 2 * np.sin(x / 2) * np.sin(y / 2)
     terrain = np.where(inside, 100.0, truth)
-    terrain = np.where(r < RADIUS_M - 50, NODATA, terrain)
+    terrain = np.where((r < RADIUS_M - 50) | (r > SIDE / 2), NODATA, terrain)
     canopy = np.where(inside, crowns, OPEN if glimpses else NODATA)
     return truth, terrain.astype(np.float32), canopy.astype(np.float32)
 
 
-def made(scene: Scene, spec: RasterSpec, terrain: np.ndarray, canopy: np.ndarray) -> np.ndarray:
+def made(
+    scene: Scene, spec: RasterSpec, coarse: RasterSpec = COARSE, glimpses: bool = True
+) -> np.ndarray:
     """The heights below the canopy in all blocks."""
-    store, blocks = scene.store, list(spec.blocks(512))
-    for name in ("terrain", "canopy", "below"):
-        store.create_raster(name, spec.height, spec.width, NODATA)
-    for b in blocks:
-        rows, columns = slice(b.row, b.row + b.height), slice(b.col, b.col + b.width)
-        store.write_block("terrain", b, terrain[rows, columns])
-        store.write_block("canopy", b, canopy[rows, columns])
-    names = {"name": "below", "terrain": "terrain", "canopy": "canopy"}
-    filled = sum(
-        below_canopy(store.url, BelowCanopy(spec=spec, block=b, **names)).filled for b in blocks
-    )
+    store = scene.store
+    rasters = {
+        "model": spec,
+        "canopy": spec,
+        "terrain": coarse,
+        "crowns": coarse,
+        "below": spec,
+    }
+    for name, of in rasters.items():
+        store.create_raster(name, of.height, of.width, NODATA)
+    for (height, canopy), of in ((("model", "canopy"), spec), (("terrain", "crowns"), coarse)):
+        _, *values = wood(of, glimpses)
+        for b in of.blocks(512):
+            part = np.s_[b.row : b.row + b.height, b.col : b.col + b.width]
+            store.write_block(height, b, values[0][part])
+            store.write_block(canopy, b, values[1][part])
+    names = {"heights": "model", "canopy": "canopy", "crowns": "crowns", "terrain": "terrain"}
+    filled = 0
+    for b in spec.blocks(512):
+        work = BelowCanopy(name="below", spec=spec, block=b, coarse=coarse, **names)
+        filled += below_canopy(store.url, work).filled
     heights = store.read_block("below", Block(0, 0, spec.height, spec.width))
     assert filled == (heights != np.float32(NODATA)).sum()
     return heights
 
 
-def spec_of(side: int, west: int = 0, north: int = 0, pixel: int = 1000) -> RasterSpec:
-    return RasterSpec(Lattice(Fraction(pixel)), west, north, side, side)
-
-
-def test_a_hill_below_a_wood_is_found(scene: Scene) -> None:
-    truth, terrain, canopy = wood(SIDE)
-    heights = made(scene, spec_of(SIDE), terrain, canopy)
+@pytest.mark.parametrize("pixel", [1000, 700, 3100])
+def test_a_hill_below_a_wood_is_found(scene: Scene, pixel: int) -> None:
+    spec = RasterSpec.covering(Lattice(Fraction(pixel)), Bounds(0, 0, SIDE * 1000, SIDE * 1000))
+    truth, terrain, canopy = wood(spec)
+    heights = made(scene, spec)
     known, hidden = heights != np.float32(NODATA), canopy > OPEN
     assert np.array_equal(known, hidden)  # the hole in the middle, too, and nothing else
     facets = np.where(terrain == np.float32(NODATA), 100.0, terrain)
@@ -67,8 +85,8 @@ def test_a_hill_below_a_wood_is_found(scene: Scene) -> None:
 
 
 def test_near_ground_the_terrain_stays(scene: Scene) -> None:
-    _, terrain, canopy = wood(SIDE)
-    heights = made(scene, spec_of(SIDE), terrain, canopy)
+    _, terrain, canopy = wood(PIXELS)
+    heights = made(scene, PIXELS)
     rows, columns = np.indices(terrain.shape)
     edge = np.hypot(rows - SIDE / 2, columns - SIDE / 2) > RADIUS_M - 2
     edge &= canopy > OPEN
@@ -76,18 +94,42 @@ def test_near_ground_the_terrain_stays(scene: Scene) -> None:
 
 
 def test_without_ground_in_sight_the_terrain_stays(scene: Scene) -> None:
-    _, terrain, canopy = wood(SIDE, glimpses=False)
-    assert (made(scene, spec_of(SIDE), terrain, canopy) == np.float32(NODATA)).all()
+    assert (made(scene, PIXELS, glimpses=False) == np.float32(NODATA)).all()
 
 
-@pytest.mark.parametrize(("west", "north", "pad"), [(0, 0, 301), (7, -13, 250), (-50, 31, 333)])
-def test_a_place_does_not_depend_on_the_block(
-    scene: Scene, west: int, north: int, pad: int
+@pytest.mark.parametrize(
+    ("west", "north", "height", "width"), [(-301, 701, 701, 701), (150, 260, 90, 70)]
+)
+def test_a_place_does_not_depend_on_the_raster(
+    scene: Scene, west: int, north: int, height: int, width: int
 ) -> None:
-    _, terrain, canopy = wood(SIDE)
-    whole = made(scene, spec_of(SIDE, west, north), terrain, canopy)
-    wider = spec_of(SIDE + pad, west - pad, north + pad)
-    more = [np.full((SIDE + pad,) * 2, NODATA, np.float32) for _ in range(2)]
-    for values, own in zip(more, (terrain, canopy), strict=True):
-        values[pad:, pad:] = own
-    assert np.array_equal(made(scene, wider, *more)[pad:, pad:], whole)
+    """Neither on a larger one with other blocks, nor on one that ends in the wood."""
+    whole = made(scene, PIXELS)
+    other = RasterSpec(PIXELS.lattice, west, north, height, width)
+    wider = coarse_raster(COARSE.lattice, Bounds(-1_500_000, 0, SIDE * 1000, 1_500_000))
+    heights = made(scene, other, wider)
+    left, top = max(west, 0), min(north, SIDE)
+    right, bottom = min(west + width, SIDE), max(north - height, 0)
+    own = heights[north - top : north - bottom, left - west : right - west]
+    assert own.size
+    assert np.array_equal(own, whole[SIDE - top : SIDE - bottom, left:right])
+
+
+sizes = st.fractions(min_value=50, max_value=5000, max_denominator=400)
+
+
+@given(sizes, sizes, st.integers(-(10**7), 10**7), st.integers(-(10**7), 10**7))
+def test_pixels_lie_between_the_centres_of_cells(
+    pixel: Fraction, cell: Fraction, west: int, north: int
+) -> None:
+    spec = RasterSpec(Lattice(pixel), west, north, 3, 3)
+    coarse = coarse_raster(Lattice(cell), spec.block_bounds(Block(0, 0, 3, 3)))
+    (rows, down), (columns, right) = between_centres(coarse, spec, Block(1, 1, 2, 2))
+    for n in range(2):
+        x, y = (west + 1 + n + Fraction(1, 2)) * pixel, (north - 1 - n - Fraction(1, 2)) * pixel
+        for at, before, share in (
+            (x / cell - coarse.west, columns[n], right[n]),
+            (coarse.north - y / cell, rows[n], down[n]),
+        ):
+            assert before + Fraction(1, 2) <= at < before + Fraction(3, 2)
+            assert share == pytest.approx(float(at - before - Fraction(1, 2)))

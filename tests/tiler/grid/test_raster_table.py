@@ -35,7 +35,8 @@ def test_nothing_is_made_that_no_product_needs() -> None:
         assert made.pop() == "dtm-above"  # every run looks for terrain above all returns
         return made
 
-    survey, canopy = ["occupancy", "survey-open", "survey"], ["canopy", "canopy-below"]
+    survey = ["occupancy", "survey-open", "survey"]
+    canopy = ["canopy", "canopy-cells", "canopy-terrain", "canopy-below"]
     terrain = ["dtm", *survey, *canopy, "dtm-outlined"]
     assert names(["slope"]) == [*terrain, "slope"]
     search = [
@@ -79,4 +80,5 @@ def test_rasters_of_pixels_hold_the_nodata_value_of_their_product_where_nothing_
     assert fills["dtm"] == fills["dtm-filled"] == fills["dsm"] == fills["slope"] == -9999
     assert fills["distance"] == 40
     coarse = {name for name, raster in table.items() if raster.grid is Grid.COARSE}
-    assert coarse == {"occupancy", "survey-open", "survey", "dtm-voids", "dsm-voids"}
+    survey = {"occupancy", "survey-open", "survey", "dtm-voids", "dsm-voids"}
+    assert coarse == survey | {"canopy-cells", "canopy-terrain"}

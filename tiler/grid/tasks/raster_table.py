@@ -10,6 +10,7 @@ Besides the products there are rasters that are only in the store. Rasters of co
   ``water-sure`` and ``water-plane-sure`` are confidences. ``water-rims`` and ``water-plane-rims`` have no cells, but a
   record for each block.
 - ``<name>-voids``: the voids of a model that are to be filled.
+- ``canopy-cells`` and ``canopy-terrain``: the crowns where they hide the ground, and the terrain around, interpolated.
 
 Rasters of pixels:
 
@@ -57,9 +58,12 @@ from tiler.grid.tasks.gridding import Grid, RasterStep
 from tiler.grid.tasks.rasters import (
     BELOW_CANOPY,
     CANOPY,
+    CANOPY_CELLS,
+    CANOPY_TERRAIN,
     above_tasks,
     below_canopy_tasks,
     canopy_tasks,
+    canopy_terrain_tasks,
     coarse_terrain_tasks,
     derived_tasks,
     distance_tasks,
@@ -150,9 +154,20 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
         ),
         RasterStep("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
         RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks, NODATA),
+        RasterStep(CANOPY_CELLS, (), canopy_block, Grid.COARSE, canopy_tasks, NODATA),
+        RasterStep(
+            CANOPY_TERRAIN,
+            (CANOPY_CELLS,),
+            grid_block,
+            Grid.COARSE,
+            canopy_terrain_tasks,
+            NODATA,
+            edits=OF_PIXELS,
+            follows_lines=True,
+        ),
         RasterStep(
             BELOW_CANOPY,
-            (filled_raster("dtm", config), CANOPY),
+            (filled_raster("dtm", config), CANOPY, CANOPY_CELLS, CANOPY_TERRAIN),
             below_canopy,
             Grid.PIXELS,
             below_canopy_tasks,

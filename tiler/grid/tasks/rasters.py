@@ -13,6 +13,7 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.core.water import Waters
 from tiler.grid import (
+    CROWNS_REACH_M,
     AboveBlock,
     BelowCanopy,
     CanopyBlock,
@@ -25,7 +26,6 @@ from tiler.grid import (
     SigmaBlock,
     SurfaceBlock,
     canopy_reach_cells,
-    cells_below,
     full_halo,
     reach_of,
     reach_pixels,
@@ -34,11 +34,13 @@ from tiler.grid.coarse import padded
 from tiler.grid.pieces import around
 from tiler.grid.records import BlockRecord
 from tiler.grid.tasks.gridding import GridContext, RasterStep
-from tiler.grid.tasks.survey import surveyed_blocks
+from tiler.grid.tasks.survey import near_places, surveyed_blocks
 from tiler.schedule import Task
 
 CANOPY, BELOW_CANOPY = "canopy", "canopy-below"
 """Rasters of a canopy that hides the ground, and of the terrain below it."""
+CANOPY_CELLS, CANOPY_TERRAIN = "canopy-cells", "canopy-terrain"
+"""Rasters of coarse cells: the canopy, and the interpolated terrain around it."""
 
 
 def terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
@@ -181,15 +183,15 @@ def _near(context: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block
 
 
 def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with points, if the filter found a canopy."""
+    """Yield a task for each block with points, in pixels or coarse cells, if the filter found a canopy."""
     if context.canopy is None:
         return
-    canopy = context.canopy
+    canopy, spec = context.canopy, context.spec_of(raster)
     reach = canopy_reach_cells(float(canopy.side * context.plan.frame.metres_xy))
-    for block, near in _near(context, context.spec, math.ceil(reach * canopy.side)).items():
+    for block, near in _near(context, spec, math.ceil(reach * canopy.side)).items():
         work = CanopyBlock(
             name=raster.name,
-            spec=context.spec,
+            spec=spec,
             block=block,
             rule=context.rule,
             elected=canopy.elected,
@@ -206,22 +208,54 @@ def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
         )
 
 
+def canopy_terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
+    """Yield a task for each block of coarse cells that a facet of the terrain near a canopy could reach."""
+    plan, coarse = context.plan, context.coarse
+    records = context.records(raster.inputs[0], BlockRecord)
+    places = set(near_places(coarse, [at for at, record in records.items() if record.filled]))
+    widest = full_halo(plan.frame.counts(plan.config.max_edge))
+    make = _on_tin(
+        GridBlock,
+        context,
+        max_halo=widest,
+        percent=plan.config.surface_percent,
+        thin=coarse.lattice,
+        max_points=plan.block_points,
+        breaklines=context.corrections.lines_key,
+    )
+    for block, near in _near(context, coarse, widest).items() if places else ():
+        if (block.row, block.col) in places:
+            work = make(name=raster.name, spec=coarse, block=block, rule=context.rule)
+            yield context.block_task(
+                raster, work, context.label_digests(near), points=context.n_points(near)
+            )
+
+
 def below_canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with a canopy. A task also reads heights and crowns around its block."""
-    terrain, canopy = raster.inputs
+    """Yield a task for each block with a canopy. A task also reads coarse cells around its block."""
+    model, canopy, crowns, terrain = raster.inputs
     spec = context.spec
     pixel_m = float(spec.lattice.size * context.plan.frame.metres_xy)
+    cell_m = float(context.coarse.lattice.size * context.plan.frame.metres_xy)
+    reach = math.ceil((CROWNS_REACH_M + 4 * cell_m) / pixel_m)
     for key, (_, record) in sorted(context.made[canopy].items()):
         if not BlockRecord.of(record).filled:
             continue
         block = spec.block_named(key, BLOCK_PIXELS)
         work = BelowCanopy(
-            name=raster.name, spec=spec, block=block, terrain=terrain, canopy=canopy
+            name=raster.name,
+            spec=spec,
+            block=block,
+            heights=model,
+            canopy=canopy,
+            coarse=context.coarse,
+            crowns=crowns,
+            terrain=terrain,
         )
-        window = spec.block_bounds(cells_below(spec, block, pixel_m).window)
-        names = [other.name for other in spec.blocks_within(window, BLOCK_PIXELS)]
-        inputs = [context.checksums(name, names) for name in raster.inputs]
-        yield context.block_task(raster, work, inputs)
+        own = [context.checksums(name, [key]) for name in (model, canopy)]
+        window = padded(block, reach)
+        around_block = [context.coarse_checksums(name, window) for name in (crowns, terrain)]
+        yield context.block_task(raster, work, own, around_block)
 
 
 def outline_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
