@@ -39,6 +39,10 @@ from ptd.matched.crowns import residuals
 from ptd.matched.surface import Surface
 
 Float64 = npt.NDArray[np.float64]
+Int64 = npt.NDArray[np.int64]
+
+UNIT = 2.0**-20
+"""Unit of the values whose means are computed."""
 
 AROUND_M = 25.0
 """Side of the squares in which shares and the scatter of slopes are computed: they contain
@@ -91,13 +95,18 @@ largest slope from cell to cell."""
 AMID_M, AMID, CROWDED = 41.0, 0.3, 0.3
 """Side of the squares around a pit of which a canopy covers more than `AMID`, and smallest share of
 crowns in the square of `PIT_M`."""
-PIT_M, WIDE_M, TREES_M, PIT_SHARE = 15.0, 6.0, 160.0, 0.5
-"""Sides of three squares, and part of the height of trees below which an opening is a pit and not ground.
+PIT_M, WIDE_M, PIT_SHARE = 15.0, 6.0, 0.5
+"""Sides of two squares, and part of the height of trees below which an opening is a pit and not ground.
 
 The depth of the surface is measured from the highest crown in the first square. A wide opening is
-one into which the second square fits. The mean depth of the ground in wide openings of the
-third square is the height of the trees. The largest depth would not do: it may be that of
-ground at the foot of a cliff.
+one into which the second square fits. The mean depth of the ground in wide openings is the height of the trees. The
+largest depth would not do: it may be that of ground at the foot of a cliff.
+"""
+TREES_M, FAR_TREES_M, LAND = 200.0, 400.0, 0.25
+"""Sides of two squares, and share of wide openings in the square of `AMID_M` from which on they are land.
+
+The height of trees is the depth of land in the first square; of land in the second one if the first has none; of any
+wide opening in the first one if both have none. Crowns may look like wide openings in the middle of a wood.
 """
 
 
@@ -126,9 +135,9 @@ def reach_cells(cell_m: float) -> int:
 def pit_reach_cells(cell_m: float, rounds: int) -> int:
     """Return the distance in cells beyond which cells do not change `pits`, for a given surface."""
     wide, trees, crowns, amid = (
-        _odd_cells(size_m, cell_m) // 2 for size_m in (WIDE_M, TREES_M, PIT_M, AMID_M)
+        _odd_cells(size_m, cell_m) // 2 for size_m in (WIDE_M, FAR_TREES_M, PIT_M, AMID_M)
     )
-    return max(trees + max(crowns, 2 * wide), amid) + (rounds - 1) * crowns
+    return trees + max(crowns, amid + 2 * wide) + (rounds - 1) * crowns
 
 
 def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> Canopy:
@@ -189,13 +198,24 @@ def pits(
     is_amid = there & (around.mean(covered.astype(np.float64), there, AMID_M) > AMID)
     crowns = covered & there & ~ground
     depth = _depths(heights, surface, crowns, around)
-    wide = ground & np.isfinite(depth) & around.opened(ground, WIDE_M)
-    least = PIT_SHARE * around.mean(depth, wide, TREES_M)
+    least = PIT_SHARE * _tree_heights(
+        depth, ground & around.opened(ground, WIDE_M), there, around
+    )
     found |= is_amid & (depth < least)
     for _ in range(rounds - 1):
         depth = _depths(heights, surface, crowns | found, around)
         found |= is_amid & (depth < least)
     return found
+
+
+def _tree_heights(depth: Float64, wide: Bool, there: Bool, around: _Squares) -> Float64:
+    """Return the height of the trees around each cell from the depths of wide openings, 0 where there are none."""
+    land = wide & (around.mean(wide.astype(np.float64), there, AMID_M) > LAND)
+    tree_heights = np.zeros_like(depth)
+    for openings, size_m in ((land, TREES_M), (land, FAR_TREES_M), (wide, TREES_M)):
+        means = around.mean(depth, openings & np.isfinite(depth), size_m)
+        tree_heights = np.where(tree_heights > 0, tree_heights, means)
+    return tree_heights
 
 
 def may_be(heights: Float64, cell_m: float) -> Bool:
@@ -317,19 +337,14 @@ class _Squares:
     cell_m: float
 
     def mean(self, values: Float64, known: Bool, size_m: float) -> Float64:
-        """Return the mean of the known values around each cell, or 0 where none is known."""
-        weights = np.ones(_odd_cells(size_m, self.cell_m))
+        """Return the mean of the known values around each cell, or 0 where none is known.
 
-        # Each square is summed separately, because running sums depend on where the raster
-        # begins.
-        def total(of: Float64) -> Float64:
-            along: Float64 = scipy.ndimage.correlate1d(of, weights, axis=1, mode="constant")
-            sums: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
-            return sums
-
-        return total(np.where(known, values, 0.0)) / np.maximum(
-            total(known.astype(np.float64)), 1.0
-        )
+        Values are rounded to `UNIT`, as running sums of whole numbers are the same wherever the raster begins.
+        """
+        size = _odd_cells(size_m, self.cell_m)
+        total = _sums(np.rint(np.where(known, values, 0.0) / UNIT).astype(np.int64), size)
+        means: Float64 = total * UNIT / np.maximum(_sums(known.astype(np.int64), size), 1)
+        return means
 
     def highest(self, values: Float64, size_m: float) -> Float64:
         """Return the highest value around each cell, with minus infinity beyond the raster."""
@@ -352,6 +367,15 @@ class _Squares:
         inner: Bool = scipy.ndimage.minimum_filter(cells, size, mode="constant")
         is_covered: Bool = scipy.ndimage.maximum_filter(inner, size, mode="constant")
         return is_covered
+
+
+def _sums(whole: Int64, size: int) -> Int64:
+    """Return the sums over squares of an odd number of cells around each cell."""
+    half = size // 2
+    for _ in range(2):
+        sums = np.cumsum(np.pad(whole, ((half + 1, half), (0, 0))), axis=0)
+        whole = (sums[size:] - sums[:-size]).T
+    return whole
 
 
 def _odd_cells(metres: float, cell_m: float) -> int:

@@ -6,7 +6,7 @@ distance to ground, and the mean height of the crowns less the height of the tre
 of the trees. The height of a pixel is their mean, weighted by the inverse of the variances. Where facets are too long
 for the first, the second counts alone.
 
-The height of the trees is measured at the edges of wide ground. If there is none within `TREES_M`, or if pixels are
+The height of the trees is measured at the edges of wide ground. If there is none within `FAR_TREES_M`, or if pixels are
 wider than `EDGE_M`, the terrain stays as it is.
 """
 
@@ -39,8 +39,8 @@ EDGE_M = (5.0, 15.0)
 """Distances to ground between which trees are measured. Nearer crowns are lower, and farther terrain is not known."""
 WIDE_M = 10.0
 """Diameter of the disks that fit into ground at which trees are measured. Smaller ground in a wood may be a crown."""
-TREES_M = 100.0
-"""Half the side of the squares in which the height of trees is their median."""
+TREES_M, FAR_TREES_M = 100.0, 200.0
+"""Half the sides of the squares in which the height of trees is their median: the second if the first has too few."""
 MIN_TREES = 20
 """Smallest number of cells from which the height of trees is computed."""
 NODE_M = 32.0
@@ -57,7 +57,7 @@ MAX_TREES_ERROR_M = 2.5
 MAD = 1.48
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
-CROWNS_REACH_M = NODE_M + TREES_M + MEAN_REACH_M
+CROWNS_REACH_M = NODE_M + FAR_TREES_M + MEAN_REACH_M
 """Distance beyond which crowns do not change a height."""
 
 Float64 = npt.NDArray[np.float64]
@@ -192,7 +192,7 @@ def _trees(
 
     The error is the scatter of ``mean_trees`` there, in which crowns are averaged.
     """
-    step, half = max(1, round(NODE_M / cell_m)), TREES_M / cell_m
+    step = max(1, round(NODE_M / cell_m))
     n_rows, n_columns = trees.shape
     first_row, first_column = (-(index % step) for index in first)
     node_rows = np.arange(first_row, n_rows + step, step)
@@ -201,9 +201,11 @@ def _trees(
     heights, means = trees[rows, columns], mean_trees[rows, columns]
     nodes = np.full((2, len(node_rows), len(node_columns)), np.nan)
     for i, row in enumerate(node_rows):
-        in_rows = np.abs(rows - row) <= half
         for j, column in enumerate(node_columns):
-            near = in_rows & (np.abs(columns - column) <= half)
+            away_m = np.maximum(np.abs(rows - row), np.abs(columns - column)) * cell_m
+            near = away_m <= TREES_M
+            if np.count_nonzero(near) < MIN_TREES:
+                near = away_m <= FAR_TREES_M
             if np.count_nonzero(near) >= MIN_TREES:
                 scatter = np.median(np.abs(means[near] - np.median(means[near])))
                 nodes[:, i, j] = np.median(heights[near]), max(MAD * scatter, MIN_TREES_ERROR_M)
