@@ -31,7 +31,7 @@ from ptd.passes import (
     later_passes,
     read_at_candidates,
 )
-from ptd.places import PLACES
+from ptd.places import TABLES
 
 COUNTS_PER_METRE = 1000
 BLOCK_POINTS = 8192
@@ -94,10 +94,10 @@ class Result:
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Return nested values as pairs of name and text, with the lengths of long lists and of the table of places."""
+    """Return nested values as pairs of name and text, with the lengths of long lists and of tables of places."""
     pairs = []
     for name, value in values.items():
-        if name == PLACES:
+        if name in TABLES:
             pairs.append((name, f"{len(value):,} values"))
         elif isinstance(value, Mapping):
             pairs += _flat(value, f"{prefix}{name} / ")

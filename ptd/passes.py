@@ -289,13 +289,16 @@ class Pass(ABC):
     def local(self, state: State, window: Window, scale: Scale) -> State:
         """Return the part of a state that `fit` needs for a window. Distant files do not change this part."""
         part = {
-            name: value for name, value in state.items() if name not in ("notes", places.PLACES)
+            name: value
+            for name, value in state.items()
+            if name not in ("notes", *places.TABLES)
         }
         for name, keys in READ_NAMES.items():
             if name in part:
                 part[name] = {key: value for key, value in part[name].items() if key in keys}
-        if self.by_place and places.PLACES in state:
-            part[places.PLACES] = places.near(state[places.PLACES], window, scale)
+        for name in places.TABLES:
+            if self.by_place and name in state:
+                part[name] = places.near(state[name], window, scale)
         return part
 
     def reduce(self, partials: Iterable[Partial], state: State) -> State:

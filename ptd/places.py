@@ -25,6 +25,9 @@ PLACE_M = 256.0
 flight strip."""
 PLACES = "places"
 """Name of the table in the state of a run."""
+TREES = "trees"
+"""Name of a second table, if a canopy was found: mean height of the trees around each place in metres, 0 if unknown."""
+TABLES = (PLACES, TREES)
 
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]

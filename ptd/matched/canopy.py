@@ -99,15 +99,13 @@ PIT_M, WIDE_M, PIT_SHARE = 15.0, 6.0, 0.5
 """Sides of two squares, and part of the height of trees below which an opening is a pit and not ground.
 
 The depth of the surface is measured from the highest crown in the first square. A wide opening is
-one into which the second square fits. The mean depth of the ground in wide openings is the height of the trees. The
-largest depth would not do: it may be that of ground at the foot of a cliff.
+one into which the second square fits. The mean depth of the ground in wide openings is the height of
+the trees. The largest depth would not do: it may be that of ground at the foot of a cliff.
 """
-TREES_M, FAR_TREES_M, LAND = 200.0, 400.0, 0.25
-"""Sides of two squares, and share of wide openings in the square of `AMID_M` from which on they are land.
-
-The height of trees is the depth of land in the first square; of land in the second one if the first has none; of any
-wide opening in the first one if both have none. Crowns may look like wide openings in the middle of a wood.
-"""
+TREES_M, LAND = 160.0, 0.25
+"""Side of the squares in which the height of trees is the mean depth of land, and share of wide openings in the square
+of `AMID_M` from which on they are land. In the middle of a wood crowns may look like wide openings, but seldom like
+land. As they may, the height of trees farther away counts if it is larger."""
 
 
 class Canopy(NamedTuple):
@@ -135,7 +133,7 @@ def reach_cells(cell_m: float) -> int:
 def pit_reach_cells(cell_m: float, rounds: int) -> int:
     """Return the distance in cells beyond which cells do not change `pits`, for a given surface."""
     wide, trees, crowns, amid = (
-        _odd_cells(size_m, cell_m) // 2 for size_m in (WIDE_M, FAR_TREES_M, PIT_M, AMID_M)
+        _odd_cells(size_m, cell_m) // 2 for size_m in (WIDE_M, TREES_M, PIT_M, AMID_M)
     )
     return trees + max(crowns, amid + 2 * wide) + (rounds - 1) * crowns
 
@@ -172,9 +170,15 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
 
 
 def pits(
-    heights: Float64, surface: Float64, ground: Bool, covered: Bool, cell_m: float, rounds: int
+    heights: Float64,
+    surface: Float64,
+    ground: Bool,
+    covered: Bool,
+    cell_m: float,
+    rounds: int,
+    far_trees: Float64 | float = 0.0,
 ) -> Bool:
-    """Return the cells amid a canopy where the surface is far less deep below crowns than ground in wide openings.
+    """Return the cells amid a canopy where the surface is far less deep below crowns than the ground in openings.
 
     Parameters
     ----------
@@ -190,6 +194,8 @@ def pits(
         Size of the cells in metres.
     rounds : int
         The pits of a round are crowns in the next one, so an area of crowns is found from its edge inwards.
+    far_trees : float64 [rows, columns] or float
+        Height of the trees in metres at land farther away, 0 where it is not known.
     """
     found = np.zeros_like(ground)
     if not covered.any():
@@ -198,9 +204,11 @@ def pits(
     is_amid = there & (around.mean(covered.astype(np.float64), there, AMID_M) > AMID)
     crowns = covered & there & ~ground
     depth = _depths(heights, surface, crowns, around)
-    least = PIT_SHARE * _tree_heights(
-        depth, ground & around.opened(ground, WIDE_M), there, around
-    )
+    wide, land = _openings(ground, there, around)
+    trees = around.mean(depth, land & np.isfinite(depth), TREES_M)
+    trees = np.maximum(trees, far_trees)
+    near_openings = around.mean(depth, wide & np.isfinite(depth), TREES_M)
+    least = PIT_SHARE * np.where(trees > 0, trees, near_openings)
     found |= is_amid & (depth < least)
     for _ in range(rounds - 1):
         depth = _depths(heights, surface, crowns | found, around)
@@ -208,14 +216,20 @@ def pits(
     return found
 
 
-def _tree_heights(depth: Float64, wide: Bool, there: Bool, around: _Squares) -> Float64:
-    """Return the height of the trees around each cell from the depths of wide openings, 0 where there are none."""
-    land = wide & (around.mean(wide.astype(np.float64), there, AMID_M) > LAND)
-    tree_heights = np.zeros_like(depth)
-    for openings, size_m in ((land, TREES_M), (land, FAR_TREES_M), (wide, TREES_M)):
-        means = around.mean(depth, openings & np.isfinite(depth), size_m)
-        tree_heights = np.where(tree_heights > 0, tree_heights, means)
-    return tree_heights
+def land_depths(
+    heights: Float64, surface: Float64, ground: Bool, covered: Bool, cell_m: float
+) -> Float64:
+    """Return the depths of land below the crowns around it in metres, NaN elsewhere. For the arguments see `pits`."""
+    there, around = np.isfinite(heights), _Squares(cell_m)
+    depth = _depths(heights, surface, covered & there & ~ground, around)
+    _, land = _openings(ground, there, around)
+    return np.where(land, depth, np.nan)
+
+
+def _openings(ground: Bool, there: Bool, around: _Squares) -> tuple[Bool, Bool]:
+    """Return the wide openings, and those of them that are land."""
+    wide = ground & around.opened(ground, WIDE_M)
+    return wide, wide & (around.mean(wide.astype(np.float64), there, AMID_M) > LAND)
 
 
 def may_be(heights: Float64, cell_m: float) -> Bool:

@@ -14,15 +14,16 @@ import scipy
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
 from ptd.matched import by_size, surface
-from ptd.matched.canopy import PIT_M, canopy, may_be
+from ptd.matched.canopy import PIT_M, canopy, land_depths, may_be
 from ptd.matched.canopy import reach_cells as canopy_reach_cells
 from ptd.matched.cells import CELL_M, EMPTY, raster_of
 from ptd.matched.evidence import percent
 from ptd.matched.ground_model import band
 from ptd.matched.place_figures import CELL_SIZE, CELL_SIZES_M
 from ptd.matched.step import COVERED, CROWN, OBJECT, TERRAIN, Codes, MatchedPass, noise_m
+from ptd.matched.tree_heights import measure_trees, tree_heights
 from ptd.passes import Int32, Model, Partial, Points, State, UInt8, add_notes
-from ptd.places import PLACES, of_places, on_cells
+from ptd.places import PLACES, TREES, of_places, on_cells
 
 BORDER_M = 8.0
 """Distance from a canopy, in metres, within which the surface may differ from the surface with
@@ -73,15 +74,25 @@ class CanopyPass(MatchedPass):
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
     ) -> CanopyModel:
         """Find the canopy among the cells of each size, and count its cells in the core."""
-        of_size = partial(self.of_size, core=core)
+        trees: list[list[int]] = []
+        of_size = partial(self.of_size, core=core, trees=trees)
         model = by_size.of_each_size(of_size, points, core, scale, state, cells=True)
         is_in_core = core.contains(points.xyz[0], points.xyz[1])
-        return CanopyModel(model, points.take(is_in_core), scale, state)
+        return CanopyModel(model, points.take(is_in_core), trees, scale, state)
 
     def of_size(
-        self, points: Points, scale: Scale, state: State, size_m: float, core: Window
+        self,
+        points: Points,
+        scale: Scale,
+        state: State,
+        size_m: float,
+        core: Window,
+        trees: list[list[int]],
     ) -> Codes:
-        """Compute the surface of the cells of one size as if there were no canopy, and test it."""
+        """Compute the surface of the cells of one size as if there were no canopy, and test it.
+
+        The heights of trees in the core are added to ``trees``.
+        """
         cells, codes = CellLattice.of(size_m, scale), points.known_labels()
         if not (codes != OBJECT).any():
             return Codes(None, codes, cells)
@@ -105,7 +116,13 @@ class CanopyPass(MatchedPass):
             left, coded == TERRAIN, noise, scale, raster.row, raster.column, size_m
         )
         near = band(ground.sigma, ground.narrowing)
-        covered, crowns = canopy(metres, ground, np.abs(metres - ground.height) < near, size_m)
+        on_ground = np.abs(metres - ground.height) < near
+        covered, crowns = canopy(metres, ground, on_ground, size_m)
+        depths = land_depths(metres, ground.height, on_ground & ~crowns, covered, size_m)
+        depth = depths.reshape(-1)[raster.keys]
+        is_measured = np.isfinite(depth) & core.contains(*points.xyz[:2])
+        is_measured &= of_own_place(points, scale, state)
+        trees += measure_trees(depth[is_measured], points.xyz[:, is_measured], scale)
         coded[crowns & (coded != OBJECT)] |= CROWN
         coded[covered] |= COVERED
         return Codes(raster, coded.reshape(-1)[raster.keys], cells)
@@ -119,11 +136,19 @@ class CanopyPass(MatchedPass):
         after = {**state, "canopy": {"share": covered / area if area else None}}
         if not covered:
             return after
+        after[TREES] = tree_heights((part["trees"] for part in parts), state[PLACES])
         line = (
             f"decided: a closed canopy hides the ground in {percent(covered / area)} % of the area; only "
             "openings in it contain ground points"
         )
         return {**after, "notes": add_notes(state, line)}
+
+
+def of_own_place(points: Points, scale: Scale, state: State) -> Bool:
+    """Return a mask of the cells whose size is that of their place."""
+    place_sizes = of_places(state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], scale)
+    same: Bool = place_sizes == by_size.size_of_cells(points, scale)
+    return same
 
 
 class CanopyModel(Model):
@@ -133,35 +158,34 @@ class CanopyModel(Model):
     Cells of the other size only give context.
     """
 
-    def __init__(self, model: Model, core_cells: Points, scale: Scale, state: State) -> None:
+    def __init__(
+        self,
+        model: Model,
+        core_cells: Points,
+        trees: list[list[int]],
+        scale: Scale,
+        state: State,
+    ) -> None:
         self._model, self._scale, self._state = model, scale, state
         labels, _ = self.label(core_cells)
         sizes_m = by_size.size_of_cells(core_cells, scale)
-        counted, covered = self._of_place(core_cells), labels >= COVERED
+        counted, covered = of_own_place(core_cells, scale, state), labels >= COVERED
         self._partial = {
             "area_m2": int((sizes_m[counted] ** 2).sum()),
             "covered_m2": int((sizes_m[covered] ** 2).sum()),
             "blocks": _by_block(core_cells.xyz[:, covered], sizes_m[covered], scale),
+            "trees": trees,
         }
         self.stats = {**model.stats, "covered": int(covered.sum())}
-
-    def _of_place(self, points: Points) -> Bool:
-        """Return a mask of the cells whose size is that of their place."""
-        place_sizes = of_places(
-            self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale
-        )
-        same: Bool = place_sizes == by_size.size_of_cells(points, self._scale)
-        return same
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return the codes of cells."""
         labels, uncertified = self._model.label(points)
-        return np.where(self._of_place(points), labels, labels & ~np.uint8(COVERED)).astype(
-            np.uint8
-        ), uncertified
+        own = of_own_place(points, self._scale, self._state)
+        return np.where(own, labels, labels & ~np.uint8(COVERED)).astype(np.uint8), uncertified
 
     def partial(self) -> Partial:
-        """Return the areas of all cells and of covered cells in square metres, and the covered area by blocks."""
+        """Return the areas of all and of covered cells in m2, covered areas by block, and depths of land by place."""
         return self._partial
 
 

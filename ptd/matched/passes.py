@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
@@ -38,7 +39,7 @@ from ptd.matched.step import (
     noise_m,
 )
 from ptd.passes import Int32, Model, Pass, Points, State, UInt8
-from ptd.places import PLACES, on_cells
+from ptd.places import PLACES, TREES, field, on_cells
 
 PIT_ROUNDS = 5
 """Number of times that pits of a canopy are searched for next to those found before."""
@@ -229,7 +230,9 @@ class SurfacePass(MatchedPass):
             )
             fitted_surface = below_canopy(fitted_surface, ground(raster.heights), ~bare, size_m)
         # The pits are those of the surface with islands, so that the two radii do not add up.
-        hidden = _pits(everything, codes, fitted_surface, scale, size_m)
+        trees = field(state.get(TREES, {}), 0, scale, 0.0)
+        far_trees = on_cells(trees, cells, raster.row, raster.column, everything.shape)
+        hidden = _pits(everything, codes, fitted_surface, far_trees, scale, size_m)
         fitted_surface = islands.without_islands(
             fitted_surface, raster.heights, everything, scale, size_m
         )
@@ -238,13 +241,18 @@ class SurfacePass(MatchedPass):
 
 
 def _pits(
-    heights: Int32, codes: UInt8, fitted: surface.Surface, scale: Scale, cell_m: float
+    heights: Int32,
+    codes: UInt8,
+    fitted: surface.Surface,
+    far_trees: npt.NDArray[np.float64],
+    scale: Scale,
+    cell_m: float,
 ) -> Bool:
     """Return the cells of crowns near a surface, from heights in counts and codes of all cells."""
     metres = np.where(heights == EMPTY, np.nan, heights / scale.counts_z(1.0))
     near = np.abs(metres - fitted.height) < band(fitted.sigma, fitted.narrowing)
     ground = near & (codes & CODE != OBJECT) & (codes & CROWN == 0)
-    return pits(metres, fitted.height, ground, codes >= COVERED, cell_m, PIT_ROUNDS)
+    return pits(metres, fitted.height, ground, codes >= COVERED, cell_m, PIT_ROUNDS, far_trees)
 
 
 PASSES: tuple[Pass, ...] = (

@@ -25,7 +25,7 @@ DENSITY, SIGMA, CELL_SIGMA, CELL_SIZE, BOTH = range(5)
 """
 CELL_SIZES_M = (CELL_M, SPARSE_CELL_M)
 """Possible sizes of cells."""
-SIZES_AROUND = 9
+SIZES_AROUND = 8
 """Number of places around a place in which cells of its size are needed. This distance covers
 the summed radii of all passes on cells."""
 

@@ -12,7 +12,7 @@ from ptd.matched.evidence import SURE
 from ptd.matched.survey import SurveyPass, run_facts
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Partial, Pass, State
-from ptd.places import PLACES
+from ptd.places import PLACES, TABLES
 from tiler.core.records import TileRecord
 from tiler.core.results import LabelCounts
 from tiler.core.units_text import in_unit_of_crs
@@ -103,14 +103,14 @@ def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
 
 
 def _without_known_places(state_after: State, state: State) -> State:
-    """Return the state after a pass. Omit the table of places if the state before the pass has it.
+    """Return the state after a pass. Omit the tables of places that the state before the pass has.
 
-    So the table, which may have a million places, is stored only once.
+    So a table, which may have a million places, is stored only once.
     """
     return {
         name: value
         for name, value in state_after.items()
-        if name != PLACES or name not in state
+        if name not in TABLES or name not in state
     }
 
 
@@ -129,8 +129,7 @@ def _known_state(job: Job, step: Pass, state: State) -> State:
             f"--statistics {job.plan.config.statistics}: was written by an earlier version, which did not measure "
             "density and noise in each place; repeat that run with this version"
         )
-    if PLACES in state:
-        state_after = {PLACES: state[PLACES], **state_after}
+    state_after = {**{name: state[name] for name in TABLES if name in state}, **state_after}
     kind = job.plan.config.source_kind
     if kind is not None and state_after.get("run", {}).get("kind") != kind:
         job.note(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from ptd.places import PLACES
+from ptd.places import TABLES
 from tiler.core.units_text import area_text, length_text
 from tiler.core.words import counted, name_in_wkt
 from tiler.observe.progress import count_text, duration_text, size_text
@@ -264,7 +264,7 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
 
     For long lists and for facts by position, only the number of values is given.
     """
-    if prefix == PLACES:
+    if prefix in TABLES:
         yield prefix, f"{len(value):,}"
     elif isinstance(value, Mapping):
         for name, inner in value.items():
