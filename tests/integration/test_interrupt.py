@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from tests.integration.command import started
 from tests.integration.held import held, hold
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
-from tests.scenes.running import wait_for, wait_until_gone
+from tests.scenes.running import IS_WINE, wait_for, wait_until_gone
 from tests.waiting import PATIENCE_SECONDS
 
 pytestmark = pytest.mark.processes
@@ -41,18 +42,35 @@ def undisturbed(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     return output_digests(out)
 
 
-Start = Callable[[Path, Path], subprocess.Popen[str]]
+Start = Callable[..., subprocess.Popen[str]]
+
+IN_CONSOLE = """
+import ctypes, os, signal, subprocess, sys
+key = getattr(signal, sys.argv[1])
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+signal.signal(signal.SIGBREAK, signal.SIG_IGN)
+ctypes.WinDLL("kernel32").SetConsoleCtrlHandler(None, False)  # children take Ctrl-C, whoever started this
+child = subprocess.Popen(sys.argv[2:], stdin=subprocess.DEVNULL)
+sys.stdin.readline()
+os.kill(0, key)
+sys.exit(child.wait())
+"""
+"""Program of a console of Windows: a command runs in it, and a line of its input presses a key there."""
 
 
 @pytest.fixture
 def start(interruptible: None) -> Iterator[Start]:
-    """The command at the head of a process group of its own, as a shell starts it; what a test leaves is ended."""
+    """The command at the head of a process group or a console of its own; what a test leaves is ended."""
     processes: list[subprocess.Popen[str]] = []
 
-    def begin(cloud: Path, out: Path) -> subprocess.Popen[str]:
+    def begin(cloud: Path, out: Path, *console: object) -> subprocess.Popen[str]:
         hold(out)
-        call = held("run", cloud, "-o", out, *OPTIONS.split())
-        processes.append(started(call, start_new_session=True))
+        call = [*console, *held("run", cloud, "-o", out, *OPTIONS.split())]
+        own = {
+            "creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            "stdin": subprocess.PIPE,
+        }
+        processes.append(started(call, start_new_session=True, **own))
         return processes[-1]
 
     yield begin
@@ -64,30 +82,44 @@ def start(interruptible: None) -> Iterator[Start]:
             process.communicate()
 
 
-@pytest.mark.skipif(
-    not hasattr(os, "killpg"), reason="Windows sends no signals to process groups"
-)
-@pytest.mark.parametrize(
-    "interrupt",
+INTERRUPTS = (
     [
-        pytest.param(signal.SIGINT, id="ctrl-c"),
-        pytest.param(signal.SIGTERM, id="a batch system's SIGTERM", marks=pytest.mark.slow),
-    ],
+        pytest.param("CTRL_C_EVENT", id="ctrl-c"),
+        pytest.param(
+            "CTRL_BREAK_EVENT",
+            id="ctrl-break",
+            marks=pytest.mark.skipif(IS_WINE, reason="Wine tells no program of Ctrl-Break"),
+        ),
+    ]
+    if sys.platform == "win32"
+    else [
+        pytest.param("SIGINT", id="ctrl-c"),
+        pytest.param("SIGTERM", id="a batch system's SIGTERM", marks=pytest.mark.slow),
+    ]
 )
+
+
+@pytest.mark.parametrize("interrupt", INTERRUPTS)
 def test_an_interrupt_ends_it_and_the_command_goes_on(
-    interrupt: signal.Signals,
+    interrupt: str,
     start: Start,
     cloud: Path,
     undisturbed: dict[str, str],
     tmp_path: Path,
 ) -> None:
-    """Either goes to every process: by the terminal to its group, by a batch system to all of a job."""
+    """Each goes to every process: by the terminal to its group, by a batch system to all of a job."""
     out = tmp_path / "out"
-    process = start(cloud, out)
+    in_console = [sys.executable, "-c", IN_CONSOLE, interrupt] if os.name == "nt" else []
+    process = start(cloud, out, *in_console)
     wait_for(out, "task_done", "filter0", process)
     group = psutil.Process(process.pid).children(recursive=True)
     assert len(group) >= 2
-    os.killpg(process.pid, interrupt)
+    if sys.platform == "win32":
+        assert process.stdin is not None
+        process.stdin.write("\n")
+        process.stdin.flush()
+    else:
+        os.killpg(process.pid, getattr(signal, interrupt))
     _, error = process.communicate(timeout=PATIENCE_SECONDS)
     assert process.returncode == 130, error
     assert error.splitlines()[-1] == "tiler: interrupted; run the same command again to resume"

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 import psutil
 
 from tests.waiting import wait_until
+
+IS_WINE = sys.platform == "win32" and hasattr(ctypes.WinDLL("ntdll"), "wine_get_version")
+"""Whether this Windows is Wine."""
 
 
 def wait_for(out: Path, event: str, stage: str, process: subprocess.Popen[str]) -> None:

@@ -128,6 +128,7 @@ class Markup(HTMLParser):
         self.links += [value for name, value in attrs if name == "href"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows allows no such names")
 def test_a_run_tells_and_shows(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, in_process: None
 ) -> None:

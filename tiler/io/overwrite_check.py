@@ -7,6 +7,7 @@ before it writes any of them.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,9 @@ from tiler.core.sheet_names import fault_on_windows
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import is_url, plain_scheme, without_local_scheme
+
+_EXTENDED = re.compile(r"^[\\/]{2}[?.][\\/](?=[A-Za-z]:)")
+"""Prefix with which Windows takes a path as it is. It names the same file as the path without it."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,11 @@ def check_links(option: str, out: str | Path, names: Iterable[str]) -> None:
 def real_place(place: str | Path) -> str:
     """Return a path without links and dots, in lower case on Windows, or a URL without a slash at its end."""
     text = without_local_scheme(plain_scheme(str(place)))
-    return text.rstrip("/") if is_url(text) else os.path.normcase(os.path.realpath(text))
+    if is_url(text):
+        return text.rstrip("/")
+    return os.path.normcase(
+        os.path.realpath(_EXTENDED.sub("", text) if os.name == "nt" else text)
+    )
 
 
 def same_file(one: str | Path, other: str | Path) -> bool:

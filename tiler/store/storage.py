@@ -99,6 +99,10 @@ class Storage:
     def __hash__(self) -> int:
         return hash(self.url)
 
+    def _path(self, key: str) -> str:
+        r"""Return the path of an object in a folder. A path that begins with ``\\?\`` may not contain slashes."""
+        return f"{self.root}{os.sep}{key.replace('/', os.sep)}"
+
     def get(self, key: str) -> bytes | None:
         """Return the object's bytes, or None if there is no such object."""
         return self.get_many([key])[0]
@@ -106,7 +110,7 @@ class Storage:
     def get_many(self, keys: Sequence[str]) -> list[bytes | None]:
         """Return the bytes of each object in the order of the keys, None for missing ones. Remote requests overlap."""
         if self.root is not None:
-            return [_file_bytes(f"{self.root}/{key}") for key in keys]
+            return [_file_bytes(self._path(key)) for key in keys]
         prototype = default_buffer_prototype()
         gate = asyncio.Semaphore(_REQUESTS_AT_ONCE)
 
@@ -130,7 +134,7 @@ class Storage:
         """Write an object in place of an older one with the same key."""
         try:
             if self.root is not None:
-                _write_file(f"{self.root}/{key}", data)
+                _write_file(self._path(key), data)
             else:
                 sync(
                     self.zarr_store.set(key, default_buffer_prototype().buffer.from_bytes(data))

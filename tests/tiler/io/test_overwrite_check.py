@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.scenes.windows_paths import junction_or_skip, spelled
 from tiler.errors import ConfigError
 from tiler.io.overwrite_check import Target, check_folder, check_names, check_targets
 
@@ -20,7 +21,11 @@ def read(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "kind", ["same", "dots", "link", "hard link", "link of a folder", "file URL"]
+    "kind",
+    [
+        *("same", "dots", "link", "hard link", "link of a folder", "junction", "file URL"),
+        *("extended path", "device path", "UNC path"),
+    ],
 )
 def test_an_input_is_recognised_by_any_name(kind: str, read: Path, tmp_path: Path) -> None:
     target: str | Path = read
@@ -35,13 +40,29 @@ def test_an_input_is_recognised_by_any_name(kind: str, read: Path, tmp_path: Pat
     elif kind == "link of a folder":
         (tmp_path / "out").symlink_to(tmp_path / "in")
         target = tmp_path / "out" / "a.laz"
+    elif kind == "junction":
+        junction_or_skip(tmp_path / "out", tmp_path / "in")
+        target = tmp_path / "out" / "a.laz"
     elif kind == "file URL":
         target = read.as_uri()
+    elif kind.endswith("path"):
+        target = spelled(kind, read)
     with pytest.raises(
         ConfigError, match=r"^-o .* is an input \(.*a\.laz\); give another output"
     ):
         check_targets([Target("-o", target)], [tmp_path / "none", read])
     check_targets([Target("-o", tmp_path / "c.laz")], [read])
+
+
+@pytest.mark.parametrize("kind", ["extended path", "device path"])
+def test_a_folder_is_recognised_by_any_spelling(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    for one, other in (
+        (spelled(kind, tmp_path), tmp_path),
+        (tmp_path, spelled(kind, tmp_path)),
+    ):
+        with pytest.raises(ConfigError, match="contains"):
+            check_folder("--store", one, [other / "out"])
 
 
 def test_a_file_that_does_not_exist_yet_is_recognised_by_its_path(tmp_path: Path) -> None:
