@@ -102,7 +102,7 @@ The depth of the surface is measured from the highest crown in the first square.
 one into which the second square fits. The mean depth of the ground in wide openings is the height of
 the trees. The largest depth would not do: it may be that of ground at the foot of a cliff.
 """
-TREES_M, LAND = 160.0, 0.25
+TREES_M, LAND = 140.0, 0.25
 """Side of the squares in which the height of trees is the mean depth of land, and share of wide openings in the square
 of `AMID_M` from which on they are land. In the middle of a wood crowns may look like wide openings, but seldom like
 land. As they may, the height of trees farther away counts if it is larger."""

@@ -136,6 +136,30 @@ def test_crowns_that_are_ground_are_pits_from_their_edge_inwards() -> None:
     assert not often[~climbed].any()
 
 
+def middle_of_a_wood(far_trees: float, lawn: bool = False) -> np.ndarray:
+    """Pits found where the surface is 4 m below crowns, and a lawn in the north, if wanted, 20 m below them."""
+    climbed = (abs(ROWS - 80) < 9) & (abs(COLUMNS - 80) < 9)
+    land = (ROWS > 115) & lawn
+    heights = np.where(land, -20.0, np.where(climbed, -4.0, crowns()))
+    ground = climbed | land
+    return pits(heights, np.where(ground, heights, -20.0), ground, ~ground, 1.0, 1, far_trees)[
+        climbed
+    ]
+
+
+@pytest.mark.parametrize(("far_trees", "lawn"), [(20.0, False), (0.0, True)])
+def test_in_the_middle_of_a_wood_the_height_of_trees_comes_from_land_farther_away(
+    far_trees: float, lawn: bool
+) -> None:
+    assert not middle_of_a_wood(0.0).any()
+    assert middle_of_a_wood(far_trees, lawn).mean() > 0.4
+
+
+def test_low_trees_far_away_do_not_make_crowns_ground() -> None:
+    near = middle_of_a_wood(0.0, lawn=True)
+    assert np.array_equal(middle_of_a_wood(5.0, lawn=True), near)
+
+
 def test_cells_beyond_the_reach_of_pits_have_no_part() -> None:
     found = pits_in_a_wood(PIT_ROUNDS)
     changed = pits_in_a_wood(PIT_ROUNDS, pit_reach_cells(1.0, PIT_ROUNDS))

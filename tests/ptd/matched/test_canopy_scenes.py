@@ -137,6 +137,16 @@ def test_simulated_woods_are_told_and_bridged(hilly: bool, clearings: bool) -> N
 
 
 @pytest.mark.slow
+def test_the_middle_of_a_wide_wood_is_no_ground() -> None:
+    """No land is within 100 m there. Without it, 4 % of the points of crowns became ground."""
+    points = Wood(hilly=False, clearings=False, side_m=440.0).points()
+    labels = found(points.xyz).after
+    in_wood = (np.abs(points.xyz[:, :2] - 220.0) < 170.0).all(axis=1) & (points.label != 2)
+    assert in_wood.sum() > 100_000
+    assert (labels[in_wood] == 2).mean() < 0.002
+
+
+@pytest.mark.slow
 def test_steep_ground_beside_woods_is_no_canopy() -> None:
     """The east of the simulated mountain, where the pass once took ground for crowns."""
     whole = simulated("dim_mountain")

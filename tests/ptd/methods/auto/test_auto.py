@@ -270,7 +270,7 @@ def test_reaches_are_those_of_the_rules() -> None:
         "cells": 4.0,
         "objects": 324.0,
         "inner-objects": 324.0,
-        "canopy": 674.0,
+        "canopy": 664.0,
         "surface": 678.0,
     }
 

@@ -1,0 +1,55 @@
+"""The height of trees of a place: a mean of the land there and around, whatever the order and the cut of the tiles."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ptd.frame import Scale
+from ptd.matched.tree_heights import measure_trees, tree_heights
+from ptd.places import PLACE_M, name_of
+
+SCALE = Scale(Fraction(1, 100), Fraction(1, 100), (-12_345, 678))
+PLACES = {name_of(column, row): [1.0] for column in range(-6, 7) for row in range(-6, 7)}
+
+
+def cells(places: list[tuple[int, int]]) -> np.ndarray:
+    """The middles of places in local counts, int32 [3, n]."""
+    xy = [[round((index + 0.5) * PLACE_M * 100) for index in place] for place in places]
+    local = np.array(xy, np.int64).reshape(-1, 2).T - np.array(SCALE.origin)[:, None]
+    return np.vstack([local, np.zeros_like(local[:1])]).astype(np.int32)
+
+
+def test_land_counts_in_its_place_and_up_to_two_places_away() -> None:
+    heights = tree_heights([measure_trees(np.array([18.0]), cells([(1, -2)]), SCALE)], PLACES)
+    assert heights.keys() == PLACES.keys()
+    known = {name for name, (height,) in heights.items() if height}
+    assert known == {name_of(1 + i, -2 + j) for i in range(-2, 3) for j in range(-2, 3)}
+    assert {height for (height,) in heights.values()} == {0.0, 18.0}
+
+
+def test_nearer_land_counts_almost_alone() -> None:
+    measured = measure_trees(
+        np.array([10.0, 10.0, 25.0]), cells([(0, 0), (0, 0), (2, 0)]), SCALE
+    )
+    heights = tree_heights([measured], PLACES)
+    assert heights[name_of(0, 0)] == [round((2 * 64 * 10 + 25) / (2 * 64 + 1), 2)]
+    assert heights[name_of(1, 0)] == [15.0]  # as near to both
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(-4, 4), st.integers(-4, 4), st.floats(1.0, 60.0)), min_size=1
+    )
+)
+def test_tiles_do_not_matter(land: list[tuple[int, int, float]]) -> None:
+    xyz = cells([(column, row) for column, row, _ in land])
+    depths = np.array([depth for *_, depth in land])
+    whole = tree_heights([measure_trees(depths, xyz, SCALE)], PLACES)
+    parts = [
+        measure_trees(depths[i : i + 1], xyz[:, i : i + 1], SCALE) for i in range(len(land))
+    ]
+    assert tree_heights(parts[::-1], PLACES) == whole
