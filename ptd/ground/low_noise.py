@@ -325,8 +325,8 @@ def low_noise(points: Xyz, scale: Scale) -> Bool:
     widest = BLOCK_CELLS * scale.counts(CELL_M)
     if max(np.ptp(points.x.astype(np.int64)), np.ptp(points.y.astype(np.int64))) < widest:
         return _in_raster(points, scale)
-    columns, rows = cells.cell_indices(points.x, points.y)
-    order = np.lexsort((columns, rows))
+    rows = cells.cell_indices(points.x, points.y)[1]
+    order = np.argsort(rows, kind="stable")
     x, y, z = (axis[order] for axis in points)
     for index, inner in blocks(x, y, cells, math.ceil(REACH_M / CELL_M)):
         found = _in_raster(Xyz(x[index], y[index], z[index]), scale)
