@@ -157,6 +157,19 @@ def _is_clump(p: int, layer: Layer, points: int, hood: Neighbourhood, none: Int6
 
 
 @kernel
+def _is_lowest(p: int, hood: Neighbourhood) -> bool:
+    """Return whether at most `CLUMP_POINTS` of the cells within `WIDE_CELLS` hold points as low as a point."""
+    top, n = hood.z[p] + MIN_DEPTH_M / hood.metres_z, 0
+    column, row = hood.cells[p] % hood.width, hood.cells[p] // hood.width
+    for j in range(max(row - WIDE_CELLS, 0), min(row + WIDE_CELLS + 1, hood.height)):
+        for i in range(max(column - WIDE_CELLS, 0), min(column + WIDE_CELLS + 1, hood.width)):
+            n += hood.low[j * hood.width + i] <= top
+            if n > CLUMP_POINTS:
+                return False
+    return True
+
+
+@kernel
 def _is_covered(level: Int64, hood: Neighbourhood, shares: Int32, work: Float64) -> bool:
     """Return whether the layers above the points of a level hold the share `FULL` of all points on average.
 
@@ -216,6 +229,8 @@ def _noise_at(p: int, hood: Neighbourhood, space: _Space) -> int:
     layer = layer_above(p, hood, work, EXPECTED)
     wider = layer.points == 0
     if wider:
+        if not _is_lowest(p, hood):
+            return NO_NOISE
         layer = layer_above(p, hood, work, WIDER_EXPECTED)
         if layer.points < WIDER_POINTS:
             return NO_NOISE

@@ -92,6 +92,19 @@ def test_clumps_among_plants_are_noise() -> None:
     assert noise[len(xyz) :].all()
 
 
+def test_little_ground_below_sloping_crowns_is_no_noise() -> None:
+    """A layer in a wider disc slopes, so hardly any ground is as high along it as a point."""
+
+    def grid(step_m: float, slope: float = 0.0) -> np.ndarray:
+        x, y = np.mgrid[1.0:SIDE_M:step_m, 1.0:SIDE_M:step_m].reshape(2, -1)
+        return np.stack([x, y, slope * x], axis=1)
+
+    layer, crowns, seen = grid(0.66, 0.8), ground(6.0, slope=0.8), grid(2.3)
+    crowns[:, 2] += np.random.default_rng(12).uniform(1, 9, len(crowns))
+    noise = found(np.concatenate([layer + [0, 0, 8], crowns + [0, 0, 8], seen]))
+    assert noise[-len(seen) :].mean() < 0.03
+
+
 def test_levels_of_the_sparsest_places_reach_no_farther_cell_than_stated() -> None:
     assert module._level_radius_m(module.MIN_DENSITY_M2) <= module.LEVEL_CELLS * module.CELL_M
 
