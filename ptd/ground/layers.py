@@ -135,9 +135,9 @@ class _Plane(NamedTuple):
 
 
 @inlined
-def disc_radius_m(density_m2: float) -> float:
-    """Return the radius of the disc around a point of a place with a density."""
-    return max(MIN_RADIUS_M, math.sqrt(EXPECTED / (math.pi * density_m2)))
+def disc_radius_m(density_m2: float, expected: float) -> float:
+    """Return the radius of the disc with an expected number of points at a place with a density."""
+    return max(MIN_RADIUS_M, math.sqrt(expected / (math.pi * density_m2)))
 
 
 @kernel
@@ -293,8 +293,8 @@ def _lowest_layer(
 
 
 @kernel
-def layer_above(p: int, hood: Neighbourhood, work: Float64) -> Layer:
-    """Return the layer above a point.
+def layer_above(p: int, hood: Neighbourhood, work: Float64, expected: float) -> Layer:
+    """Return the layer above a point. There is none if the disc would be wider than `REACH_CELLS`.
 
     Parameters
     ----------
@@ -303,9 +303,11 @@ def layer_above(p: int, hood: Neighbourhood, work: Float64) -> Layer:
     hood : Neighbourhood
     work : float64 [5, m]
         Space for the points of 5 x 5 cells.
+    expected : float
+        Number of points in the disc at the density of the place.
     """
-    radius = disc_radius_m(hood.density[hood.cells[p]])
-    n = _gather(p, hood, radius, work)
+    radius = disc_radius_m(hood.density[hood.cells[p]], expected)
+    n = _gather(p, hood, radius, work) if radius <= REACH_CELLS * CELL_M else 0
     if n < MIN_POINTS:
         return Layer(0.0, 0.0, 0, 0.0, 0.0)
     plane = _lowest_layer(n, 0.0, 0.0, hood.metres, hood.metres_z, work)

@@ -18,6 +18,7 @@ from ptd.ground.blocks import BLOCK_CELLS, blocks
 from ptd.ground.layers import (
     CELL_M,
     EMPTY,
+    EXPECTED,
     MIN_DENSITY_M2,
     MIN_DEPTH_M,
     MIN_SLOPE,
@@ -32,11 +33,11 @@ from ptd.ground.layers import (
     layer_above,
     sorted_by_cell,
 )
-from ptd.kernel import kernel
+from ptd.kernel import inlined, kernel
 
 LEVEL_M, LEVEL_CELLS = 2.0, 3
-"""Least radius of the level of a point, which is the points as high as it, and the farthest cell
-that a level reaches."""
+"""Least radius of the level of a point, which is the points as high as it, and the largest radius in
+cells, so that a level reaches no farther cell."""
 SPARSE = 20.0
 """A level is thin if its layer has at least this many times as many points per area."""
 SURE_POINTS, SHALLOW_M = 18, 2.5
@@ -45,9 +46,14 @@ thin level. No roof and no crown lies so low."""
 WIDE_M, WIDE_CELLS = 5.0, 5
 """Radius of a wide level, and the farthest cell of it. The ground below a forest, a roof or a bridge
 is seen again within it, noise is not."""
-WIDE_POINTS, WIDE_SHARE = 5, 0.005
-"""Largest number of points of a level that is thin in the wide radius, and its largest share of
-the layer's points."""
+CLUMP_POINTS, CLUMP_SHARE, WIDE_SHARE = 8, 0.02, 0.005
+"""A level is a clump if neither it nor the wide level has more points than these, nor a larger share
+than this of the number of points that the layer has in the wide radius. It also is one if the share
+is at most the last one."""
+WIDER_EXPECTED, WIDER_POINTS = 36.0, 9
+"""Number of points in a wider disc, and the least number of points of a layer in it. It is tried if
+the first disc has no layer, as only a part of the points among plants is ground. All but clumps
+needs more evidence than such a layer."""
 FULL = 0.5
 """Mean share of all points that lie in the layers above the points of a wide level. From it on, the
 level is noise. It is 0.2 below the edge of a bridge, as the ground goes on beside it, 0.45 below a
@@ -110,6 +116,12 @@ def _first_cells(low: Int32, deep: Bool, shape: tuple[int, int], depth: float) -
     return first
 
 
+@inlined
+def _level_radius_m(density_m2: float) -> float:
+    """Return the radius of the levels of a place with a density."""
+    return min(max(LEVEL_M, 2.0 * disc_radius_m(density_m2, EXPECTED)), LEVEL_CELLS * CELL_M)
+
+
 @kernel
 def _level(
     p: int, layer: Layer, tolerance_m: float, radius_m: float, hood: Neighbourhood, level: Int64
@@ -135,13 +147,26 @@ def _level(
 
 
 @kernel
-def _is_proof(p: int, layer: Layer, hood: Neighbourhood, level: Int64) -> bool:
-    """Return whether a layer proves that a point of a thin level is noise, or the level is thin far around."""
-    if layer.points >= SURE_POINTS and layer.depth_m < SHALLOW_M:
-        return True
-    wide = _level(p, layer, min(1.0, layer.depth_m / 4.0), WIDE_M, hood, level[:0])
-    share = WIDE_SHARE * layer.density_m2 * math.pi * WIDE_M * WIDE_M
-    return wide <= max(float(WIDE_POINTS), share)
+def _is_clump(p: int, layer: Layer, points: int, hood: Neighbourhood, none: Int64) -> bool:
+    """Return whether a level with a number of points is all that is as high as a point far around."""
+    expected = layer.density_m2 * math.pi * WIDE_M * WIDE_M
+    few = max(min(float(CLUMP_POINTS), CLUMP_SHARE * expected), WIDE_SHARE * expected)
+    if points > few:
+        return False
+    return _level(p, layer, min(1.0, layer.depth_m / 4.0), WIDE_M, hood, none) <= few
+
+
+@kernel
+def _is_lowest(p: int, hood: Neighbourhood) -> bool:
+    """Return whether at most `CLUMP_POINTS` of the cells within `WIDE_CELLS` hold points as low as a point."""
+    top, n = hood.z[p] + MIN_DEPTH_M / hood.metres_z, 0
+    column, row = hood.cells[p] % hood.width, hood.cells[p] // hood.width
+    for j in range(max(row - WIDE_CELLS, 0), min(row + WIDE_CELLS + 1, hood.height)):
+        for i in range(max(column - WIDE_CELLS, 0), min(column + WIDE_CELLS + 1, hood.width)):
+            n += hood.low[j * hood.width + i] <= top
+            if n > CLUMP_POINTS:
+                return False
+    return True
 
 
 @kernel
@@ -163,7 +188,7 @@ def _is_covered(level: Int64, hood: Neighbourhood, shares: Int32, work: Float64)
                 lowest = level[last]
             last += 1
         if shares[lowest] < 0:
-            layer = layer_above(lowest, hood, work)
+            layer = layer_above(lowest, hood, work, EXPECTED)
             share = layer.density_m2 / hood.density[hood.cells[lowest]]
             shares[lowest] = round(1000 * min(share, 1.0))
         lacking -= (1000 - shares[lowest]) * (last - first)
@@ -194,18 +219,23 @@ class _Space(NamedTuple):
 
 
 NO_NOISE, ALONE = 0, -1
-"""Results of `_noise_at`."""
+"""Results of `_noise_at`. Of the level of a point alone, other points may be ground."""
 
 
 @kernel
 def _noise_at(p: int, hood: Neighbourhood, space: _Space) -> int:
     """Return `NO_NOISE` or `ALONE` for a point, or the number of points of its level if all of it is noise."""
     shares, work, level, wide = space
-    layer = layer_above(p, hood, work)
-    if layer.points == 0:
-        return NO_NOISE
+    layer = layer_above(p, hood, work, EXPECTED)
+    wider = layer.points == 0
+    if wider:
+        if not _is_lowest(p, hood):
+            return NO_NOISE
+        layer = layer_above(p, hood, work, WIDER_EXPECTED)
+        if layer.points < WIDER_POINTS:
+            return NO_NOISE
     density = hood.density[hood.cells[p]]
-    radius = max(LEVEL_M, 2.0 * disc_radius_m(density))
+    radius = _level_radius_m(density)
     tolerance = min(MIN_DEPTH_M, layer.depth_m / 2.0)
     n = n_thin = _level(p, layer, tolerance, radius, hood, level)
     # A roof slopes, but the ground below it and beside it need not.
@@ -213,9 +243,12 @@ def _noise_at(p: int, hood: Neighbourhood, space: _Space) -> int:
     flat = Layer(layer.depth_m, layer.density_m2, layer.points, 0.0, 0.0)
     if layer.depth_m >= SHALLOW_M and tilted:
         n_thin = max(n, _level(p, flat, tolerance, radius, hood, wide[:0]))
-    if layer.density_m2 * math.pi * radius * radius >= SPARSE * n_thin:
-        return ALONE if _is_proof(p, layer, hood, wide) else NO_NOISE
-    if layer.density_m2 < FULL / 2 * density:
+    sure = not wider and layer.points >= SURE_POINTS and layer.depth_m < SHALLOW_M
+    if sure and layer.density_m2 * math.pi * radius * radius >= SPARSE * n_thin:
+        return ALONE
+    if _is_clump(p, layer, n_thin, hood, wide[:0]):
+        return n
+    if wider or layer.density_m2 < FULL / 2 * density:
         return NO_NOISE
     n_wide = _level(p, layer, tolerance, WIDE_M, hood, wide)
     if not _is_covered(wide[:n_wide], hood, shares, work):
@@ -251,7 +284,7 @@ def _search(hood: Neighbourhood, todo: Int64, known: Bool, room: int) -> tuple[B
             found = _noise_at(p, hood, space)
             if found == NO_NOISE:
                 highest = heights[k]  # Points of the same height are tested too, in any order.
-            if found == ALONE:
+            if found != NO_NOISE:
                 noise[p] = True
                 _reach_beside(cell, hood, reached)
             for q in space.level[: max(found, 0)]:
@@ -307,8 +340,8 @@ def low_noise(points: Xyz, scale: Scale) -> Bool:
     widest = BLOCK_CELLS * scale.counts(CELL_M)
     if max(np.ptp(points.x.astype(np.int64)), np.ptp(points.y.astype(np.int64))) < widest:
         return _in_raster(points, scale)
-    columns, rows = cells.cell_indices(points.x, points.y)
-    order = np.lexsort((columns, rows))
+    rows = cells.cell_indices(points.x, points.y)[1]
+    order = np.argsort(rows, kind="stable")
     x, y, z = (axis[order] for axis in points)
     for index, inner in blocks(x, y, cells, math.ceil(REACH_M / CELL_M)):
         found = _in_raster(Xyz(x[index], y[index], z[index]), scale)

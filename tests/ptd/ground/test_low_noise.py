@@ -68,6 +68,47 @@ def test_clumps_denser_than_the_ground_are_noise(depth_m: float) -> None:
     assert noise[len(xyz) :].mean() >= 0.9
 
 
+def clump(centre: tuple[float, float, float], points: int, seed: int = 8) -> np.ndarray:
+    """A few points within about a metre: float64 [n, 3]."""
+    return np.random.default_rng(seed).normal(centre, (0.4, 0.4, 0.08), (points, 3))
+
+
+def test_small_clumps_beside_others_are_noise() -> None:
+    """Each level is thin, but the wide level of a point also holds the other clumps."""
+    xyz = ground()
+    low = [clump((20, y, -3.3), 3) for y in (18.0, 20.5, 23.0)]
+    noise = found(np.concatenate([xyz, *low]))
+    assert not noise[: len(xyz)].any()
+    assert noise[len(xyz) :].all()
+
+
+def test_clumps_among_plants_are_noise() -> None:
+    """A third of the points is ground, too few for a layer in a disc."""
+    xyz = ground(9.0)
+    plants = np.random.default_rng(9).random(len(xyz)) < 0.65
+    xyz[plants, 2] += np.random.default_rng(10).uniform(0.5, 3.0, int(plants.sum()))
+    noise = found(np.concatenate([xyz, clump((20, 20, -2.5), 6)]))
+    assert not noise[: len(xyz)].any()
+    assert noise[len(xyz) :].all()
+
+
+def test_little_ground_below_sloping_crowns_is_no_noise() -> None:
+    """A layer in a wider disc slopes, so hardly any ground is as high along it as a point."""
+
+    def grid(step_m: float, slope: float = 0.0) -> np.ndarray:
+        x, y = np.mgrid[1.0:SIDE_M:step_m, 1.0:SIDE_M:step_m].reshape(2, -1)
+        return np.stack([x, y, slope * x], axis=1)
+
+    layer, crowns, seen = grid(0.66, 0.8), ground(6.0, slope=0.8), grid(2.3)
+    crowns[:, 2] += np.random.default_rng(12).uniform(1, 9, len(crowns))
+    noise = found(np.concatenate([layer + [0, 0, 8], crowns + [0, 0, 8], seen]))
+    assert noise[-len(seen) :].mean() < 0.03
+
+
+def test_levels_of_the_sparsest_places_reach_no_farther_cell_than_stated() -> None:
+    assert module._level_radius_m(module.MIN_DENSITY_M2) <= module.LEVEL_CELLS * module.CELL_M
+
+
 def dug(xyz: np.ndarray) -> np.ndarray:
     """A ditch of 1.2 m width, a sunken lane, and a shaft of 3 m width and 6 m depth."""
     x, y, z = xyz.T
