@@ -82,6 +82,7 @@ class AlsSensor:
     )
     patch_m: ClassVar[float] = PATCH_M
     coloured: ClassVar[bool] = False
+    pulsed: ClassVar[bool] = True
 
     density: float = 4.0
     sigma_m: float = 0.025

@@ -34,9 +34,13 @@ class CloudWriter:
     path : Path
         File to write. An existing file is replaced.
     colour, compressed : bool
+    pulsed : bool
+        Whether the points are returns of pulses. Points from images have no GPS time.
     """
 
-    def __init__(self, path: Path, colour: bool = False, compressed: bool = True) -> None:
+    def __init__(
+        self, path: Path, colour: bool = False, compressed: bool = True, pulsed: bool = True
+    ) -> None:
         header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
         header.scales = np.full(3, 0.001)
         header.offsets = np.array([*ORIGIN, 0.0])
@@ -44,7 +48,7 @@ class CloudWriter:
         header.generating_software = "tiler simulate"
         header.add_crs(pyproj.CRS(CRS))
         self.points = 0
-        self._pulses = 0
+        self._pulses, self._pulsed = 0, pulsed
         self._header = header
         self._file: Any = laspy.open(path, "w", header=header, do_compress=compressed)
 
@@ -66,9 +70,9 @@ class CloudWriter:
         las["scan_angle"] = np.round(points.angle_deg / 0.006).astype(np.int16)
         pulse = self._pulses + np.cumsum(points.number == 1)
         las["point_source_id"] = np.ones(len(points), np.uint16)
-        if points.rgb is None:
+        if self._pulsed:
             las["gps_time"] = pulse * PULSE_S
-        else:  # Coloured points come from images and have no GPS time.
+        if points.rgb is not None:
             las["red"], las["green"], las["blue"] = points.rgb.T
         self._file.write_points(las)
         self._pulses = int(pulse[-1])

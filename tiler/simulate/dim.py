@@ -84,6 +84,7 @@ class DimSensor:
     BLUNDERS: ClassVar = ("blunders", "high_blunders")
     patch_m: ClassVar[float] = PATCH_M
     reach_m: ClassVar[float] = 0.0
+    pulsed: ClassVar[bool] = False
 
     density: float = 40.0
     sigma_m: float = 0.066

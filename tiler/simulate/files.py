@@ -214,7 +214,8 @@ def _write_cloud(
     counts = np.zeros(256, np.int64)
     started = time.monotonic()
     listener(StageStarted(STAGE, "simulate the cloud", tasks=len(todo)))
-    with CloudWriter(path, colour=sensor.coloured, compressed=compressed) as cloud:
+    look = {"colour": sensor.coloured, "pulsed": sensor.pulsed}
+    with CloudWriter(path, compressed=compressed, **look) as cloud:
         for index in todo:
             points = survey_patch(site, sensor, *index)
             cloud.write(points)

@@ -115,6 +115,11 @@ class Sensor(Protocol):
         """True if the points have colours."""
         ...
 
+    @property
+    def pulsed(self) -> bool:
+        """True if the points are returns of pulses, which have a time."""
+        ...
+
     def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
         """Return the points of a patch, which depend only on the site, the sensor and (ix, iy)."""
         ...

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import laspy
 import numpy as np
 import pytest
@@ -47,6 +49,14 @@ def test_the_cloud_holds_the_survey(written):
     assert cloud.header.parse_crs().to_epsg() == 32632
     assert facts.points == len(points) == sum(facts.classes.values())
     assert facts.classes["2 ground"] == np.sum(points.label == 2)
+
+
+def test_a_scene_from_images_looks_like_one_also_without_colours(tmp_path):
+    """Else its points would be taken for those of a laser scanner."""
+    scene = replace(SCENES["dim_forest"], side_m=40.0)
+    assert not scene.make_sensor().coloured
+    write_scene(tmp_path / "a.laz", scene)
+    assert not laspy.read(tmp_path / "a.laz").gps_time.any()
 
 
 def test_the_terrain_is_the_formula(written):
