@@ -26,7 +26,7 @@ flight strip."""
 PLACES = "places"
 """Name of the table in the state of a run."""
 TREES = "trees"
-"""Name of a second table, if a canopy was found: mean height of the trees around each place in metres, 0 if unknown."""
+"""Name of a second table, if a canopy was found: the height of the trees around each place."""
 TABLES = (PLACES, TREES)
 
 Float64 = npt.NDArray[np.float64]

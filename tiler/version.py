@@ -2,6 +2,6 @@
 
 __version__ = "0.1.0"
 
-RULES = f"{__version__}-3"
+RULES = f"{__version__}-4"
 """Version of the rules of all tasks, part of their digests. Raise its last number if results or records change within
 a version, so that a store of an earlier checkout is filtered and gridded again."""

@@ -47,9 +47,8 @@ WIDE_M, WIDE_CELLS = 5.0, 5
 """Radius of a wide level, and the farthest cell of it. The ground below a forest, a roof or a bridge
 is seen again within it, noise is not."""
 CLUMP_POINTS, CLUMP_SHARE, WIDE_SHARE = 8, 0.02, 0.005
-"""A level is a clump if neither it nor the wide level has more points than these, nor a larger share
-than this of the number of points that the layer has in the wide radius. It also is one if the share
-is at most the last one."""
+"""A level is a clump if neither it nor the wide level has more than max(min(8, n / 50), n / 200) points,
+where n is the number of points that the layer has in the wide radius."""
 WIDER_EXPECTED, WIDER_POINTS = 36.0, 9
 """Number of points in a wider disc, and the least number of points of a layer in it. It is tried if
 the first disc has no layer, as only a part of the points among plants is ground. All but clumps

@@ -117,10 +117,14 @@ class Canopy(NamedTuple):
         Cells of a closed canopy and of small openings in it.
     crowns : bool [rows, columns]
         Cells to remove: pits, and all cells of a canopy that the surface climbed except visible ground.
+    land_depths : float64 [rows, columns]
+        Depths of land below the crowns around it in metres, NaN elsewhere. Pits may be among it, so that the radii of
+        both do not add up.
     """
 
     covered: Bool
     crowns: Bool
+    land_depths: Float64
 
 
 def reach_cells(cell_m: float) -> int:
@@ -165,8 +169,11 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
         wide &= ~_roofs(heights, tall, around)
     seen = _grown(heights, ground & ~wide & ~climbed & ~wavy, ground & climbed, cell_m)
     covered, crowns = (wide | climbed) & ~seen, climbed & ~seen
-    found = pits(heights, surface.height, ground & ~crowns, covered, cell_m, 1)
-    return Canopy(covered, crowns | found)
+    left = ground & ~crowns
+    depth = _depths(heights, surface.height, covered & there & ~left, around)
+    _, land = _openings(left, there, around)
+    found = pits(heights, surface.height, left, covered, cell_m, 1)
+    return Canopy(covered, crowns | found, np.where(land, depth, np.nan))
 
 
 def pits(
@@ -214,16 +221,6 @@ def pits(
         depth = _depths(heights, surface, crowns | found, around)
         found |= is_amid & (depth < least)
     return found
-
-
-def land_depths(
-    heights: Float64, surface: Float64, ground: Bool, covered: Bool, cell_m: float
-) -> Float64:
-    """Return the depths of land below the crowns around it in metres, NaN elsewhere. For the arguments see `pits`."""
-    there, around = np.isfinite(heights), _Squares(cell_m)
-    depth = _depths(heights, surface, covered & there & ~ground, around)
-    _, land = _openings(ground, there, around)
-    return np.where(land, depth, np.nan)
 
 
 def _openings(ground: Bool, there: Bool, around: _Squares) -> tuple[Bool, Bool]:

@@ -14,7 +14,7 @@ import scipy
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
 from ptd.matched import by_size, surface
-from ptd.matched.canopy import PIT_M, canopy, land_depths, may_be
+from ptd.matched.canopy import PIT_M, canopy, may_be
 from ptd.matched.canopy import reach_cells as canopy_reach_cells
 from ptd.matched.cells import CELL_M, EMPTY, raster_of
 from ptd.matched.evidence import percent
@@ -117,9 +117,8 @@ class CanopyPass(MatchedPass):
         )
         near = band(ground.sigma, ground.narrowing)
         on_ground = np.abs(metres - ground.height) < near
-        covered, crowns = canopy(metres, ground, on_ground, size_m)
-        depths = land_depths(metres, ground.height, on_ground & ~crowns, covered, size_m)
-        depth = depths.reshape(-1)[raster.keys]
+        covered, crowns, land_depths = canopy(metres, ground, on_ground, size_m)
+        depth = land_depths.reshape(-1)[raster.keys]
         is_measured = np.isfinite(depth) & core.contains(*points.xyz[:2])
         is_measured &= of_own_place(points, scale, state)
         trees += measure_trees(depth[is_measured], points.xyz[:, is_measured], scale)

@@ -38,8 +38,9 @@ from ptd.matched.step import (
     cell_m,
     noise_m,
 )
+from ptd.matched.tree_heights import tree_heights_on_cells
 from ptd.passes import Int32, Model, Pass, Points, State, UInt8
-from ptd.places import PLACES, TREES, field, on_cells
+from ptd.places import PLACES, TREES, on_cells
 
 PIT_ROUNDS = 5
 """Number of times that pits of a canopy are searched for next to those found before."""
@@ -230,8 +231,8 @@ class SurfacePass(MatchedPass):
             )
             fitted_surface = below_canopy(fitted_surface, ground(raster.heights), ~bare, size_m)
         # The pits are those of the surface with islands, so that the two radii do not add up.
-        trees = field(state.get(TREES, {}), 0, scale, 0.0)
-        far_trees = on_cells(trees, cells, raster.row, raster.column, everything.shape)
+        at = cells, raster.row, raster.column, everything.shape
+        far_trees = tree_heights_on_cells(state.get(TREES, {}), *at, scale)
         hidden = _pits(everything, codes, fitted_surface, far_trees, scale, size_m)
         fitted_surface = islands.without_islands(
             fitted_surface, raster.heights, everything, scale, size_m

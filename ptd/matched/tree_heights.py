@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import CellLattice, Scale
-from ptd.places import PLACE_M, Figures, place_of
+from ptd.places import PLACE_M, Figures, Table, field, on_cells, place_of
 
 WEIGHTS = (1, 8, 64, 8, 1)
 """Weights of the land of a place and of the places around, along a row or column. Nearer land counts almost alone."""
@@ -34,7 +34,7 @@ def measure_trees(depths_m: Float64, xyz: Int32, scale: Scale) -> Partial:
 def tree_heights(
     partials: Iterable[Partial], places: Mapping[str, Figures]
 ) -> dict[str, list[float]]:
-    """Return the mean height of the trees around each place in metres, 0 where no land is known within two places."""
+    """Return the height of the trees around each place in metres, and 1, or zeros without land within two places."""
     counts: Counter[tuple[int, int]] = Counter()
     sums: Counter[tuple[int, int]] = Counter()
     around = [(step - len(WEIGHTS) // 2, weight) for step, weight in enumerate(WEIGHTS)]
@@ -47,5 +47,25 @@ def tree_heights(
     heights = {}
     for name in places:
         place = place_of(name)
-        heights[name] = [round(sums[place] / counts[place] / MM, 2) if counts[place] else 0.0]
+        n = counts[place]
+        heights[name] = [round(sums[place] / n / MM, 2), 1.0] if n else [0.0, 0.0]
     return heights
+
+
+def tree_heights_on_cells(
+    table: Table,
+    cells: CellLattice,
+    row: int,
+    column: int,
+    shape: tuple[int, ...],
+    scale: Scale,
+) -> Float64:
+    """Return the height of trees at the middles of cells in metres, 0 where it is not known.
+
+    It is interpolated between the places where it is known. For the other arguments see `ptd.places.on_cells`.
+    """
+    total, known = (
+        on_cells(field(table, figure, scale, 0.0), cells, row, column, shape)
+        for figure in (0, 1)
+    )
+    return np.where(known > 0, total / np.where(known > 0, known, 1.0), 0.0)

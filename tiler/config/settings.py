@@ -328,8 +328,8 @@ class RunConfig:
     )
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run with the same method, from which kind, density and noise are used; default: "
-        "measure them in this run",
+        "OUT folder of an earlier run with the same method, from which kind, density, noise and height of trees are "
+        "used; default: measure them in this run",
     )
     nodata: float = setting(
         NODATA,

@@ -12,7 +12,7 @@ from ptd.matched.evidence import SURE
 from ptd.matched.survey import SurveyPass, run_facts
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Partial, Pass, State
-from ptd.places import PLACES, TABLES
+from ptd.places import PLACES, TABLES, TREES
 from tiler.core.records import TileRecord
 from tiler.core.results import LabelCounts
 from tiler.core.units_text import in_unit_of_crs
@@ -128,6 +128,11 @@ def _known_state(job: Job, step: Pass, state: State) -> State:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: was written by an earlier version, which did not measure "
             "density and noise in each place; repeat that run with this version"
+        )
+    if state_after.get("canopy", {}).get("share") and TREES not in {**state, **state_after}:
+        raise ConfigError(
+            f"--statistics {job.plan.config.statistics}: was written by an earlier version, which did not measure "
+            "the height of trees in each place; repeat that run with this version"
         )
     state_after = {**{name: state[name] for name in TABLES if name in state}, **state_after}
     kind = job.plan.config.source_kind

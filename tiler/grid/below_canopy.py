@@ -71,16 +71,16 @@ class BelowCanopy(BlockWork):
     Attributes
     ----------
     heights, canopy : str
-        Rasters of the model and of the canopy, in pixels.
-    coarse : RasterSpec
-        Raster of the coarse cells.
+        Rasters of the interpolated terrain and of the canopy, in pixels.
+    cells : RasterSpec
+        Raster of cells that are not smaller than pixels, or of 2 m. They go on beyond the area of the run.
     crowns, terrain : str
-        Rasters of the canopy and of the interpolated terrain, in coarse cells. They go on beyond the area of the run.
+        Rasters of the canopy and of the interpolated terrain in these cells.
     """
 
     heights: str
     canopy: str
-    coarse: RasterSpec
+    cells: RasterSpec
     crowns: str
     terrain: str
 
@@ -102,22 +102,22 @@ def below_canopy(store_url: str, work: BelowCanopy) -> BlockRecord:
     BlockRecord
         Record of the block.
     """
-    store, spec, block, coarse = open_store(store_url), work.spec, work.block, work.coarse
+    store, spec, block, cells = open_store(store_url), work.spec, work.block, work.cells
     frame, nodata = store.meta.frame, np.float32(NODATA)
-    cell_m, unit_m = float(coarse.lattice.size * frame.metres_xy), float(frame.units.vertical)
-    window = padded(coarse_window(coarse, spec, block), round(CROWNS_REACH_M / cell_m) + 2)
+    cell_m, unit_m = float(cells.lattice.size * frame.metres_xy), float(frame.units.vertical)
+    window = padded(coarse_window(cells, spec, block), round(CROWNS_REACH_M / cell_m) + 2)
     crowns, terrain = (
-        read_cells(store, name, coarse, window, NODATA).astype(np.float64)
+        read_cells(store, name, cells, window, NODATA).astype(np.float64)
         for name in (work.crowns, work.terrain)
     )
-    below = _terrain(
+    below = _corrected(
         np.where(crowns > OPEN, crowns * unit_m, np.nan),
         np.where(terrain != NODATA, terrain * unit_m, np.nan),
         crowns == OPEN,
         cell_m,
-        (window.row - coarse.north, window.col + coarse.west),
+        (window.row - cells.north, window.col + cells.west),
     )
-    rows, columns = between_centres(coarse, spec, block)
+    rows, columns = between_centres(cells, spec, block)
     steps = (rows[0] - window.row, rows[1]), (columns[0] - window.col, columns[1])
     correction, continued = (_known_linear(values, *steps) / unit_m for values in below)
     model = store.read_block(work.heights, block)
@@ -134,7 +134,7 @@ def below_canopy(store_url: str, work: BelowCanopy) -> BlockRecord:
     )
 
 
-def _terrain(
+def _corrected(
     tops: Float64, bridge: Float64, seen: Bools, cell_m: float, first: tuple[int, int]
 ) -> tuple[Float64, Float64]:
     """Return corrections of the interpolated terrain, and the terrain itself, as if a canopy were over all cells.
@@ -200,15 +200,21 @@ def _trees(
     rows, columns = np.nonzero(np.isfinite(trees) & np.isfinite(mean_trees))
     heights, means = trees[rows, columns], mean_trees[rows, columns]
     nodes = np.full((2, len(node_rows), len(node_columns)), np.nan)
+    reach = FAR_TREES_M / cell_m
+    firsts = np.searchsorted(rows, node_rows - reach)
+    ends = np.searchsorted(rows, node_rows + reach, "right")
     for i, row in enumerate(node_rows):
+        part = slice(firsts[i], ends[i])  # Rows are in order.
         for j, column in enumerate(node_columns):
-            away_m = np.maximum(np.abs(rows - row), np.abs(columns - column)) * cell_m
-            near = away_m <= TREES_M
+            away = np.maximum(np.abs(rows[part] - row), np.abs(columns[part] - column))
+            near = away <= TREES_M / cell_m
             if np.count_nonzero(near) < MIN_TREES:
-                near = away_m <= FAR_TREES_M
+                near = away <= reach
             if np.count_nonzero(near) >= MIN_TREES:
-                scatter = np.median(np.abs(means[near] - np.median(means[near])))
-                nodes[:, i, j] = np.median(heights[near]), max(MAD * scatter, MIN_TREES_ERROR_M)
+                nearby = means[part][near]
+                scatter = np.median(np.abs(nearby - np.median(nearby)))
+                height = np.median(heights[part][near])
+                nodes[:, i, j] = height, max(MAD * scatter, MIN_TREES_ERROR_M)
     down, right = np.arange(n_rows) - first_row, np.arange(n_columns) - first_column
     height, error = (
         _known_linear(

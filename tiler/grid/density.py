@@ -38,12 +38,17 @@ def ground_counts(
     store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block
 ) -> npt.NDArray[np.int64]:
     """Count the ground points in each pixel of a block, int64 (height, width)."""
-    bounds = spec.block_bounds(block)
-    xyz = read_ground(store, rule, bounds).xyz
-    pixels = pixel_indices(xyz, store.meta.frame.origin, spec, block)
-    return np.bincount(pixels, minlength=block.height * block.width).reshape(
-        block.height, block.width
-    )
+    bounds, n_pixels = spec.block_bounds(block), block.height * block.width
+    counts = np.zeros(n_pixels, np.int64)
+    for cell in store.buckets_within(
+        bounds
+    ):  # A block of coarse cells may hold too many points for one reading.
+        part = bounds.intersection(store.meta.bucket.bounds(cell))
+        xyz = read_ground(store, rule, part).xyz
+        counts += np.bincount(
+            pixel_indices(xyz, store.meta.frame.origin, spec, block), minlength=n_pixels
+        )
+    return counts.reshape(block.height, block.width)
 
 
 def pixel_indices(

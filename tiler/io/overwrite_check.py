@@ -18,8 +18,9 @@ from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import is_url, plain_scheme, without_local_scheme
 
-_EXTENDED = re.compile(r"^[\\/]{2}[?.][\\/](?=[A-Za-z]:)")
-"""Prefix with which Windows takes a path as it is. It names the same file as the path without it."""
+_EXTENDED = re.compile(r"^[\\/]{2}[?.][\\/](?:(?=[A-Za-z]:)|UNC(?=[\\/]))", re.IGNORECASE)
+"""Prefix with which Windows takes a path as it is, also that of a server. It names the same file as the path without
+it, which begins with a drive or, for a server, with two separators."""
 
 
 @dataclass(frozen=True)
@@ -136,8 +137,13 @@ def real_place(place: str | Path) -> str:
     if is_url(text):
         return text.rstrip("/")
     return os.path.normcase(
-        os.path.realpath(_EXTENDED.sub("", text) if os.name == "nt" else text)
+        os.path.realpath(without_extended_prefix(text) if os.name == "nt" else text)
     )
+
+
+def without_extended_prefix(path: str) -> str:
+    r"""Return a path of Windows without ``\\?\``, and that of a server with two separators."""
+    return _EXTENDED.sub(lambda prefix: "\\" if prefix[0][-1] in "cC" else "", path)
 
 
 def same_file(one: str | Path, other: str | Path) -> bool:

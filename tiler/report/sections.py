@@ -233,6 +233,7 @@ FIGURES_IN_WORDS = {
     "canopy / share": "share of the area in which a canopy hides the ground",
     "survey / cell_m": "side of cells",
     "places": "squares of 256 m with separate figures",
+    "trees": "squares of 256 m with a height of trees",
     "survey / several": "share of points from pulses with several returns",
 }
 """Readable names of figures that passes measure. Other figures keep the names that the passes

@@ -19,7 +19,7 @@ from ptd.matched.survey import MAX_CELL_SIGMA_M, MIN_CELL_SIGMA_M, ReturnStatist
 from ptd.methods.auto.label_thresholds import decided
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
-from ptd.places import everywhere, value_at
+from ptd.places import PLACE_M, TREES, everywhere, name_of, value_at
 from tests.ptd.alike import alike
 
 MM = Scale()
@@ -37,6 +37,17 @@ def survey(
             Auto(), found, ReturnStatistics(0, 0, 100, 0), list(table.values()), run
         )[0],
         "places": table,
+    }
+
+
+def test_a_pass_gets_the_heights_of_trees_near_its_window_alone() -> None:
+    table = {name_of(c, r): [18.0, 1.0] for c in range(9) for r in range(9)}
+    state = {**survey(0.07), TREES: table}
+    side = round(PLACE_M * 1000)
+    core = Window(4 * side, 4 * side, 5 * side - 1, 5 * side - 1)
+    local = {step.name: step.local(state, core, MM) for step in PASSES}
+    assert local["surface"][TREES].keys() == {
+        name_of(c, r) for c in range(3, 6) for r in range(3, 6)
     }
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptd.frame import Scale
-from ptd.matched.tree_heights import measure_trees, tree_heights
+from ptd.frame import CellLattice, Scale
+from ptd.matched.tree_heights import measure_trees, tree_heights, tree_heights_on_cells
 from ptd.places import PLACE_M, name_of
 
 SCALE = Scale(Fraction(1, 100), Fraction(1, 100), (-12_345, 678))
@@ -26,9 +26,9 @@ def cells(places: list[tuple[int, int]]) -> np.ndarray:
 def test_land_counts_in_its_place_and_up_to_two_places_away() -> None:
     heights = tree_heights([measure_trees(np.array([18.0]), cells([(1, -2)]), SCALE)], PLACES)
     assert heights.keys() == PLACES.keys()
-    known = {name for name, (height,) in heights.items() if height}
+    known = {name for name, (_, is_known) in heights.items() if is_known}
     assert known == {name_of(1 + i, -2 + j) for i in range(-2, 3) for j in range(-2, 3)}
-    assert {height for (height,) in heights.values()} == {0.0, 18.0}
+    assert {tuple(figures) for figures in heights.values()} == {(0.0, 0.0), (18.0, 1.0)}
 
 
 def test_nearer_land_counts_almost_alone() -> None:
@@ -36,8 +36,23 @@ def test_nearer_land_counts_almost_alone() -> None:
         np.array([10.0, 10.0, 25.0]), cells([(0, 0), (0, 0), (2, 0)]), SCALE
     )
     heights = tree_heights([measured], PLACES)
-    assert heights[name_of(0, 0)] == [round((2 * 64 * 10 + 25) / (2 * 64 + 1), 2)]
-    assert heights[name_of(1, 0)] == [15.0]  # as near to both
+    assert heights[name_of(0, 0)] == [round((2 * 64 * 10 + 25) / (2 * 64 + 1), 2), 1.0]
+    assert heights[name_of(1, 0)] == [15.0, 1.0]  # as near to both
+
+
+def test_heights_are_interpolated_between_known_places_alone() -> None:
+    """Towards an unknown place, the height does not fall to 0, which would be the height of a lawn."""
+    measured = measure_trees(np.array([10.0, 25.0]), cells([(0, 0), (3, 0)]), SCALE)
+    table = {
+        name: f for name, f in tree_heights([measured], PLACES).items() if f[1] or "6" in name
+    }
+    lattice = CellLattice.of(PLACE_M / 4, SCALE)
+    heights = tree_heights_on_cells(table, lattice, 0, -24, (1, 60), SCALE)[0]
+    known = heights > 0
+    assert known[14:40].all()
+    assert not known[:10].any()
+    assert heights[known].min() == 10.0
+    assert heights[known].max() == 25.0
 
 
 @given(

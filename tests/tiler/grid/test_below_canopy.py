@@ -65,7 +65,7 @@ def made(
     names = {"heights": "model", "canopy": "canopy", "crowns": "crowns", "terrain": "terrain"}
     filled = 0
     for b in spec.blocks(512):
-        work = BelowCanopy(name="below", spec=spec, block=b, coarse=coarse, **names)
+        work = BelowCanopy(name="below", spec=spec, block=b, cells=coarse, **names)
         filled += below_canopy(store.url, work).filled
     heights = store.read_block("below", Block(0, 0, spec.height, spec.width))
     assert filled == (heights != np.float32(NODATA)).sum()

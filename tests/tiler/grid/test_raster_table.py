@@ -80,5 +80,4 @@ def test_rasters_of_pixels_hold_the_nodata_value_of_their_product_where_nothing_
     assert fills["dtm"] == fills["dtm-filled"] == fills["dsm"] == fills["slope"] == -9999
     assert fills["distance"] == 40
     coarse = {name for name, raster in table.items() if raster.grid is Grid.COARSE}
-    survey = {"occupancy", "survey-open", "survey", "dtm-voids", "dsm-voids"}
-    assert coarse == survey | {"canopy-cells", "canopy-terrain"}
+    assert coarse == {"occupancy", "survey-open", "survey", "dtm-voids", "dsm-voids"}

@@ -9,7 +9,13 @@ import pytest
 
 from tests.scenes.windows_paths import junction_or_skip, spelled
 from tiler.errors import ConfigError
-from tiler.io.overwrite_check import Target, check_folder, check_names, check_targets
+from tiler.io.overwrite_check import (
+    Target,
+    check_folder,
+    check_names,
+    check_targets,
+    without_extended_prefix,
+)
 
 
 @pytest.fixture
@@ -125,3 +131,17 @@ def test_a_name_that_windows_does_not_allow_is_refused(name: str, tmp_path: Path
     check_names("-o", tmp_path / "auxiliary.laz")
     with pytest.raises(ConfigError, match=f"-o .*'{name}' .*; give another name$"):
         check_names("-o", tmp_path / name / "out")
+
+
+@pytest.mark.parametrize(
+    ("path", "plain"),
+    [
+        (r"\\?\C:\a", r"C:\a"),
+        (r"\\.\c:\a", r"c:\a"),
+        (r"\\?\UNC\server\share\a", r"\\server\share\a"),
+        (r"\\server\share", r"\\server\share"),
+        (r"\\?\Volume{1}\a", r"\\?\Volume{1}\a"),
+    ],
+)
+def test_an_extended_prefix_of_windows_is_no_part_of_the_place(path: str, plain: str) -> None:
+    assert without_extended_prefix(path) == plain

@@ -35,6 +35,8 @@ COARSE_CELL_M = 2
 Pixels up to `MAX_USUAL_PIXEL_M` do not change the side, so that the same water is found with
 all of them.
 """
+CANOPY_CELL_M = 2
+"""Side of the cells of canopies in metres, unless pixels are larger."""
 MAX_USUAL_PIXEL_M = 10
 """Pixels larger than this, in metres, are the coarse cells themselves.
 
@@ -79,6 +81,7 @@ class Grid(Enum):
 
     PIXELS = "the pixels of the products"
     COARSE = "the coarse cells of the run"
+    CANOPY = "cells in which canopies are compared with the terrain around them"
 
 
 @dataclass(frozen=True)
@@ -218,9 +221,12 @@ class GridContext:
             self._areas[raster] = join_pieces(sides, counts, corners)
         return self._areas[raster]
 
-    def coarse_checksums(self, raster: str, block: Block) -> list[list[str]]:
-        """Return the checksums of the blocks of a coarse raster that overlap a block of the products."""
-        under = self.coarse.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
+    def coarse_checksums(
+        self, raster: str, block: Block, coarse: RasterSpec | None = None
+    ) -> list[list[str]]:
+        """Return the checksums of the blocks of a raster of coarse (or other) cells that overlap a block of pixels."""
+        cells = coarse or self.coarse
+        under = cells.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
         return self.checksums(raster, [other.name for other in under])
 
     def block_task(
@@ -288,6 +294,14 @@ class GridContext:
         """Whether a pixel is larger than a coarse cell."""
         return self.plan.grid.resolution > self.coarse_m
 
+    @property
+    def canopy_cells(self) -> RasterSpec:
+        """Raster of the cells of canopies, in blocks whose positions do not depend on the run."""
+        side_m = max(Fraction(CANOPY_CELL_M), self.plan.grid.resolution)
+        return coarse_raster(Lattice(self.plan.frame.counts(side_m)), self.assembled.bounds)
+
     def spec_of(self, raster: RasterStep) -> RasterSpec:
-        """Return the grid of a raster: pixels or coarse cells."""
+        """Return the grid of a raster."""
+        if raster.grid is Grid.CANOPY:
+            return self.canopy_cells
         return self.coarse if raster.grid is Grid.COARSE else self.spec

@@ -10,7 +10,9 @@ Besides the products there are rasters that are only in the store. Rasters of co
   ``water-sure`` and ``water-plane-sure`` are confidences. ``water-rims`` and ``water-plane-rims`` have no cells, but a
   record for each block.
 - ``<name>-voids``: the voids of a model that are to be filled.
-- ``canopy-cells`` and ``canopy-terrain``: the crowns where they hide the ground, and the terrain around, interpolated.
+
+Rasters of cells of canopies: ``canopy-cells`` and ``canopy-terrain``, the crowns where they hide the ground, and the
+terrain around, interpolated.
 
 Rasters of pixels:
 
@@ -154,12 +156,12 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
         ),
         RasterStep("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
         RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks, NODATA),
-        RasterStep(CANOPY_CELLS, (), canopy_block, Grid.COARSE, canopy_tasks, NODATA),
+        RasterStep(CANOPY_CELLS, (), canopy_block, Grid.CANOPY, canopy_tasks, NODATA),
         RasterStep(
             CANOPY_TERRAIN,
             (CANOPY_CELLS,),
             grid_block,
-            Grid.COARSE,
+            Grid.CANOPY,
             canopy_terrain_tasks,
             NODATA,
             edits=OF_PIXELS,
@@ -167,7 +169,7 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
         ),
         RasterStep(
             BELOW_CANOPY,
-            (filled_raster("dtm", config), CANOPY, CANOPY_CELLS, CANOPY_TERRAIN),
+            ("dtm", CANOPY, CANOPY_CELLS, CANOPY_TERRAIN),
             below_canopy,
             Grid.PIXELS,
             below_canopy_tasks,

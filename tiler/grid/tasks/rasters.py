@@ -40,7 +40,7 @@ from tiler.schedule import Task
 CANOPY, BELOW_CANOPY = "canopy", "canopy-below"
 """Rasters of a canopy that hides the ground, and of the terrain below it."""
 CANOPY_CELLS, CANOPY_TERRAIN = "canopy-cells", "canopy-terrain"
-"""Rasters of coarse cells: the canopy, and the interpolated terrain around it."""
+"""Rasters of cells of canopies: the canopy, and the interpolated terrain around it."""
 
 
 def terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
@@ -183,7 +183,7 @@ def _near(context: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block
 
 
 def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with points, in pixels or coarse cells, if the filter found a canopy."""
+    """Yield a task for each block with points, in pixels or cells, if the filter found a canopy."""
     if context.canopy is None:
         return
     canopy, spec = context.canopy, context.spec_of(raster)
@@ -209,34 +209,34 @@ def canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 
 
 def canopy_terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of coarse cells that a facet of the terrain near a canopy could reach."""
-    plan, coarse = context.plan, context.coarse
+    """Yield a task for each block of cells that a facet of the terrain near a canopy could reach."""
+    plan, cells = context.plan, context.canopy_cells
     records = context.records(raster.inputs[0], BlockRecord)
-    places = set(near_places(coarse, [at for at, record in records.items() if record.filled]))
+    places = set(near_places(cells, [at for at, record in records.items() if record.filled]))
     widest = full_halo(plan.frame.counts(plan.config.max_edge))
     make = _on_tin(
         GridBlock,
         context,
         max_halo=widest,
         percent=plan.config.surface_percent,
-        thin=coarse.lattice,
+        thin=cells.lattice,
         max_points=plan.block_points,
         breaklines=context.corrections.lines_key,
     )
-    for block, near in _near(context, coarse, widest).items() if places else ():
+    for block, near in _near(context, cells, widest).items() if places else ():
         if (block.row, block.col) in places:
-            work = make(name=raster.name, spec=coarse, block=block, rule=context.rule)
+            work = make(name=raster.name, spec=cells, block=block, rule=context.rule)
             yield context.block_task(
                 raster, work, context.label_digests(near), points=context.n_points(near)
             )
 
 
 def below_canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with a canopy. A task also reads coarse cells around its block."""
+    """Yield a task for each block with a canopy. A task also reads cells around its block."""
     model, canopy, crowns, terrain = raster.inputs
-    spec = context.spec
+    spec, cells = context.spec, context.canopy_cells
     pixel_m = float(spec.lattice.size * context.plan.frame.metres_xy)
-    cell_m = float(context.coarse.lattice.size * context.plan.frame.metres_xy)
+    cell_m = float(cells.lattice.size * context.plan.frame.metres_xy)
     reach = math.ceil((CROWNS_REACH_M + 4 * cell_m) / pixel_m)
     for key, (_, record) in sorted(context.made[canopy].items()):
         if not BlockRecord.of(record).filled:
@@ -248,13 +248,15 @@ def below_canopy_tasks(raster: RasterStep, context: GridContext) -> Iterator[Tas
             block=block,
             heights=model,
             canopy=canopy,
-            coarse=context.coarse,
+            cells=cells,
             crowns=crowns,
             terrain=terrain,
         )
         own = [context.checksums(name, [key]) for name in (model, canopy)]
         window = padded(block, reach)
-        around_block = [context.coarse_checksums(name, window) for name in (crowns, terrain)]
+        around_block = [
+            context.coarse_checksums(name, window, cells) for name in (crowns, terrain)
+        ]
         yield context.block_task(raster, work, own, around_block)
 
 
