@@ -266,6 +266,30 @@ def test_the_user_s_configuration_of_dask_does_not_reach_the_workers_of_this_mac
     assert done.stdout.split() == ["1ms", "30s", "1ms"]
 
 
+@pytest.mark.processes
+def test_a_configuration_of_dask_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "user.yaml").write_text("distributed: [\n  x: : {\n")
+    program = (
+        "from tiler.errors import ConfigError\n"
+        "from tiler.schedule import import_dask, make_executor\n"
+        "import_dask()\n"
+        "try: make_executor(1)\n"
+        "except ConfigError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "DASK_CONFIG": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_SECONDS,
+        check=True,
+    )
+    assert done.stderr == ""
+    assert done.stdout.count("\n") == 1
+    assert done.stdout.startswith("the configuration of Dask cannot be read (")
+    assert "user.yaml" in done.stdout
+
+
 def test_executors_made_at_the_same_time_restore_the_configuration_of_dask() -> None:
     before, made = copy.deepcopy(dask.config.config), list[DaskExecutor]()
     level = logging.getLogger("distributed").level
