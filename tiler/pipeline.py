@@ -158,6 +158,8 @@ def _opened(
         plan, store = _with_store(plan, url)
         # A store of several OUT has commits of the files of each. The store in an OUT moves with it.
         store.keep_apart(WRITING, products if plan.config.store else "")
+        if plan.config.store:
+            store.use_rasters(str(plan.grid.resolution))
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.results.products_at = products if is_url(products) else None
         job.results.report_title = (read_run(products) or {}).get("report_title")

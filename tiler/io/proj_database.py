@@ -12,7 +12,7 @@ VARIABLES = ("PROJ_DATA", "PROJ_LIB")
 
 def validate_proj_database() -> None:
     """Raise ConfigError if a variable names a folder without a database that fits the installed GDAL."""
-    given = [f"{name}={os.environ[name]}" for name in VARIABLES if os.environ.get(name)]
+    given = [f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ]
     if not given:
         return
     # This import takes a tenth of a second, and the variables are seldom set.

@@ -11,7 +11,7 @@ from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.core.records import TileRecord, buckets_in
 from tiler.observe.events import Note
 from tiler.runs.job import Job
-from tiler.store import chunk_numbers
+from tiler.store import SET_SEPARATOR, chunk_numbers
 
 ROUNDS = 3
 """Maximum number of repairs in a run. A disk that keeps damaging data cannot be repaired by
@@ -39,7 +39,7 @@ def repair(job: Job, keys: Iterable[str]) -> None:
         elif kind == "records":
             job.store.forget(f"records/{name}")
         elif kind == "rasters" and numbers is None:
-            job.store.clear(f"grid-{name}")
+            job.store.clear(_grid_stage(name))
             job.store.forget(f"rasters/{name}")
         elif kind == "rasters" and numbers:
             _take_back_block(job, name, *numbers)
@@ -89,4 +89,9 @@ def _take_back_bucket(job: Job, kind: str, row: int) -> None:
 def _take_back_block(job: Job, name: str, row: int, col: int) -> None:
     """Invalidate the task that wrote a chunk of a raster."""
     block = Block(row * BLOCK_PIXELS, col * BLOCK_PIXELS, BLOCK_PIXELS, BLOCK_PIXELS)
-    job.invalidate(f"grid-{name}", [block.name])
+    job.invalidate(_grid_stage(name), [block.name])
+
+
+def _grid_stage(folder: str) -> str:
+    """Return the stage that makes the raster in a folder of the store."""
+    return f"grid-{folder.partition(SET_SEPARATOR)[0]}"

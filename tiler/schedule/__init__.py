@@ -6,6 +6,7 @@ from contextlib import suppress
 from importlib import import_module
 from threading import Thread
 
+from tiler.errors import ConfigError
 from tiler.schedule.fork_server import FORKS, fork_server_running, prepare_children
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError, limits_memory
 from tiler.schedule.isolated_reading import call_isolated, half_of_memory
@@ -55,9 +56,9 @@ def import_dask() -> None:
     """Import the modules that `make_executor` needs for workers, in a background thread."""
 
     def work() -> None:
-        # `make_executor` raises an ImportError again. A process that is ending refuses imports
-        # with a RuntimeError.
-        with suppress(ImportError, RuntimeError):
+        # `make_executor` raises the error again. A process that is ending refuses imports with a
+        # RuntimeError.
+        with suppress(Exception):
             import_module("tiler.schedule.workers")
 
     Thread(target=work, name="import dask").start()
@@ -75,6 +76,12 @@ def make_executor(
     """
     if in_process:
         return SerialExecutor()
-    from tiler.schedule.workers import DaskExecutor
+    try:
+        from tiler.schedule.workers import DaskExecutor
+    except ValueError as error:  # Dask reads its configuration while it is imported.
+        text = str(error).splitlines()[0].rstrip(":,")
+        raise ConfigError(
+            f"the configuration of Dask cannot be read ({text}); correct it, or unset the variables DASK_..."
+        ) from error
 
     return DaskExecutor(workers, address, limits)

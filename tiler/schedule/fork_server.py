@@ -17,6 +17,7 @@ import socket
 import subprocess
 import sys
 import threading
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -128,6 +129,8 @@ class _Server:
                 stderr=subprocess.DEVNULL,
                 env=child_environment(),
             )
+        # A stopped server does not notice that this process has ended.
+        weakref.finalize(self, self.process.kill)
 
     def prepare(self, names: Sequence[str]) -> None:
         """Send names of functions to call (see `prepare_children`). Raise OSError if the server has ended."""

@@ -334,7 +334,8 @@ class DaskExecutor:
         with suppress(*_BROKEN):
             self._client.close(timeout=CLOSE_SECONDS)
         if self._cluster is not None:
-            self._cluster.close(timeout=CLOSE_SECONDS)
+            with suppress(*_BROKEN):  # A stopped child keeps its worker waiting.
+                self._cluster.close(timeout=CLOSE_SECONDS)
         self._end_contexts()
 
     def _end_contexts(self) -> None:

@@ -16,7 +16,7 @@ from tiler.store.coarse import (
 )
 from tiler.store.commits import Commits
 from tiler.store.index import BucketInfo
-from tiler.store.layout import SPOOL_CHUNK, chunk_numbers
+from tiler.store.layout import SET_SEPARATOR, SPOOL_CHUNK, chunk_numbers
 from tiler.store.lock import LEASE_SECONDS, Lease, locked_folder
 from tiler.store.meta import StoreMeta
 from tiler.store.opening import create_store, held_store, open_store, remove_store, store_exists
@@ -27,6 +27,7 @@ from tiler.store.store import TileStore
 __all__ = [
     "LEASE_SECONDS",
     "MAX_RECORD_BYTES",
+    "SET_SEPARATOR",
     "SPOOL_CHUNK",
     "BucketInfo",
     "Commits",

@@ -6,7 +6,7 @@
     points/<column> columns (rows, width, ROW_POINTS); each bucket owns whole rows
     index/<digest>.npy rows and number of points of each bucket index/current.json digest of the
     current index labels/<name> labels of a pass, uint8, rows as in points elected/<name> points
-    that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets rasters/<name>
+    that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets rasters/<name>+<set>
     raster, float32 (height, width) spool/<piece> points of one source piece, sorted by bucket
     records/<piece>-<bytes> decoded records of one source piece commits/<stage>/<key>.json
     commit of one finished task packs/<stage>.json commits of finished tasks, packed into one
@@ -34,6 +34,9 @@ CHUNK_SEPARATOR = "."
 
 With a slash, each chunk would have two folders on a local disk, and making and removing these
 takes longer than writing the chunk."""
+
+SET_SEPARATOR = "+"
+"""Separator of the name of a raster and that of its set."""
 
 ROW_POINTS = 131072
 """Points in a row of the columns, which is one chunk and one object.
@@ -186,9 +189,9 @@ def elected_path(name: str) -> str:
     return f"elected/{safe(name)}"
 
 
-def raster_path(name: str) -> str:
-    """Return the path of a raster."""
-    return f"rasters/{safe(name)}"
+def raster_path(name: str, raster_set: str = "") -> str:
+    """Return the path of a raster in a set, see `tiler.store.rasters.RasterStore`."""
+    return f"rasters/{safe(f'{name}{SET_SEPARATOR}{raster_set}' if raster_set else name)}"
 
 
 def spool_path(piece: str) -> str:

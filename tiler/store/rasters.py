@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -14,13 +15,32 @@ from tiler.errors import StoreError
 from tiler.store import arrays, layout
 from tiler.store.part import StorePart
 
+RASTER_SETS = "raster-sets"
+"""Name of the state that lists the sets of rasters, the current one last."""
+
+MAX_RASTER_SETS = 2
+"""Number of sets that stay in a store, which bounds its size."""
+
 
 class RasterStore(StorePart):
-    """Rasters of a store. Pixels that were never written hold the raster's fill."""
+    """Rasters of a store. Pixels that were never written hold the raster's fill.
+
+    The rasters of each resolution are a set, so that runs with several resolutions can share a filter. All methods use
+    the current set (see `TileStore.use_rasters`).
+    """
+
+    @cached_property
+    def _raster_set(self) -> str:
+        """Name of the current set; empty if none was chosen."""
+        names = self._storage.get_json(layout.state_key(RASTER_SETS)) or [""]
+        return str(names[-1])
+
+    def _raster_path(self, name: str) -> str:
+        return layout.raster_path(name, self._raster_set)
 
     def create_raster(self, name: str, height: int, width: int, fill: float = NODATA) -> None:
         """Make a float32 raster (*coordinator*). An existing raster of the same shape and fill keeps its blocks."""
-        path = layout.raster_path(name)
+        path = self._raster_path(name)
         kind = layout.raster_kind(fill)
         array = arrays.find_array(self._storage, path, kind)
         if array is None or array.shape != (height, width) or array.fill != np.float32(fill):
@@ -82,7 +102,7 @@ class RasterStore(StorePart):
     def stored_blocks(self, name: str) -> set[tuple[int, int]]:
         """Return first row and column of each block with a stored chunk. Other blocks hold the fill or are lost."""
         block_corners = set()
-        for key in self._storage.names(layout.raster_path(name)):
+        for key in self._storage.names(self._raster_path(name)):
             numbers = layout.chunk_numbers(key)
             if numbers is not None and len(numbers) == 2:
                 block_corners.add((numbers[0] * BLOCK_PIXELS, numbers[1] * BLOCK_PIXELS))
@@ -92,7 +112,7 @@ class RasterStore(StorePart):
         """Remove the chunks of some blocks, whose pixels then hold the raster's fill."""
         for block in blocks:
             chunk = (block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS)
-            self._storage.delete(layout.chunk_key(layout.raster_path(name), chunk))
+            self._storage.delete(layout.chunk_key(self._raster_path(name), chunk))
 
     def _raster(self, name: str) -> arrays.StoredArray:
-        return self._opened(layout.raster_path(name), layout.raster_kind(0.0))
+        return self._opened(self._raster_path(name), layout.raster_kind(0.0))

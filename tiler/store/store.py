@@ -7,12 +7,13 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from tiler.core.crs import crs_name
+from tiler.core.digests import digest_of
 from tiler.errors import StoreError, TilerError
-from tiler.store import index, lock
+from tiler.store import index, layout, lock
 from tiler.store.commits import CommitStore
 from tiler.store.labels import LabelStore
 from tiler.store.meta import StoreMeta
-from tiler.store.rasters import RasterStore
+from tiler.store.rasters import MAX_RASTER_SETS, RASTER_SETS, RasterStore
 from tiler.store.records import RecordStore
 from tiler.store.spool import SpoolStore
 from tiler.store.states import StateStore
@@ -52,6 +53,34 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
     def lock(self) -> AbstractContextManager[lock.Lease]:
         """Hold the lock of the store for one run. Raise LockedError if another run holds it."""
         return lock.locked(self._storage)
+
+    def use_rasters(self, resolution: str) -> None:
+        """Have the rasters and the commits of their stages be those of a resolution (*coordinator*).
+
+        The `MAX_RASTER_SETS` that were used last stay, others are removed. No task depends on this choice, since its
+        digest decides whether it is done.
+        """
+        names, chosen = self.get_state(RASTER_SETS) or [""], digest_of(resolution)[:8]
+        if names[-1] == chosen:
+            return
+        commits, stages = (
+            self.get_state(f"rasters-{chosen}") or {},
+            self.committed_stages("grid-"),
+        )
+        self.put_state(f"rasters-{names[-1]}", {s: self.committed(s) for s in stages})
+        # A run that is killed here loses commits, but never has those of another set.
+        for stage in stages:
+            self.clear(stage)
+        names = [*(name for name in names if name != chosen), chosen]
+        self.put_state(RASTER_SETS, names[-MAX_RASTER_SETS:])
+        self._raster_set = chosen
+        for stage, done in commits.items():
+            self._storage.put_json(layout.pack_key(stage), done)
+        for name in names[:-MAX_RASTER_SETS]:
+            self._storage.delete(layout.state_key(f"rasters-{name}"))
+        for folder in self._storage.names("rasters"):
+            if folder.partition(layout.SET_SEPARATOR)[2] not in names[-MAX_RASTER_SETS:]:
+                self._storage.delete_folder(f"rasters/{folder}")
 
     def clean_up(self) -> None:
         """Remove what later runs do not need, and pack the commits (*coordinator*, while no task runs).

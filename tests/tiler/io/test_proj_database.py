@@ -20,18 +20,21 @@ def test_nothing_is_checked_without_the_variables(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["PROJ_DATA", "PROJ_LIB"])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("PROJ_DATA", "here"), ("PROJ_LIB", "here"), ("PROJ_DATA", ""), ("PROJ_LIB", "/nowhere")],
+)
 def test_a_folder_without_a_database_is_refused_before_the_run(
-    name: str, tmp_path: Path
+    name: str, value: str, tmp_path: Path
 ) -> None:
     """GDAL keeps the first folder that it finds, so each case needs its own process."""
     cloud = clouds.write(tmp_path / "town.laz", clouds.city(20.0, 2.0))
     environment = {k: v for k, v in os.environ.items() if k not in ("PROJ_DATA", "PROJ_LIB")}
-    environment[name] = str(tmp_path)
+    environment[name] = value.replace("here", str(tmp_path))
     command = [sys.executable, "-m", "cli.main", "plan", str(cloud)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    line = f"tiler: error: {name}={tmp_path}: GDAL finds no database of PROJ there that fits, and would write"
+    line = f"tiler: error: {name}={environment[name]}: GDAL finds no database of PROJ there that fits, and would write"
     assert done.stderr.startswith(line)
     assert done.stderr.rstrip().endswith(f"unset {name} and try again")
     assert done.stderr.count("\n") == 1

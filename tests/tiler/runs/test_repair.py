@@ -68,6 +68,7 @@ BOTH = {"f-west", "f-east"}
     [
         ("spool/s0-1", {"spool": {"s0-1"}}),
         ("rasters/dtm/c.0.1", {"grid-dtm": {SECOND}}),
+        ("rasters/dtm+0123abcd/c.0.1", {"grid-dtm": {SECOND}}),
         ("rasters/dtm/zarr.json", {"grid-dtm": {FIRST, SECOND}}),
         ("points/xyz/c.1.0.0", {"assemble": {"a-west"}}),
         ("points/xyz/c.2.0.0", {"assemble": {"a-east"}}),

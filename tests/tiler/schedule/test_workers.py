@@ -266,6 +266,67 @@ def test_the_user_s_configuration_of_dask_does_not_reach_the_workers_of_this_mac
     assert done.stdout.split() == ["1ms", "30s", "1ms"]
 
 
+@pytest.mark.processes
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="processes cannot be stopped here")
+@pytest.mark.parametrize("stopped", ["", ".parent()"])
+def test_an_executor_ends_without_orphans_while_its_processes_are_stopped(
+    stopped: str, tmp_path: Path
+) -> None:
+    program = (
+        "import psutil\n"
+        "from tests.tiler.schedule import calls\n"
+        "from tiler.schedule import Task, fork_server_running, workers\n"
+        "workers.CLOSE_SECONDS = 0.5\n"
+        "with fork_server_running():\n"
+        "    executor = workers.DaskExecutor(1)\n"
+        "    task = Task('stage', 't', 'digest', calls.square, {'value': 2}, points=1)\n"
+        f"    list(executor.run(calls.run_task, {str(tmp_path)!r}, [task]))\n"
+        "    child = psutil.Process().children(recursive=True)[-1]\n"
+        "    print(child.pid, child.ppid())\n"
+        f"    child{stopped}.suspend()\n"
+        "    executor.close()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        timeout=PATIENCE_SECONDS,
+        check=False,
+    )
+    pids = [int(number) for number in done.stdout.split()]
+    try:
+        assert (done.returncode, done.stderr, len(pids)) == (0, "", 2)
+        wait_until(lambda: not any(map(psutil.pid_exists, pids)))
+    finally:
+        for pid in filter(psutil.pid_exists, pids):
+            os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.processes
+def test_a_configuration_of_dask_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "user.yaml").write_text("distributed: [\n  x: : {\n")
+    program = (
+        "from tiler.errors import ConfigError\n"
+        "from tiler.schedule import import_dask, make_executor\n"
+        "import_dask()\n"
+        "try: make_executor(1)\n"
+        "except ConfigError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "DASK_CONFIG": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_SECONDS,
+        check=True,
+    )
+    assert done.stderr == ""
+    assert done.stdout.count("\n") == 1
+    assert done.stdout.startswith("the configuration of Dask cannot be read (")
+    assert "user.yaml" in done.stdout
+
+
 def test_executors_made_at_the_same_time_restore_the_configuration_of_dask() -> None:
     before, made = copy.deepcopy(dask.config.config), list[DaskExecutor]()
     level = logging.getLogger("distributed").level

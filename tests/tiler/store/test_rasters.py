@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,37 @@ def test_blocks_that_were_not_written_hold_the_fill_and_need_no_object(
     assert np.all(local_store.read_block("dtm", Block(0, 0, 600, 600)) == -9999.0)
     assert np.all(local_store.read_block("count", Block(0, 0, 600, 600)) == 0.0)
     assert local_store.usage().objects == objects
+
+
+def test_rasters_of_the_last_two_resolutions_stay_with_their_commits(
+    local_store: TileStore,
+) -> None:
+    block = Block(0, 0, 10, 10)
+
+    def use(resolution: str) -> tuple[float | None, set[str]]:
+        """Height of the raster of a resolution, as a worker reads it, and the keys of its commits."""
+        local_store.use_rasters(resolution)
+        local_store.use_rasters(resolution)
+        commits = set(local_store.committed("grid-dtm"))
+        worker = open_store(local_store.url)
+        return float(worker.read_block("dtm", block)[0, 0]) if commits else None, commits
+
+    def make(height: float) -> None:
+        local_store.create_raster("dtm", 10, 10)
+        local_store.write_block("dtm", block, np.full((10, 10), height, np.float32))
+        local_store.commit("grid-dtm", f"block-{height:g}", "digest", {})
+
+    for resolution, height in (("1", 7.0), ("1/2", 8.0)):
+        assert use(resolution) == (None, set())
+        make(height)
+    for _ in range(2):
+        assert use("1") == (7.0, {"block-7"})
+        assert use("1/2") == (8.0, {"block-8"})
+    assert use("2") == (None, set())
+    make(9.0)
+    assert use("1/2") == (8.0, {"block-8"})
+    assert use("1") == (None, set())
+    assert len(list(Path(local_store.url, "rasters").iterdir())) == 1
 
 
 def test_a_raster_made_again_with_the_same_shape_keeps_its_blocks(

@@ -21,10 +21,14 @@ from tiler.core.words import counted, listed
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 from tiler.io.locations import no_such_file
+from tiler.io.packing import packing_of
 from tiler.io.vector import POINTS, Feature, Kind, read_features
 
 NVA = "NVA"  # non-vegetated vertical accuracy
 VVA = "VVA"  # vegetated vertical accuracy
+
+MAX_TABLE_BYTES = 64 << 20
+"""Largest table of checkpoints in bytes: about a million lines."""
 
 _COLUMNS = {
     "x": (
@@ -236,7 +240,15 @@ def _kind(path: Path, text: str) -> str:
 def _csv_rows(path: Path, notes: list[str]) -> Iterator[Row]:
     """Yield the rows of a table, and add a note if it has no header line."""
     try:
-        lines = path.read_text("utf-8-sig").splitlines()
+        with path.open("rb") as stream:
+            content = stream.read(MAX_TABLE_BYTES + 1)
+        if packing := packing_of(content):
+            raise InputError(
+                f"{path}: is packed with {packing}; unpack it and give the table in it"
+            )
+        if len(content) > MAX_TABLE_BYTES:
+            raise InputError(f"{path}: has more than {MAX_TABLE_BYTES >> 20} MiB; divide it")
+        lines = content.decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); save it as UTF-8 text") from error
     numbered = [

@@ -25,6 +25,7 @@ from tiler.io.las.laz import (
 )
 from tiler.io.las.records import Vlr, walk_records
 from tiler.io.locations import FileState, is_url, reading_remedy, state_of
+from tiler.io.packing import packing_of
 
 _BLOCK_BYTES = 1 << 14
 """Bytes per request to a URL. The bytes before the points, the chunk table or a record are
@@ -32,17 +33,6 @@ seldom more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
 _LAS15 = struct.Struct("<ddH")
-
-_PACKED = {
-    b"PK\x03\x04": "zip",
-    b"\x1f\x8b": "gzip",
-    b"\x28\xb5\x2f\xfd": "zstd",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ": "xz",
-    b"7z\xbc\xaf": "7-Zip",
-    b"Rar!": "RAR",
-}
-"""Programs that pack files, by the first bytes of these."""
 
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
 """Length of the header by minor version, in bytes."""
@@ -229,13 +219,12 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
     if not raw:
         refuse(path, "is empty")
     if raw[:4] != b"LASF":
-        for signature, packing in _PACKED.items():
-            if raw.startswith(signature):
-                refuse(
-                    path,
-                    f"is a file that is packed with {packing}, not a LAS or LAZ file",
-                    "unpack it and give the LAS or LAZ files in it",
-                )
+        if packing := packing_of(raw):
+            refuse(
+                path,
+                f"is a file that is packed with {packing}, not a LAS or LAZ file",
+                "unpack it and give the LAS or LAZ files in it",
+            )
         refuse(
             path,
             f"begins with {raw[:4]!r}, not with LASF: not a LAS or LAZ file",
@@ -374,7 +363,7 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     try:
         layout = parse_laszip(stream.read(laszip.length))
     except CorruptLazError as damage:
-        refuse(header.path, str(damage))
+        refuse(header.path, str(damage), damage.remedy)
     if layout.item_size != header.record_length:
         problem = f"says records of {header.record_length} bytes, its laszip record {layout.item_size}"
         refuse(header.path, problem)

@@ -30,6 +30,10 @@ would fill memory."""
 class CorruptLazError(Exception):
     """Fault of the compressed points, which callers convert to an InputError that names the file."""
 
+    def __init__(self, problem: str, remedy: str = "get the file again") -> None:
+        super().__init__(problem)
+        self.remedy = remedy
+
 
 def is_panic(error: BaseException) -> bool:
     """Return whether a Rust extension panicked, by the name of the exception.
@@ -105,7 +109,8 @@ def parse_laszip(record_data: bytes) -> LazLayout:
     ]
     if newer:
         raise CorruptLazError(
-            f"its points are compressed by items of version {newer[0]}, {_ITEM_VERSION} can be read"
+            f"its points are compressed by items of version {newer[0]}, {_ITEM_VERSION} can be read",
+            "write it as LAS or with a program that makes LAZ of LAS 1.4",
         )
     layers = 0
     if compressor == _LAYERED:

@@ -22,6 +22,7 @@ from tiler.io.journals import SUFFIXES as JOURNAL_SUFFIXES
 from tiler.io.journals import journals_of
 from tiler.io.json_text import excerpt, member, parse_json_object
 from tiler.io.locations import no_such_file, states_at
+from tiler.io.packing import packing_of
 from tiler.redaction import printable
 
 SIGNATURES = {
@@ -50,31 +51,40 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
         Whether each feature of a GeoJSON file has a geometry, or None for other formats.
     """
     signature = SIGNATURES.get(path.suffix.lower())
+    if signature is not None and not path.is_file():
+        raise no_such_file(path, f"give a GeoPackage, GeoJSON or Shapefile with {wanted}")
+    start = _first_bytes(path)
+    if packing := packing_of(start):
+        raise InputError(f"{path}: is packed with {packing}; unpack it and give the file in it")
     if signature is None:
         *most, last = SIGNATURES
         raise InputError(
             f"{path}: {wanted} are read from {', '.join(most)} and {last} files; "
-            f"convert it, for example with `ogr2ogr {wanted}.gpkg FILE`"
+            f"convert it, for example with `ogr2ogr new.gpkg FILE`"
         )
-    if not path.is_file():
-        raise no_such_file(path, f"give a GeoPackage, GeoJSON or Shapefile with {wanted}")
     if "!" in str(path.resolve()) or str(path.resolve()).startswith("/vsi"):
         raise InputError(
             f"{path}: GDAL would read it as an archive because of its name; rename it"
         )
+    if not start.startswith(signature):
+        raise InputError(
+            f"{path}: does not begin as a {path.suffix.lower()} file does; get the file again, "
+            f"or convert it with `ogr2ogr new.gpkg FILE`"
+        )
+    return _check_geojson(path, wanted) if not signature else None
+
+
+def _first_bytes(path: Path) -> bytes:
+    """Return the first bytes of a file, none of a path that is not a file."""
+    if not path.is_file():
+        return b""
     try:
         with path.open("rb") as stream:
-            start = stream.read(len(signature))
+            return stream.read(max(map(len, SIGNATURES.values())))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); give a readable file"
         ) from error
-    if start != signature:
-        raise InputError(
-            f"{path}: does not begin as a {path.suffix.lower()} file does; get the file again, "
-            f"or convert it with `ogr2ogr {wanted}.gpkg FILE`"
-        )
-    return _check_geojson(path, wanted) if not signature else None
 
 
 def _check_geojson(path: Path, wanted: str) -> list[bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 
@@ -184,6 +185,19 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
 def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_checkpoints(text(tmp_path / name, content))
+
+
+def test_tables_that_are_packed_or_too_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed, long = tmp_path / "packed.csv", tmp_path / "long.csv"
+    packed.write_bytes(gzip.compress(b"x,y,z\n1,2,3\n"))
+    with pytest.raises(InputError, match="packed.csv: is packed with gzip; unpack it"):
+        read_checkpoints(packed)
+    monkeypatch.setattr("tiler.apps.check.points.MAX_TABLE_BYTES", 1 << 20)
+    long.write_bytes(b"x,y,z\n" + b"1,2,3\n" * (1 << 18))
+    with pytest.raises(InputError, match="long.csv: has more than 1 MiB; divide it"):
+        read_checkpoints(long)
 
 
 def test_unfit_geopackages_are_refused(tmp_path: Path) -> None:

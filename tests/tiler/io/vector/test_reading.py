@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import hashlib
 import itertools
 import json
@@ -181,6 +182,15 @@ def test_wrong_vector_files_are_refused(
     with pytest.raises(InputError, match=message) as caught:
         read_in_crs(tmp_path / name, POLYGONS, pyproj.CRS(4326).to_wkt())
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a.geojson", "a.geojson.gz", "a.gpkg"])
+def test_packed_files_are_named_and_not_unpacked(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(gzip.compress(bytes(1 << 20)))
+    with pytest.raises(
+        InputError, match=f"{name}: is packed with gzip; unpack it and give the"
+    ):
+        read_features(tmp_path / name, POLYGONS)
 
 
 def test_files_that_are_not_whole(tmp_path: Path) -> None:
