@@ -52,6 +52,10 @@ __all__ = [
 ]
 
 
+_imports: list[Thread] = []
+"""Threads that import Dask."""
+
+
 def import_dask() -> None:
     """Import the modules that `make_executor` needs for workers, in a background thread."""
 
@@ -61,7 +65,9 @@ def import_dask() -> None:
         with suppress(Exception):
             import_module("tiler.schedule.workers")
 
-    Thread(target=work, name="import dask").start()
+    thread = Thread(target=work, name="import dask")
+    thread.start()
+    _imports.append(thread)
 
 
 def make_executor(
@@ -76,6 +82,10 @@ def make_executor(
     """
     if in_process:
         return SerialExecutor()
+    while (
+        _imports
+    ):  # An import that waits for one that fails in another thread gets half of the module.
+        _imports.pop().join()
     try:
         from tiler.schedule.workers import DaskExecutor
     except ValueError as error:  # Dask reads its configuration while it is imported.
