@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.lattice import Cell
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.ground import GroundSelection, read_ground
@@ -38,16 +39,17 @@ def ground_counts(
     store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block
 ) -> npt.NDArray[np.int64]:
     """Count the ground points in each pixel of a block, int64 (height, width)."""
-    bounds, n_pixels = spec.block_bounds(block), block.height * block.width
-    counts = np.zeros(n_pixels, np.int64)
-    for cell in store.buckets_within(
-        bounds
-    ):  # A block of coarse cells may hold too many points for one reading.
-        part = bounds.intersection(store.meta.bucket.bounds(cell))
-        xyz = read_ground(store, rule, part).xyz
-        counts += np.bincount(
-            pixel_indices(xyz, store.meta.frame.origin, spec, block), minlength=n_pixels
+    counts = np.zeros(block.height * block.width, np.int64)
+    origin = store.meta.frame.origin
+
+    def count(cell: Cell, points: npt.NDArray[np.int32]) -> npt.NDArray[np.intp]:
+        """Count the points of a bucket, and keep none: a block of large cells may hold too many."""
+        counts[:] += np.bincount(
+            pixel_indices(points, origin, spec, block), minlength=counts.size
         )
+        return np.empty(0, np.intp)
+
+    read_ground(store, rule, spec.block_bounds(block), count)
     return counts.reshape(block.height, block.width)
 
 
