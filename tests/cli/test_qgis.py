@@ -24,6 +24,7 @@ from cli.options import read_config
 from cli.qgis import installation
 from cli.qgis.table import NOT_IN_QGIS, SHELLS, table
 from tiler.config import RunConfig
+from tiler.io.result_folder import raster_file
 from tiler.version import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -81,6 +82,14 @@ def test_every_option_is_there_with_the_words_of_the_command_line() -> None:
             assert f"unit: {entry['unit']}" in str(option.help) if entry["unit"] else True
             if isinstance(option.type, click.Choice):
                 assert entry["choices"] == list(option.type.choices)
+
+
+def test_rasters_are_found_by_the_names_of_the_run(process: ModuleType) -> None:
+    for names in (None, "dtm=MNT", "mask = Quelle é,dtm=a=b"):
+        config = RunConfig.from_mapping({"product_name": names}).to_json()
+        for product in ("dtm", "mask"):
+            assert process.raster_file(config, product) == raster_file(product, names)
+    assert process.raster_file({}, "dtm") == "dtm.tif"
 
 
 def test_settings_of_a_run_become_the_same_settings(process: ModuleType) -> None:

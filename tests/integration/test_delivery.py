@@ -17,7 +17,11 @@ import rasterio.shutil
 
 from tests.invariants import clouds
 from tests.invariants.runs import do
+from tiler.apps.check import terrain_in
+from tiler.apps.evaluate import sigma_beside
 from tiler.core.mask_values import MASK_VALUES
+from tiler.errors import ConfigError
+from tiler.report.specification import raster_files
 
 
 @pytest.fixture(scope="module")
@@ -149,3 +153,44 @@ def test_classes_of_the_mask_have_names_and_colours(cloud: Path, tmp_path: Path)
     assert categories(tmp_path / "mask.tif") == list(MASK_VALUES.values())
     with rasterio.open(tmp_path / "mask.tif") as raster:
         assert raster.colormap(1)[1] == (90, 150, 90, 255)
+
+
+def test_rasters_in_one_file_have_other_names_that_every_reader_finds(
+    cloud: Path, tmp_path: Path
+) -> None:
+    """The legend, catalogue, report and check follow the name; the file of the earlier name is archived."""
+    how = {"products": "dtm,mask,sigma", "crs": "EPSG:32632"}
+    do(cloud, tmp_path, **how)
+    (tmp_path / "mask.tif.aux.xml").stat()
+    heights = (tmp_path / "dtm.tif").read_bytes()
+    how["product_name"] = "dtm=MNT,mask=Quelle é"
+    done = do(cloud, tmp_path, **how)
+    names = {path.name for path in tmp_path.glob("*.tif*")}
+    assert names == {"MNT.tif", "Quelle é.tif", "Quelle é.tif.aux.xml", "sigma.tif"}
+    assert names < done.summary["outputs"].keys()
+    assert (tmp_path / "MNT.tif").read_bytes() == heights
+    archived = {path.name for path in (tmp_path / "outdated").iterdir()}
+    assert archived == {"dtm.tif", "mask.tif", "mask.tif.aux.xml"}
+    assert categories(tmp_path / "Quelle é.tif")[2] == MASK_VALUES[2]
+    assets = json.loads((tmp_path / "stac.json").read_text("utf-8"))["assets"]
+    assert assets["mask"]["href"] == "./Quelle%20%C3%A9.tif"
+    assert terrain_in(str(tmp_path)) == str(tmp_path / "MNT.tif")
+    assert sigma_beside(tmp_path / "MNT.tif") == tmp_path / "sigma.tif"
+    assert raster_files(done.summary)["dtm"] == "MNT.tif"
+    assert "data:image" in done._repr_html_()
+    assert do(cloud, tmp_path, **how).did_nothing
+    (tmp_path / "MNT.tif").unlink()
+    do(cloud, tmp_path, **how)
+    assert (tmp_path / "MNT.tif").read_bytes() == heights
+    do(cloud, tmp_path, **how | {"product_name": None})
+    assert (tmp_path / "dtm.tif").read_bytes() == heights
+    assert not (tmp_path / "MNT.tif").exists()
+
+
+@pytest.mark.parametrize("name", ["report", "Stac", "dsm", "contours"])
+def test_a_raster_with_the_name_of_another_result_is_refused(
+    name: str, cloud: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=f"'{name}' is the name of another result; give dtm"):
+        do(cloud, tmp_path, product_name=f"dtm={name},dsm=other")
+    assert not list(tmp_path.iterdir())

@@ -113,8 +113,8 @@ class RunConfig:
     )
     product_name: str | None = setting(
         None,
-        "other names of products in the file names of their sheets (field name of sheet-name): dtm=MNT,dsm=MNS. "
-        "Only sheets have them; folders, VRTs and undivided rasters keep the names of the products",
+        "other names of the files of rasters: dtm=MNT,dsm=MNS writes OUT/MNT.tif and OUT/MNS.tif. With --sheets, names "
+        "of sheets have them (field name of sheet-name), but folders and VRTs keep the names of the products",
         kind="product_names",
     )
     empty_sheets: bool = flag(False, "also write sheets that contain points but no heights")

@@ -64,7 +64,7 @@ def name_prefix(template: str, product: str) -> str:
 
 
 def product_names(text: str | None) -> dict[str, str]:
-    """Return the names of all products in the names of sheets.
+    """Return the names of all products in the names of their files.
 
     Parameters
     ----------
@@ -86,6 +86,8 @@ def product_names(text: str | None) -> dict[str, str]:
                 f"product_name {text!r}: no product {product!r}; use {', '.join(PRODUCTS)}"
             )
         wrong = _wrong_with(name) if name else "is empty"
+        if len(name.encode()) > LONGEST:
+            wrong = f"has more than {LONGEST} bytes"
         if wrong:
             raise ConfigError(f"product_name {text!r}: {name!r} {wrong}; use another name")
         names[product] = name

@@ -14,7 +14,7 @@ from tiler.core.terrain_results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
-from tiler.export import WriteCog, WriteText
+from tiler.export import WriteCog, WriteLegend, WriteText
 from tiler.export.records import (
     CloudRecord,
     ContoursRecord,
@@ -53,7 +53,7 @@ from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.points import Source
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links
-from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below, raster_file
+from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
 from tiler.observe.events import Detail
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -61,7 +61,8 @@ from tiler.schedule import Task
 from tiler.store import Commits
 
 PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
-"""Endings of the files of products. Their tasks have the names of the files as keys, except sheets."""
+"""Endings of the files of products. The keys of their tasks are the names of the files, except those of sheets and
+renamed rasters."""
 
 
 @dataclass(frozen=True)
@@ -285,7 +286,7 @@ def _basis(gridding: GridContext) -> str:
     into = (
         [str(config.sheets), config.sheet_name, config.product_name, config.empty_sheets]
         if config.sheets
-        else None
+        else config.product_name
     )
     water = gridding.water_key
     return digest_of(
@@ -310,8 +311,8 @@ def _file(task: Task) -> str:
         return str(work.out)
     name = task.key
     if isinstance(work, WriteCog):
-        name = raster_file(work.name)
-    elif isinstance(work, WriteText):
+        name = f"{work.name}.tif"
+    elif isinstance(work, WriteLegend | WriteText):
         name = work.name
     return joined(work.out, name)
 

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from tiler.core.sheet_names import product_names
 from tiler.errors import ConfigError
 from tiler.io.json_text import parse_json_object
 from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at, with_slashes
@@ -53,18 +54,57 @@ EVALUATION = "evaluate.json"
 OUTDATED = "outdated"
 """Folder of files that earlier runs wrote and later runs did not replace."""
 
+RESULTS = (
+    RUN,
+    EVENTS,
+    REPORT,
+    STORE,
+    OUTLINE,
+    WATER,
+    BRIDGES,
+    SHEETS,
+    CLASSIFIED,
+    STAC,
+    CHECK,
+    EVALUATION,
+    OUTDATED,
+)
+"""Files and folders of OUT, in addition to the products."""
+
 _KEYS = frozenset(("state", "version", "configuration", "plan", "stages"))
 """Keys that every version of tiler writes to ``run.json``."""
 
 
-def raster_file(product: str, sheet: str | None = None) -> str:
-    """Return the path in OUT of the raster of a product, ``dtm.tif``, or of one of its sheets, ``dtm/<sheet>.tif``."""
-    return f"{product}.tif" if sheet is None else f"{product}/{sheet}.tif"
+def raster_file(product: str, product_name: str | None = None) -> str:
+    """Return the path in OUT of the raster of a product: ``dtm.tif``, ``MNT.tif`` with the setting ``dtm=MNT``."""
+    return f"{product_names(product_name)[product]}.tif"
+
+
+def sheet_file(product: str, sheet: str) -> str:
+    """Return the path in OUT of a sheet of a product: ``dtm/<sheet>.tif``."""
+    return f"{product}/{sheet}.tif"
 
 
 def mosaic_file(product: str) -> str:
     """Return the path in OUT of the file that shows the sheets of a product as one raster: ``dtm.vrt``."""
     return f"{product}.vrt"
+
+
+def raster_places(run: Mapping[str, Any] | None, product: str) -> tuple[str, str]:
+    """Return where a run writes the raster of a product: as one file, or as VRT over its sheets.
+
+    Parameters
+    ----------
+    run : mapping or None
+        Content of ``run.json``, or None if there is none. Names that no run writes are ignored.
+    product : str
+    """
+    renamed = _mapping(run or {}, "configuration").get("product_name")
+    try:
+        whole = raster_file(product, renamed)
+    except (ConfigError, AttributeError):
+        whole = raster_file(product)
+    return whole, mosaic_file(product)
 
 
 def local_folder(products: str) -> Path:

@@ -120,9 +120,8 @@ def _without_use(plan: Plan) -> list[str]:
         )
     if plan.config.sheet_name != SHEET_NAME and plan.config.sheets is None:
         warnings.append("--sheet-name has no effect without --sheets")
-    if plan.config.product_name and plan.config.sheets is None:
-        warnings.append("--product-name has no effect without --sheets")
-    elif plan.config.product_name and "{name" not in plan.config.sheet_name:
+    cut = plan.config.sheets is not None
+    if plan.config.product_name and cut and "{name" not in plan.config.sheet_name:
         warnings.append("--product-name has no effect if --sheet-name has no {name}")
     return warnings
 

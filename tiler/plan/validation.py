@@ -12,7 +12,7 @@ from pathlib import Path
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.links import link_error
-from tiler.core.products import PRODUCTS
+from tiler.core.products import PRODUCTS, VECTOR_PRODUCTS
 from tiler.core.sheet_names import check_template, fault_on_windows, name_prefix, product_names
 from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
 from tiler.core.words import listed
@@ -36,6 +36,7 @@ from tiler.io.result_folder import (
     OUTDATED,
     OUTLINE,
     REPORT,
+    RESULTS,
     RUN,
     SHEET_ITEMS,
     SHEETS,
@@ -105,12 +106,24 @@ def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path
             f"-o {products}: has the name of a file, but is the folder of all results; use -o "
             f"{stem}, which will contain dtm.tif"
         )
+    if config.sheets is None:
+        _validate_product_names(config.product_name)
     for name in (CLASSIFIED, OUTDATED):
         check_folder("-o", joined(products, name), paths)
     store = config.store or joined(products, STORE)
     check_folder("--store", store, [products, *paths, *other_inputs(config)])
     for name in (CLASSIFIED, OUTDATED, *config.exported):
         check_folder("-o", joined(products, name), [store])
+
+
+def _validate_product_names(given: str | None) -> None:
+    """Raise ConfigError if a raster would have the name of another result."""
+    taken = {name.partition(".")[0] for name in RESULTS} | {*PRODUCTS, *VECTOR_PRODUCTS}
+    for product, name in product_names(given).items():
+        if name.lower() in taken - {product}:
+            raise ConfigError(
+                f"--product-name {given}: {name!r} is the name of another result; give {product} another name"
+            )
 
 
 def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
@@ -164,8 +177,9 @@ def _targets(plan: Plan) -> list[str]:
         names = [mosaic_file(name) for name in exported]
         names.append(SHEETS)
     else:
-        names = [raster_file(name) for name in exported]
-        names += [f"{raster_file(name)}{LEGEND}" for name in exported if PRODUCTS[name].values]
+        files = {name: raster_file(name, plan.config.product_name) for name in exported}
+        names = list(files.values())
+        names += [f"{file}{LEGEND}" for name, file in files.items() if PRODUCTS[name].values]
     names += [f"{name}.gpkg" for name in plan.config.drawn]
     if plan.config.bridges == "remove":
         names.append(BRIDGES)

@@ -12,7 +12,7 @@ from tiler.core.words import counted
 from tiler.errors import write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.json_text import parse_json_object
-from tiler.io.result_folder import CHECK, EVALUATION
+from tiler.io.result_folder import CHECK, EVALUATION, raster_places
 from tiler.redaction import shown, stored
 from tiler.report.document import Content, Node, el, facts, table
 from tiler.report.problems import MAX_ROWS
@@ -46,8 +46,8 @@ HOW = {
 """Commands that write the files of the section, and when to use them."""
 
 
-def read_measured(out: Path, name: str) -> dict[str, Any]:
-    """Return the content of a file of ``OUT``, which is empty if the file does not exist.
+def read_measured(out: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of a file of ``OUT`` with measurements of a run, which is empty if the file does not exist.
 
     If tiler did not write the file, the content is an error under ``unreadable``.
     """
@@ -63,7 +63,7 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
         fault = f"was not written by this version of tiler ({type(error).__name__}: {error}); measure again"
         return {"unreadable": f"{name}: {fault}"}
-    dtms = [p for p in (out / "dtm.tif", out / "dtm.vrt") if p.is_file()]
+    dtms = [p for p in (out / file for file in raster_places(run, "dtm")) if p.is_file()]
     older = bool(dtms) and path.stat().st_mtime < max(p.stat().st_mtime for p in dtms)
     return {**measured, "older": older}
 

@@ -132,9 +132,9 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     run = with_earlier_times(run, out)
     rasters = _rasters(products, run)
     pictures = draw(rasters, run)
-    check = accuracy.read_measured(out, CHECK)
+    check = accuracy.read_measured(out, CHECK, run)
     run = {**run, "check": check}
-    evaluation = accuracy.read_measured(out, EVALUATION)
+    evaluation = accuracy.read_measured(out, EVALUATION, run)
     title = run.get("report_title") or f"Terrain of {out.resolve().name}"
     parts = [
         specification(run),

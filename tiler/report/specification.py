@@ -12,7 +12,7 @@ from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import DEFAULT as SHEET_NAME
 from tiler.core.words import counted
-from tiler.io.result_folder import CLASSIFIED, mosaic_file, raster_file
+from tiler.io.result_folder import CLASSIFIED, raster_places
 from tiler.report.document import Content, Node, facts, section
 from tiler.report.problems import Run
 from tiler.report.sections import length
@@ -27,7 +27,7 @@ def raster_files(run: Run) -> dict[str, str]:
     return {
         product: name
         for product in PRODUCTS
-        for name in (mosaic_file(product), raster_file(product))
+        for name in reversed(raster_places(run, product))
         if name in written
     }
 
@@ -79,12 +79,12 @@ def _nodata(run: Run) -> str:
 
 def _sheets(run: Run) -> str:
     configuration = run["configuration"]
-    if configuration.get("sheets") is None:
-        return "none, each product is one file"
-    side = length(run, float(Fraction(configuration["sheets"])))
-    number = counted(run["sheets"], "sheet") if "sheets" in run else "sheets"
     renamed = configuration.get("product_name")
     names = f", with the names {renamed}" if renamed else ""
+    if configuration.get("sheets") is None:
+        return f"none, each product is one file{names}"
+    side = length(run, float(Fraction(configuration["sheets"])))
+    number = counted(run["sheets"], "sheet") if "sheets" in run else "sheets"
     return f"{number} with sides of {side}, files named {configuration.get('sheet_name', SHEET_NAME)}{names}"
 
 

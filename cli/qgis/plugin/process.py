@@ -141,6 +141,13 @@ def options_of_config(command: str, config: dict[str, Any]) -> list[str]:
     return arguments
 
 
+def raster_file(config: dict[str, Any], product: str) -> str:
+    """Return the name of the file of a product, given the settings of the run from its run.json."""
+    pairs = (item.partition("=") for item in (config.get("product_name") or "").split(","))
+    names = {name.strip(): other.strip() for name, _, other in pairs}
+    return f"{names.get(product, product)}.tif"
+
+
 def absolute(path: str) -> str:
     """Return a path that is valid in every working folder, and a URL unchanged."""
     return path if "://" in path or "::" in path else os.path.abspath(os.path.expanduser(path))

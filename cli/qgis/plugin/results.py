@@ -21,7 +21,7 @@ from qgis.core import (
 )
 
 from . import styles
-from .process import TABLE, CommandError
+from .process import TABLE, CommandError, raster_file
 
 KEY = "tiler/result"
 """Property of a layer (the result and the folder that it shows) and of a group (the folder)."""
@@ -52,7 +52,11 @@ def existing(folder: str, name: str) -> str:
 
 def raster(folder: str, name: str) -> str:
     """Return the path of a product, in one file or in sheets, or an empty text if it does not exist."""
-    return existing(folder, f"{name}.tif") or existing(folder, f"{name}.vrt")
+    try:
+        file = raster_file(read_run(folder)["configuration"], name)
+    except CommandError:  # A finished run whose run.json was removed.
+        file = raster_file({}, name)
+    return existing(folder, file) or existing(folder, f"{name}.vrt")
 
 
 def read_run(folder: str) -> dict[str, Any]:

@@ -64,6 +64,8 @@ def test_products_have_other_names() -> None:
         ("", "is not valid; give dtm=NAME"),
         ("dtm=", "'' is empty"),
         ("dtm=M/T", "'M/T' contains '/'"),
+        ("dtm=nul", "'nul' is the name of a device on Windows"),
+        ("dtm=" + 201 * "M", "has more than 200 bytes"),
         ("dtm=M,dsm=m", "several products have the name 'M'"),
         ("dtm=dsm", "several products have the name 'dsm'"),
     ],

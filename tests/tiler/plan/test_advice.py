@@ -159,7 +159,7 @@ def test_a_plan_tells_which_units_are_assumed(
         ({"resolution": "500"}, "the terrain has only 1 x 1 pixels of 500 m; use a smaller"),
         ({"resolution": "10", "sheets": "500", "sheet_name": "{name}_{x}_{y}a"}, None),
         ({"sheet_name": "{name}_{x}_{y}a"}, "--sheet-name has no effect without --sheets"),
-        ({"product_name": "dtm=MNT"}, "--product-name has no effect without --sheets"),
+        ({"product_name": "dtm=MNT"}, None),
         (
             {"product_name": "dtm=MNT", "sheets": "500", "sheet_name": "{x}_{y}"},
             "--product-name has no effect if --sheet-name has no {name}",

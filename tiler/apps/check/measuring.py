@@ -15,13 +15,13 @@ from tiler.apps.check.seams import seams_of
 from tiler.apps.check.strips import strip_differences
 from tiler.errors import ConfigError, InputError
 from tiler.io.locations import joined, state_at
-from tiler.io.result_folder import mosaic_file, raster_file
+from tiler.io.result_folder import raster_places, read_run
 from tiler.schedule import call_isolated, half_of_memory
 
 
 def terrain_in(out: str) -> str:
     """Return the path or URL of the DTM in the results of a run, or raise InputError if there is none."""
-    for name in (raster_file("dtm"), mosaic_file("dtm")):
+    for name in raster_places(read_run(out), "dtm"):
         if state_at(joined(out, name)) is not None:
             return joined(out, name)
     raise InputError(f"{out}: contains no DTM; finish its run, or give the path of a DTM")

@@ -27,6 +27,7 @@ from tiler.errors import ConfigError, InputError
 from tiler.io.atomic_files import atomic_path
 from tiler.io.geotiff import RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.result_folder import raster_places, read_run
 
 BLOCK = 1024
 """Side in pixels of a block. One block per raster is in memory at a time."""
@@ -135,8 +136,11 @@ class _Judge:
 
 def sigma_beside(dtm: Path | str) -> Path | None:
     """Return the raster of standard errors that a run wrote next to its DTM, or None."""
-    sigma_path = Path(dtm).with_name(f"sigma{Path(dtm).suffix}")
-    return sigma_path if Path(dtm).stem == "dtm" and sigma_path.is_file() else None
+    path = Path(dtm)
+    run = read_run(str(path.parent))
+    pairs = zip(raster_places(run, "dtm"), raster_places(run, "sigma"), strict=True)
+    found = (path.with_name(sigma) for terrain, sigma in pairs if terrain == path.name)
+    return next((sigma for sigma in found if sigma.is_file()), None)
 
 
 def validate_targets(

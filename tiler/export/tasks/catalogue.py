@@ -43,6 +43,7 @@ from tiler.io.result_folder import (
     WATER,
     mosaic_file,
     raster_file,
+    sheet_file,
 )
 from tiler.plan import Plan
 from tiler.schedule import Task
@@ -232,7 +233,10 @@ class _Catalogue:
 
     def _whole(self) -> dict[str, Any]:
         """Return the item of a run whose products are not divided into sheets."""
-        rasters = {name: (name, raster_file(name)) for name in self._plan.config.exported}
+        names = self._plan.config.product_name
+        rasters = {
+            name: (name, raster_file(name, names)) for name in self._plan.config.exported
+        }
         assets = {**self._rasters(rasters, "."), **self._besides()}
         item = self._item(self._id, self._gridding.spec, assets, [])
         if self.clouds:
@@ -247,7 +251,7 @@ class _Catalogue:
     def _sheet(self, sheet: Sheet) -> dict[str, Any]:
         exported = self._plan.config.exported
         rasters = {
-            name: (key_of(name, sheet), raster_file(name, name_of(self._gridding, name, sheet)))
+            name: (key_of(name, sheet), sheet_file(name, name_of(self._gridding, name, sheet)))
             for name in exported
         }
         corner_name = "_".join(f"{edge:.10g}" for edge in sheet.corner)

@@ -15,7 +15,7 @@ from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.reclass import ONLY_GROUND
 from tiler.core.records import SpoolRecord
-from tiler.core.sheet_names import validate_distinct_names
+from tiler.core.sheet_names import product_names, validate_distinct_names
 from tiler.core.water import Waters
 from tiler.export import (
     WriteClassified,
@@ -39,7 +39,14 @@ from tiler.grid.tasks.raster_table import MODELS, final_raster, raster_table
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import SourceInfo, header_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
-from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS, mosaic_file, raster_file
+from tiler.io.result_folder import (
+    CLASSIFIED,
+    LEGEND,
+    SHEETS,
+    mosaic_file,
+    raster_file,
+    sheet_file,
+)
 from tiler.plan import PIECE_POINTS, Plan, chunks_of
 from tiler.schedule import Task
 from tiler.store import Commits, KeptPiece
@@ -70,6 +77,7 @@ def cog_tasks(
     """
     sheet_inputs = [(sheet, _digest(inputs, sheet.cells)) for sheet in context.sheets]
     rasters = raster_table(context.plan.config)
+    names = product_names(context.plan.config.product_name)
     for name in context.plan.config.exported:
         raster = final_raster(name, context.plan.config)
         whole = WriteCog(
@@ -77,7 +85,7 @@ def cog_tasks(
             out=out,
             tags=_tags(context.plan, name, whole_inputs),
             nodata=nodata_of(context.plan, name),
-            name=name,
+            name=names[name],
             raster=raster,
             spec=context.spec,
             compress=context.plan.config.compress,
@@ -125,7 +133,7 @@ def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[
             out=out,
             tags=_tags(context.plan, name, whole_inputs),
             nodata=nodata_of(context.plan, name),
-            sheets=tuple((raster_file(name, file), spec) for file, spec in files),
+            sheets=tuple((sheet_file(name, file), spec) for file, spec in files),
         )
         yield Task("mosaic", mosaic_file(name), digest_of(work), write_mosaic, work)
 
@@ -137,8 +145,11 @@ def legend_tasks(context: GridContext, out: str) -> Iterator[Task]:
     """
     for name in context.plan.config.exported if context.plan.config.sheets is None else ():
         if PRODUCTS[name].values:
-            work = WriteLegend(product=name, name=f"{raster_file(name)}{LEGEND}", out=out)
-            yield Task("export", work.name, digest_of(RULES, work), write_legend, work)
+            file = raster_file(name, context.plan.config.product_name)
+            work = WriteLegend(product=name, name=f"{file}{LEGEND}", out=out)
+            yield Task(
+                "export", f"{name}.tif{LEGEND}", digest_of(RULES, work), write_legend, work
+            )
 
 
 def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
@@ -151,7 +162,7 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
         work: WriteCog = task.arguments
         if work.whole is not None and task.key in written:
             record = RasterFileRecord.of(written[task.key][1])
-            path = raster_file(work.product, work.name)
+            path = sheet_file(work.product, work.name)
             void = 100 * (1 - record.valid / record.pixels)
             sheet_files.append(
                 SheetFile(work.product, path, work.spec, void, record.min, record.max)
