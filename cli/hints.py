@@ -29,6 +29,34 @@ OTHER_PROGRAMS = {
 underscores."""
 
 
+def long_names(params: Sequence[click.Parameter]) -> list[str]:
+    """Return the names of options that begin with two hyphens."""
+    names = (name for p in params for name in (*p.opts, *p.secondary_opts))
+    return [name for name in names if name.startswith("--")]
+
+
+def abbreviations(
+    arguments: Sequence[str], params: Sequence[click.Parameter]
+) -> dict[str, str]:
+    """Return the words that begin like exactly one option, with the name of this option.
+
+    A name of `OTHER_PROGRAMS` is not an abbreviation, since its users expect what it means elsewhere.
+    """
+    names = long_names(params)
+    words = {a.partition("=")[0] for a in arguments if a.startswith("--") and len(a) > 2}
+    found = {}
+    for word in words - {*names}:
+        near = [name for name in names if name.startswith(word)]
+        if len(near) == 1 and _plain(word) not in OTHER_PROGRAMS:
+            found[word] = near[0]
+    return found
+
+
+def _plain(option: str) -> str:
+    """Return the name of an option as in `OTHER_PROGRAMS`."""
+    return option.lstrip("-").replace("_", "-").lower()
+
+
 def unknown_option(error: click.NoSuchOption, arguments: Sequence[str]) -> str:
     """Return the message for an unknown option: what it is elsewhere, or the options that begin like it, or are close.
 
@@ -36,15 +64,14 @@ def unknown_option(error: click.NoSuchOption, arguments: Sequence[str]) -> str:
     """
     found = (a for a in arguments if a.startswith(error.option_name))
     given = next(found, error.option_name).partition("=")[0]
-    word = given.lstrip("-").replace("_", "-").lower()
+    word = _plain(given)
     if word in OTHER_PROGRAMS:
         return _ELSEWHERE.format(given) + OTHER_PROGRAMS[word]
-    params = error.ctx.command.params if error.ctx else []
-    options = [
-        name for p in params for name in (*p.opts, *p.secondary_opts) if name[:2] == "--"
-    ]
-    near = [name for name in options if name.startswith(f"--{word}")]
-    near = near or get_close_matches(f"--{word}", options)
+    options = long_names(error.ctx.command.get_params(error.ctx)) if error.ctx else []
+    several = [name for name in options if name.startswith(f"--{word}")]
+    if len(several) > 1:
+        return f"{given} is the beginning of {' and '.join(several)}; write one of them"
+    near = several or get_close_matches(f"--{word}", options)
     return f"there is no option {given}" + (
         f"; did you mean {' or '.join(near)}?" if near else ""
     )

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.help_groups import MANY, help_all_option, write_options
-from cli.hints import repeated_options
+from cli.hints import abbreviations, repeated_options
 from cli.output import write_line
 
 if TYPE_CHECKING:
     from tiler.observe.events import Listener
+
+_ABBREVIATIONS = "tiler.abbreviations"
 
 
 @dataclass
@@ -111,8 +113,24 @@ class TilerCommand(click.Command):
         """Add an option that changes the session and is not passed to the command."""
         self.params.append(click.Option(names, expose_value=False, is_eager=True, **settings))
 
+    def make_parser(self, ctx: click.Context) -> Any:
+        """Make a parser that also knows the abbreviations of options in `_ABBREVIATIONS`."""
+        parser = super().make_parser(ctx)
+        found: dict[str, str] = ctx.meta.get(_ABBREVIATIONS, {})
+        for option in self.get_params(ctx):
+            names = option.opts, option.secondary_opts
+            more = [[word for word, name in found.items() if name in some] for some in names]
+            if any(more):
+                option.opts, option.secondary_opts = (
+                    [*n, *m] for n, m in zip(names, more, strict=True)
+                )
+                option.add_to_parser(parser, ctx)
+                option.opts, option.secondary_opts = names
+        return parser
+
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments, and warn of options that are given twice."""
+        ctx.meta[_ABBREVIATIONS] = abbreviations(args, self.get_params(ctx))
         *_, given = self.make_parser(ctx).parse_args(list(args))
         rest = super().parse_args(ctx, args)
         for name in repeated_options(given):

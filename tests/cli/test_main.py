@@ -179,7 +179,14 @@ def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None
         (["run"], "Missing argument 'INPUT...'; see `tiler run --help`"),
         (["run", "a.laz"], "Missing option '-o' / '--out'; see `tiler run --help`"),
         (["plan", "a.laz", "--hallo"], "there is no option --hallo; did you mean --halo"),
-        (["plan", "a.laz", "--res", "1"], "no option --res; did you mean --resolution?"),
+        (
+            ["plan", "a.laz", "--sheet", "1"],
+            "--sheet is the beginning of --sheets and --sheet-name; write",
+        ),
+        (
+            ["plan", "a.laz", "--co", "zstd"],
+            "--co is an option of another program; here the comp",
+        ),
         (
             ["plan", "a.laz", "--tile_size", "9"],
             "no option --tile_size; did you mean --tile-size?",
@@ -219,6 +226,23 @@ def test_usage_errors_are_one_line_and_2(
     assert captured.err.count("\n") == 1
     assert text in captured.err
     assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "settings"),
+    [
+        (["--reso=2", "--res", "3"], {"resolution": "3"}),
+        (["--overw", "--skip-ov"], {"overwrite": True, "skip_overlap": True}),
+        (["--breakl", "--res", "--breakl", "b"], {"breaklines": ("--res", "b")}),
+        (["--out", "--res"], {"out": "--res"}),
+        (["--", "--res"], {"inputs": ("a.laz", "--res")}),
+    ],
+)
+def test_the_beginning_of_one_option_is_this_option(
+    given: list[str], settings: dict[str, Any]
+) -> None:
+    context = run.make_context("run", ["a.laz", "-o", "o", *given])
+    assert {name: context.params[name] for name in settings} == settings
 
 
 @pytest.mark.processes
