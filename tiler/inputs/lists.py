@@ -48,4 +48,5 @@ def read_list(
         memory_bytes=MEMORY_BYTES,
         seconds=LIST_SECONDS,
         remedy="get it again, or give the clouds themselves",
+        smaller="give the clouds themselves",
     )

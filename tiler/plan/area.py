@@ -15,6 +15,7 @@ from tiler.core.lattice import Bounds
 from tiler.core.units_text import length_text
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo, bounds_in_counts, header_bounds
+from tiler.io.vector import CUT
 from tiler.io.vector.areas import read_area
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
@@ -56,7 +57,7 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
     if config.in_process:
         area, decided = read_area(path, wkt)
     else:
-        area, decided = call_isolated(read_area, path, wkt, paths=(path,))
+        area, decided = call_isolated(read_area, path, wkt, paths=(path,), smaller=CUT)
     notes += decided
     return area
 

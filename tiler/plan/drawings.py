@@ -15,6 +15,7 @@ from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.water import Water
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import (
+    CUT,
     LINES_AND_POLYGONS,
     POLYGONS,
     Feature,
@@ -115,7 +116,7 @@ def _read(
         features = read_in_crs(path, kind, wkt, all_layers, needs_z)
     else:
         features = call_isolated(
-            read_in_crs, path, kind, wkt, all_layers, needs_z, paths=(path,)
+            read_in_crs, path, kind, wkt, all_layers, needs_z, paths=(path,), smaller=CUT
         )
     notes += features.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())

@@ -72,6 +72,10 @@ class ChildDiedError(TilerError):
     """The child died during a call, or had to be ended. The message is a predicate: "crashed (SIGSEGV)"."""
 
 
+class ChildMemoryError(ChildDiedError):
+    """The call needs more memory than the child may have."""
+
+
 class ChildStartError(ChildDiedError):
     """There was no memory or no process for a child. The call is not the cause."""
 
@@ -175,9 +179,11 @@ class ChildProcess:
             raise self._too_large()
         raise result
 
-    def _too_large(self) -> ChildDiedError:
+    def _too_large(self) -> ChildMemoryError:
         mebibytes = (self.memory_bytes or 0) >> 20
-        return ChildDiedError(f"needs more than the {mebibytes} MiB of memory that it may have")
+        return ChildMemoryError(
+            f"needs more than the {mebibytes} MiB of memory that it may have"
+        )
 
     def kill(self) -> None:
         """End the child permanently. Another thread may call this during a call, which then raises `ChildDiedError`."""

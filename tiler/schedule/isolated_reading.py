@@ -10,7 +10,13 @@ import psutil
 
 from tiler.errors import InputError, ProcessingError
 from tiler.io.locations import reading_remedy, stat_location
-from tiler.schedule.guard import MEMORY_BYTES, ChildDiedError, ChildProcess, ChildStartError
+from tiler.schedule.guard import (
+    MEMORY_BYTES,
+    ChildDiedError,
+    ChildMemoryError,
+    ChildProcess,
+    ChildStartError,
+)
 
 Result = TypeVar("Result")
 
@@ -42,6 +48,7 @@ def call_isolated(
     memory_bytes: int = MEMORY_BYTES,
     seconds: float | None = None,
     remedy: str = "get the file again",
+    smaller: str = "give a smaller file, or use a machine with more memory",
 ) -> Result:
     """Return the result of ``function(*arguments)`` in a separate child process.
 
@@ -59,7 +66,9 @@ def call_isolated(
     seconds : float, optional
         Time that the call may take. The default depends on the sizes of the files.
     remedy : str
-        Advice for the user if reading fails.
+        Advice for the user if reading crashes or takes too long.
+    smaller : str
+        Advice for the user if reading needs too much memory.
 
     Raises
     ------
@@ -78,6 +87,8 @@ def call_isolated(
         raise ProcessingError(
             f"{names}: the process that reads it {error}; end other programs, then run again"
         ) from error
+    except ChildMemoryError as died:
+        raise InputError(f"{names}: the process that reads it {died}; {smaller}") from died
     except ChildDiedError as died:
         raise InputError(f"{names}: the process that reads it {died}; {remedy}") from died
 

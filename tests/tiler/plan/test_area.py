@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError, InputError, TilerError
 from tiler.plan import make_plan
 from tiler.plan.area import area_of
+from tiler.schedule import call_isolated, limits_memory
 
 UTM = CRS.from_epsg(25832).to_wkt()
 FEET = CRS.from_epsg(2263).to_wkt()
@@ -33,6 +35,22 @@ def test_nothing_asked_for_is_everything() -> None:
     area = area_of(RunConfig(bounds=(1.0, 2.0, 3.5, 4.0)), None, [])
     assert area is not None
     assert area.bounds == Bounds(1000, 2000, 3500, 4000)
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not limits_memory(), reason="memory is not limited here")
+def test_a_file_that_is_too_large_is_to_be_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "tiler.plan.area.call_isolated", partial(call_isolated, memory_bytes=128 << 20)
+    )
+    path = tmp_path / "a.geojson"
+    path.write_text(f'{{"features": [{"1.5," * 5_000_000}1]}}')
+    with pytest.raises(
+        InputError, match="needs more than the 128 MiB .*; cut it to the survey with"
+    ):
+        area_of(RunConfig(aoi=str(path)), UTM, [])
 
 
 def test_polygons_of_the_same_crs_are_taken_to_the_count(tmp_path: Path) -> None:

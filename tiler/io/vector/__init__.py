@@ -1,5 +1,6 @@
 """Vector files: reading of features in the CRS of a run, and writing of GeoPackages."""
 
+from tiler.io.vector.opening import CUT
 from tiler.io.vector.reading import (
     LINES,
     LINES_AND_POLYGONS,
@@ -15,6 +16,7 @@ from tiler.io.vector.reading import (
 from tiler.io.vector.writing import GeoPackage, geopackage
 
 __all__ = [
+    "CUT",
     "LINES",
     "LINES_AND_POLYGONS",
     "POINTS",

@@ -34,6 +34,8 @@ SIGNATURES = {
 }
 """Suffixes of the formats that are read, and the first bytes of their files. GeoJSON is checked
 as a whole."""
+CUT = "cut it to the survey with `ogr2ogr -spat X0 Y0 X1 Y1 part.gpkg FILE`"
+"""Remedy for a file that is too large."""
 MAX_COPIES = 10
 """Number of attempts to copy a file that another program is changing."""
 
@@ -105,6 +107,13 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
             )
     # Most programs still write the member with the CRS, although RFC 7946 removed it.
     named = member(member(content, "crs"), "properties").get("name")
+    if (
+        named is None and content.get("crs") is not None
+    ):  # GDAL would take such coordinates for degrees.
+        raise InputError(
+            f"{path}: its CRS has no name ({excerpt(content['crs'], 80)}), and links are not followed; name it with "
+            f"`ogr2ogr -a_srs EPSG:... new.gpkg FILE`"
+        )
     try:
         if named is not None:
             crs_in_file(str(named))

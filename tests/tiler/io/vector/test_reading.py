@@ -137,6 +137,9 @@ def polygon(*places: list[object]) -> str:
 
 POINT = {"type": "Point", "coordinates": [1, 2]}
 ODD_CRS = {**json.loads(polygon(*SQUARE)), "crs": {"properties": {"name": "no CRS"}}}
+LINK = {"type": "link", "properties": {"href": "https://example.org/25832"}}
+LINKED_CRS = {**ODD_CRS, "crs": LINK}
+CODED_CRS = {**ODD_CRS, "crs": {"type": "EPSG", "properties": {"code": 25832}}}
 VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>"
 
 
@@ -169,6 +172,16 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
             "damaged|that is not a number",
         ),
         ("a.json", json.dumps(ODD_CRS), "its CRS 'no CRS' is not known"),
+        (
+            "a.json",
+            json.dumps(LINKED_CRS),
+            r"its CRS has no name \(.*'type': 'link'.*\), and links",
+        ),
+        (
+            "a.json",
+            json.dumps(CODED_CRS),
+            "its CRS has no name .*; name it with `ogr2ogr -a_srs EPSG",
+        ),
         ("a.gpkg", "no data base", "does not begin as a .gpkg file does"),
         ("a.gpkg", VRT, "does not begin as a .gpkg file does"),
         ("a.shp", "short", "does not begin as a .shp file does"),
