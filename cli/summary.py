@@ -6,19 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cli.made import ground_points, made_lines
-from tiler.core.products import PRODUCTS
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.io.locations import joined
+from tiler.io.result_folder import written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
 
 MAX_OF_KIND = 3
 """Number of lines about files that were left out, or about failed tasks."""
-
-_RASTERS = {
-    f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")
-}
-"""Position of each product's files in the order of the products, by file name."""
 
 
 def percent_text(fraction: float | None) -> str:
@@ -67,16 +62,16 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
                 f"low noise   {counted(section['low_noise'], 'point')} below the ground"
             )
     unit = summary.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
-    rasters = sorted(_RASTERS.keys() & summary.get("outputs", {}), key=_RASTERS.__getitem__)
-    for name in rasters[:1]:
+    rasters = list(written_rasters(summary).items())
+    for product, file in rasters[:1]:
         section = summary["dtm"]
         pixel = length_text(section["resolution_m"], unit)
         size = f"{section['width']:,} x {section['height']:,} pixels of {pixel}"
         if "voids" in summary:
             size += f", {share_with_height(summary['voids'])} of the survey has a height"
-        lines.append(f"{name.split('.')[0].upper():12s}{joined(out, name)}, {size}")
+        lines.append(f"{product.upper():12s}{joined(out, file)}, {size}")
     if rasters[1:]:
-        lines.append(f"products    {', '.join(joined(out, name) for name in rasters[1:])}")
+        lines.append(f"products    {', '.join(joined(out, file) for _, file in rasters[1:])}")
     lines.extend(made_lines(summary, out))
     if problems := summary.get("problems"):
         lines.append(f"problems    {kinds_text(problems)}")

@@ -1,4 +1,4 @@
-"""What a delivery has besides the terrain: names of sheets, where they lie, names of classes, the datum of heights."""
+"""Content of a delivery next to the terrain: names of files, index of sheets, names of classes, datum of heights."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import pytest
 import rasterio
 import rasterio.shutil
 
+from cli.summary import summary_lines
 from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate import sigma_beside
 from tiler.core.mask_values import MASK_VALUES
 from tiler.errors import ConfigError
-from tiler.report.specification import raster_files
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,7 @@ def test_classes_of_the_mask_have_names_and_colours(cloud: Path, tmp_path: Path)
 def test_rasters_in_one_file_have_other_names_that_every_reader_finds(
     cloud: Path, tmp_path: Path
 ) -> None:
-    """The legend, catalogue, report and check follow the name; the file of the earlier name is archived."""
+    """Legend, catalogue, summary and check follow the name. The file of the earlier name is archived."""
     how = {"products": "dtm,mask,sigma", "crs": "EPSG:32632"}
     do(cloud, tmp_path, **how)
     (tmp_path / "mask.tif.aux.xml").stat()
@@ -176,7 +176,9 @@ def test_rasters_in_one_file_have_other_names_that_every_reader_finds(
     assert assets["mask"]["href"] == "./Quelle%20%C3%A9.tif"
     assert terrain_in(str(tmp_path)) == str(tmp_path / "MNT.tif")
     assert sigma_beside(tmp_path / "MNT.tif") == tmp_path / "sigma.tif"
-    assert raster_files(done.summary)["dtm"] == "MNT.tif"
+    assert f"DTM         {tmp_path / 'MNT.tif'}, " in "\n".join(
+        summary_lines(done.summary, str(tmp_path))
+    )
     assert "data:image" in done._repr_html_()
     assert do(cloud, tmp_path, **how).did_nothing
     (tmp_path / "MNT.tif").unlink()

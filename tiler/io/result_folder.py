@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import product_names
 from tiler.errors import ConfigError
 from tiler.io.json_text import parse_json_object
@@ -105,6 +106,17 @@ def raster_places(run: Mapping[str, Any] | None, product: str) -> tuple[str, str
     except (ConfigError, AttributeError):
         whole = raster_file(product)
     return whole, mosaic_file(product)
+
+
+def written_rasters(run: Mapping[str, Any]) -> dict[str, str]:
+    """Return the path in OUT of each raster that a run wrote, by product: a GeoTIFF, or the VRT over its sheets."""
+    written = run.get("outputs", {})
+    return {
+        product: path
+        for product in PRODUCTS
+        for path in reversed(raster_places(run, product))
+        if path in written
+    }
 
 
 def local_folder(products: str) -> Path:

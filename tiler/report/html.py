@@ -21,6 +21,7 @@ from tiler.io.result_folder import (
     RUN,
     local_folder,
     read_run,
+    written_rasters,
 )
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import el, section
@@ -30,7 +31,7 @@ from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
 from tiler.report.problems import problems
 from tiler.report.runfile import run_file_errors, write_run_file
-from tiler.report.specification import raster_files, specification
+from tiler.report.specification import specification
 from tiler.store import locked_folder
 
 
@@ -169,7 +170,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
 
 def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
     """Return the path or URL of the raster of each product, or of the VRT over its sheets, if it exists."""
-    named = {product: joined(place, name) for product, name in raster_files(run).items()}
+    named = {product: joined(place, name) for product, name in written_rasters(run).items()}
     return {
         product: raster for product, raster in named.items() if state_at(raster) is not None
     }

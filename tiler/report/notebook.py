@@ -13,7 +13,7 @@ from rasterio.errors import RasterioError
 
 from tiler.core.words import counted
 from tiler.io.locations import is_url, joined, state_at
-from tiler.io.result_folder import raster_places
+from tiler.io.result_folder import written_rasters
 from tiler.report.accuracy import seams_text, statement_text
 from tiler.report.document import Content, el, facts, table
 from tiler.report.pictures import small_hillshade
@@ -139,9 +139,7 @@ def _rounded(value: float | None) -> str:
 
 def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
     """Yield the hillshade of the DTM, or an error if the DTM cannot be read."""
-    name = next(
-        (name for name in raster_places(run, "dtm") if name in run.get("outputs", {})), None
-    )
+    name = written_rasters(run).get("dtm")
     if name is None or state_at(location := joined(products, name)) is None:
         return
     try:

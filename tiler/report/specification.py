@@ -12,24 +12,13 @@ from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import DEFAULT as SHEET_NAME
 from tiler.core.words import counted
-from tiler.io.result_folder import CLASSIFIED, raster_places
+from tiler.io.result_folder import CLASSIFIED, written_rasters
 from tiler.report.document import Content, Node, facts, section
 from tiler.report.problems import Run
 from tiler.report.sections import length
 
 _GIVEN_BY_NAME = "no EPSG code known"
 _CLOUDS = {"laz": "LAZ", "las": "LAS", "copc": "COPC (LAZ)"}
-
-
-def raster_files(run: Run) -> dict[str, str]:
-    """Return the file in OUT of each raster that the run wrote: a GeoTIFF, or the VRT over its sheets."""
-    written = run.get("outputs", {})
-    return {
-        product: name
-        for product in PRODUCTS
-        for name in reversed(raster_places(run, product))
-        if name in written
-    }
 
 
 def specification(run: Run) -> Node:
@@ -69,7 +58,7 @@ def _nodata(run: Run) -> str:
     """Return the nodata value of the heights, and the other values with the products that have them."""
     height = float(run["configuration"].get("nodata", NODATA))
     products: dict[str, list[str]] = {f"{height:.10g}": []}
-    for name in raster_files(run):
+    for name in written_rasters(run):
         value = PRODUCTS[name].nodata
         text = "none" if value is None else f"{height if value == NODATA else value:.10g}"
         products.setdefault(text, []).append(name)
@@ -91,7 +80,7 @@ def _sheets(run: Run) -> str:
 def _products(run: Run) -> Iterator[str]:
     """Yield the products of each format."""
     configuration, outputs = run["configuration"], run.get("outputs", {})
-    rasters = [f"{name} ({PRODUCTS[name].dtype})" for name in raster_files(run)]
+    rasters = [f"{name} ({PRODUCTS[name].dtype})" for name in written_rasters(run)]
     if rasters:
         compression = configuration.get("compress", "deflate")
         yield f"{', '.join(rasters)} as cloud-optimized GeoTIFF, compression {compression}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError
 from tiler.io.locations import is_url, joined, upload_file
-from tiler.io.result_folder import RUN, local_folder, raster_places
+from tiler.io.result_folder import RUN, local_folder, written_rasters
 from tiler.observe.events import Detail, Listener, Note
 from tiler.plan import Plan
 from tiler.redaction import stored
@@ -105,12 +105,12 @@ class RunResult:
             raise ConfigError(
                 "dtm(): needs rioxarray; run pip install 'tiler-dtm[xarray]'"
             ) from error
-        for name in raster_places(self.summary, "dtm"):
-            if name in self.files:
-                opened: Any = rioxarray.open_rasterio(self.files[name], masked=True)
-                array: xarray.DataArray = opened.squeeze("band", drop=True)
-                return array
-        raise ConfigError(f"dtm(): {self.out} has no terrain; run with the product dtm")
+        name = written_rasters(self.summary).get("dtm")
+        if name is None:
+            raise ConfigError(f"dtm(): {self.out} has no terrain; run with the product dtm")
+        opened: Any = rioxarray.open_rasterio(self.files[name], masked=True)
+        array: xarray.DataArray = opened.squeeze("band", drop=True)
+        return array
 
     def _repr_html_(self) -> str:
         return run_markup(self.summary, self.out, self.files)
