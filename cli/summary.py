@@ -44,7 +44,9 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     lost = f", {dropped:,} dropped" if dropped else ""
     for name in ("duplicates_within_files", "duplicates_between_files"):
         if repeats := summary["counts"].get(name):
-            lost += f", {repeats:,} {COUNTED[name]}"
+            lost += (
+                f", {counted(repeats, 'duplicate')}{COUNTED[name].removeprefix('duplicates')}"
+            )
     lines.append(f"points      {points:,} of {counted(files, 'file')}{lost}")
     stages = list(summary.get("stages", {}).values())
     if not did_nothing and (kept := sum(stage["done"] for stage in stages)):

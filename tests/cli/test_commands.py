@@ -184,6 +184,9 @@ def test_a_summary_tells_points_that_are_in_several_files() -> None:
     counts["duplicates_between_files"] = 1200
     lines = summary_lines({**SUMMARY, "counts": counts}, "OUT")
     assert lines[0] == "points      30 of 2 files, 1,200 duplicates between files"
+    counts["duplicates_between_files"] = 1
+    lines = summary_lines({**SUMMARY, "counts": counts}, "OUT")
+    assert lines[0] == "points      30 of 2 files, 1 duplicate between files"
 
 
 def test_summary_of_an_early_stage() -> None:

@@ -28,7 +28,7 @@ COUNTED = {
 }
 """Counts of points in run.json, and their names for users."""
 LABELLED = {
-    "ground": "ground",
+    "ground": "ground, before edits and water",
     "unclassified": "unclassified",
     "low_noise": "low noise",
     "kept": "not filtered, with the class of the input",

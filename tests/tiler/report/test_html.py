@@ -44,7 +44,7 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
             "read 4,000",
             "stored 3,800",
             "dropped: withheld 200",
-            "ground 1,900",
+            "ground, before edits and water 1,900",
             "low noise 10",
         ],
         "inputs": ["/data/a.laz", "/data/b.laz", "LAS 1.4, format 6", "4.0 KiB"],
