@@ -114,6 +114,11 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert (page.parent / link).exists(), link
 
 
+def test_the_page_on_trust_is_short() -> None:
+    """It is read before a delivery is used, so it has to be read to its end."""
+    assert len((ROOT / "docs/trust.md").read_text("utf-8").split()) <= 500
+
+
 def test_every_page_is_linked() -> None:
     linked = {link for page in PAGES for link in LINK.findall(page.read_text("utf-8"))}
     assert {p.name for p in PAGES} - {"README.md", "index.md"} <= linked
