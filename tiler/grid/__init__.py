@@ -1,13 +1,5 @@
 """Stage grid: heights on the TIN of the ground points, and other rasters, block by block."""
 
-from tiler.grid.above import (
-    ABOVE_M,
-    BELOW_M,
-    CELLS_PER_BLOCK,
-    MIN_PLACE_M2,
-    AboveBlock,
-    above_block,
-)
 from tiler.grid.below_canopy import CROWNS_REACH_M, BelowCanopy, below_canopy
 from tiler.grid.blank import BlankBlocks, blank_blocks
 from tiler.grid.block import full_halo, grid_block, grid_blocks
@@ -28,18 +20,10 @@ from tiler.grid.coverage import (
     occupancy_block,
     survey_block,
 )
-from tiler.grid.density import density_block
-from tiler.grid.derived import DeriveBlock, derive_block
-from tiler.grid.distance import DistanceBlock, distance_block
 from tiler.grid.edits import CountEditedPoints, count_edited_points
 from tiler.grid.ground import GroundSelection
-from tiler.grid.highest import reach_pixels
 from tiler.grid.holes import CELL_PIXELS
-from tiler.grid.mask import MaskBlock, mask_block
 from tiler.grid.outline import OutlineBlock, outline_block
-from tiler.grid.sigma import SigmaBlock, sigma_block
-from tiler.grid.sigma_measures import reach_of
-from tiler.grid.surface import SurfaceBlock, surface_block
 from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
 from tiler.grid.water_crowns import CrownsBlock, crowns_block
@@ -66,14 +50,9 @@ from tiler.grid.water_search import (
 from tiler.grid.work import GridBlock, GridBlocks, PointsBlock
 
 __all__ = [
-    "ABOVE_M",
-    "BELOW_M",
-    "CELLS_PER_BLOCK",
     "CELL_PIXELS",
     "CROWNS_REACH_M",
-    "MIN_PLACE_M2",
     "NO_PIECE",
-    "AboveBlock",
     "BelowCanopy",
     "BlankBlocks",
     "CanopyBlock",
@@ -82,9 +61,7 @@ __all__ = [
     "CountPlaneRims",
     "CountRims",
     "CrownsBlock",
-    "DeriveBlock",
     "DescribeBody",
-    "DistanceBlock",
     "ExamineDecks",
     "FillBlock",
     "FindAreas",
@@ -98,16 +75,12 @@ __all__ = [
     "KeepAreas",
     "KeepPlanes",
     "LevelWater",
-    "MaskBlock",
     "OutlineBlock",
     "PointsBlock",
-    "SigmaBlock",
     "Sources",
-    "SurfaceBlock",
     "SurveyBlock",
     "Void",
     "VoidRasters",
-    "above_block",
     "below_canopy",
     "blank_blocks",
     "blocks_of",
@@ -118,10 +91,7 @@ __all__ = [
     "count_plane_rims",
     "count_rims",
     "crowns_block",
-    "density_block",
-    "derive_block",
     "describe_body",
-    "distance_block",
     "examine_decks",
     "examined_bounds",
     "fill_block",
@@ -137,13 +107,8 @@ __all__ = [
     "keep_areas",
     "keep_planes",
     "level_water",
-    "mask_block",
     "max_points_in_bucket",
     "occupancy_block",
     "outline_block",
-    "reach_of",
-    "reach_pixels",
-    "sigma_block",
-    "surface_block",
     "survey_block",
 ]

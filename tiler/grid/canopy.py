@@ -20,7 +20,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.nodata import NODATA
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.checksum import checksum
-from tiler.grid.density import ground_counts
+from tiler.grid.points_near import PointsNear
 from tiler.grid.records import BlockRecord
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
@@ -64,7 +64,7 @@ def canopy_block(store_url: str, work: CanopyBlock) -> BlockRecord:
     store, spec, block = open_store(store_url), work.spec, work.block
     values, near = _crowns(store, work, spec, block)
     if near:
-        seen = ground_counts(store, work.rule, spec, block) > 0
+        seen = PointsNear(store, work.rule, spec, block).ground_per_pixel() > 0
         values[seen] = OPEN
     store.write_block(work.name, block, values)
     return BlockRecord(

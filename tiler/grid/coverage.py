@@ -23,9 +23,9 @@ from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, block_runs, padded
-from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
 from tiler.grid.pieces import Piece, cells_of, label_block, part_of
+from tiler.grid.points_near import pixel_indices
 from tiler.grid.reach import box_around, within
 from tiler.grid.records import OccupancyRecord, OpenAreasRecord, SurveyRecord
 from tiler.grid.returns import histograms

@@ -56,24 +56,6 @@ class TerrainRecord(BlockRecord):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SurfaceRecord(BlockRecord):
-    """Record of a block of the surface model.
-
-    Attributes
-    ----------
-    measured : int
-        Number of pixels with a return.
-    marked, tries, halo : int
-        See `TerrainRecord`.
-    """
-
-    measured: int
-    marked: int
-    tries: int
-    halo: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class OutlineRecord(BlockRecord):
     """Record of a block of a model after it was cut at the outline of the survey.
 
@@ -105,40 +87,10 @@ class OutlineRecord(BlockRecord):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MaskRecord(BlockRecord):
-    """Record of a block of the mask: number of pixels of each value."""
-
-    values: list[int]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DensityRecord(BlockRecord):
-    """Record of a block of the density of ground points: number of ground points."""
-
-    points: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FilledRecord(BlockRecord):
     """Record of a block with filled holes: number of pixels that got a height."""
 
     added: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SigmaRecord(BlockRecord):
-    """Record of a block of the standard error.
-
-    Attributes
-    ----------
-    groups : dict of str to [pixels, squares]
-        Number of pixels of each group (`tiler.core.sigma_groups.GROUPS`), and sum of squares in mm2.
-    histogram : dict of str to list of int
-        Number of pixels of each group by the classes of `tiler.core.sigma_groups.EDGES_M`.
-    """
-
-    groups: dict[str, list[int]]
-    histogram: dict[str, list[int]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,26 +123,6 @@ class LabelsRecord(BlockRecord):
 
     sides: dict[str, Side]
     labels: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AboveRecord(LabelsRecord):
-    """Record of the places in a block where the terrain lies above all returns.
-
-    Attributes
-    ----------
-    wrong : int
-        Number of these pixels, also of those in places that are too small to be listed.
-    places : list of [pixels, row, col, last_row, last_col, height]
-        Place of each label, and the largest height of its terrain above the returns, in metres.
-    cells : list of [row, col, pixels, pixels below], optional
-        First pixel of each cell, its number of pixels with returns and terrain, and of those in which the terrain lies
-        far below all returns. Records of an earlier version do not have it.
-    """
-
-    wrong: int
-    places: list[list[float]]
-    cells: list[list[int]] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

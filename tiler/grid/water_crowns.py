@@ -23,8 +23,8 @@ from tiler.core.raster import Block
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.continued_bank import continued_bank
-from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground_and_objects
+from tiler.grid.points_near import pixel_indices
 from tiler.grid.reach import Floats, box_around, within, within_square
 from tiler.grid.records import BlockRecord
 from tiler.grid.water_cells import WaterCells

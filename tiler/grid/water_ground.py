@@ -13,8 +13,8 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import blocks_under, padded
-from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, surface_points
+from tiler.grid.points_near import pixel_indices
 from tiler.grid.records import BlockRecord
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, coarse_cells, open_store, read_cells

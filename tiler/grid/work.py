@@ -42,8 +42,8 @@ class PointsBlock(BlockWork):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TinBlock(PointsBlock):
-    """Block whose pixels are interpolated on a TIN.
+class Facets:
+    """Facets of a TIN that fill the pixels of a block.
 
     Attributes
     ----------
@@ -64,8 +64,8 @@ class TinBlock(PointsBlock):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridBlock(TinBlock):
-    """Arguments of `tiler.grid.grid_block`: one block of the terrain.
+class GridBlock(Facets, PointsBlock):
+    """Arguments of `tiler.grid.grid_block`: one block of the terrain, interpolated on a TIN.
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.ground_points import plane_points
-from tests.tiler.grid.conftest import FINAL, Scene
+from tests.tiler.grid.conftest import FINAL, NO_FACETS, Scene, make_block
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
@@ -18,7 +18,6 @@ from tiler.grid import (
     CloseBlock,
     FillBlock,
     FindVoids,
-    MaskBlock,
     PointsBlock,
     SurveyBlock,
     Void,
@@ -26,12 +25,13 @@ from tiler.grid import (
     close_block,
     fill_block,
     find_voids,
-    mask_block,
     occupancy_block,
     survey_block,
 )
 from tiler.grid.coarse import coarse_raster
+from tiler.grid.derived import mask as mask_of
 from tiler.grid.pieces import Piece
+from tiler.grid.steps import Read, Sources
 from tiler.grid.tasks.survey import outside_of
 from tiler.grid.voids import PART_PIXELS
 
@@ -111,20 +111,26 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     in_notch = (x[None] > 160) & (y[:, None] > 140)
     assert has[in_lake].all()
     assert not has[in_notch].any()
-    sources = {
-        "dtm": "dtm",
-        "filled": "filled",
-        "survey": "survey",
-        "coarse": work.rasters.coarse,
-    }
-    mask_work = MaskBlock(name="mask", spec=spec, block=work.block, rule=FINAL, **sources)
-    mask_block(scene.store.url, mask_work)
+
+    def make_mask(delivered: str) -> None:
+        scene.store.create_raster("canopy", spec.height, spec.width, NODATA)
+        reads = {
+            "terrain": Read("raster:dtm"),
+            "delivered": Read(f"raster:{delivered}"),
+            "canopy": Read("raster:canopy"),
+            "survey": Read("cells:survey"),
+            **{name: Read(name) for name in ("points", "water", "failed", "area")},
+        }
+        sources = Sources(rule=FINAL, coarse=work.rasters.coarse, facets=NO_FACETS)
+        make_block(scene.store, "mask", mask_of, reads, spec, work.block, sources=sources)
+
+    make_mask("filled")
     mask = whole(scene, spec, "mask")
     assert (mask[in_lake & ~had] == FILLED).all()
     assert (mask[in_notch] == OUTSIDE).all()
     assert (np.isin(mask, (MEASURED, INTERPOLATED)) == had).all()
     assert (mask != HOLE).all()
-    mask_block(scene.store.url, replace(mask_work, filled="dtm"))
+    make_mask("dtm")
     assert np.array_equal(whole(scene, spec, "mask") == HOLE, mask == FILLED)
 
 

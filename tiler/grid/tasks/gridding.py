@@ -20,9 +20,10 @@ from tiler.grid import FillBlock, GroundSelection
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
 from tiler.grid.records import BlockRecord, LabelsRecord, OccupancyRecord
+from tiler.grid.steps import Sources
 from tiler.grid.tasks.canopy import CanopyCells
 from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.work import BlockWork
+from tiler.grid.work import BlockWork, Facets
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
 from tiler.schedule import Task, Work
@@ -93,12 +94,12 @@ class RasterStep:
     name : str
         Name in the store. The stage that makes the raster is ``grid-<name>``.
     inputs : tuple of str
-        Names of the rasters from which it is made, in the order that ``tasks`` expects.
+        Names of the rasters from which it is made, in the order that ``make_tasks`` expects.
     function : Work
         Function that makes a block.
     grid : Grid
-    tasks : callable
-        Function ``tasks(raster, context)`` that yields the tasks of the raster, with the digests of their inputs.
+    make_tasks : callable
+        Function ``make_tasks(raster, context)`` that yields the tasks of the raster, with the digests of their inputs.
     fill : float
         Value of pixels in blocks that were not written.
     edits : tuple of str
@@ -111,7 +112,7 @@ class RasterStep:
     inputs: tuple[str, ...]
     function: Work
     grid: Grid
-    tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
+    make_tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
     fill: float = 0.0
     edits: tuple[str, ...] = ()
     follows_lines: bool = False
@@ -120,6 +121,10 @@ class RasterStep:
     def stage(self) -> str:
         """Name of the stage that makes the raster."""
         return f"grid-{self.name}"
+
+    def tasks(self, context: GridContext) -> Iterator[Task]:
+        """Yield the tasks of the raster."""
+        return self.make_tasks(self, context)
 
 
 @dataclass(frozen=True)
@@ -189,6 +194,34 @@ class GridContext:
     def water_key(self) -> str | None:
         """Name of the bodies of water in the store, or None if there are none."""
         return self.waters.key if self.waters.bodies else None
+
+    @property
+    def sources(self) -> Sources:
+        """What the reads of all steps have in common."""
+        return Sources(
+            rule=self.rule,
+            coarse=self.coarse,
+            waters=self.water_key,
+            area=self.plan.inputs.area_key,
+            failed=tuple(self.holes),
+            facets=self.facets,
+            kind=self.kind,
+        )
+
+    @property
+    def facets(self) -> Facets:
+        """Facets of a TIN that fill pixels."""
+        plan = self.plan
+        return Facets(
+            data=self.assembled.bounds,
+            max_edge=plan.frame.counts(plan.config.max_edge),
+            halo=math.ceil(plan.frame.counts(plan.grid.halo_m)),
+        )
+
+    def near(self, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
+        """Return the blocks with buckets within ``margin`` counts (plus ``--erode``), each with these buckets."""
+        margin += math.ceil(self.plan.frame.counts(self.plan.config.erosion))
+        return spec.blocks_near(self.plan.buckets, self.labels, BLOCK_PIXELS, margin)
 
     def label_digests(self, cells: Iterable[Cell]) -> list[list[Any]]:
         """Return column, row and label digest of some buckets, for digests of tasks that read them."""
@@ -300,8 +333,8 @@ class GridContext:
         side_m = max(Fraction(CANOPY_CELL_M), self.plan.grid.resolution)
         return coarse_raster(Lattice(self.plan.frame.counts(side_m)), self.assembled.bounds)
 
-    def spec_of(self, raster: RasterStep) -> RasterSpec:
-        """Return the grid of a raster."""
-        if raster.grid is Grid.CANOPY:
+    def spec_of(self, grid: Grid) -> RasterSpec:
+        """Return the lattice of a raster, and its extent."""
+        if grid is Grid.CANOPY:
             return self.canopy_cells
-        return self.coarse if raster.grid is Grid.COARSE else self.spec
+        return self.coarse if grid is Grid.COARSE else self.spec
