@@ -1,6 +1,5 @@
 """Stage grid: heights on the TIN of the ground points, and other rasters, block by block."""
 
-from tiler.grid.below_canopy import CROWNS_REACH_M, BelowCanopy, below_canopy
 from tiler.grid.blank import BlankBlocks, blank_blocks
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.bridges.examine import (
@@ -10,20 +9,10 @@ from tiler.grid.bridges.examine import (
     examined_bounds,
     find_deck_cells,
 )
-from tiler.grid.canopy import CanopyBlock, canopy_block, canopy_reach_cells
 from tiler.grid.coarse import blocks_of
-from tiler.grid.coverage import (
-    NO_PIECE,
-    CloseBlock,
-    SurveyBlock,
-    close_block,
-    occupancy_block,
-    survey_block,
-)
 from tiler.grid.edits import CountEditedPoints, count_edited_points
 from tiler.grid.ground import GroundSelection
 from tiler.grid.holes import CELL_PIXELS
-from tiler.grid.outline import OutlineBlock, outline_block
 from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
 from tiler.grid.water_crowns import CrownsBlock, crowns_block
@@ -47,16 +36,11 @@ from tiler.grid.water_search import (
     find_areas,
     keep_areas,
 )
-from tiler.grid.work import GridBlock, GridBlocks, PointsBlock
+from tiler.grid.work import GridBlock, GridBlocks
 
 __all__ = [
     "CELL_PIXELS",
-    "CROWNS_REACH_M",
-    "NO_PIECE",
-    "BelowCanopy",
     "BlankBlocks",
-    "CanopyBlock",
-    "CloseBlock",
     "CountEditedPoints",
     "CountPlaneRims",
     "CountRims",
@@ -75,18 +59,11 @@ __all__ = [
     "KeepAreas",
     "KeepPlanes",
     "LevelWater",
-    "OutlineBlock",
-    "PointsBlock",
     "Sources",
-    "SurveyBlock",
     "Void",
     "VoidRasters",
-    "below_canopy",
     "blank_blocks",
     "blocks_of",
-    "canopy_block",
-    "canopy_reach_cells",
-    "close_block",
     "count_edited_points",
     "count_plane_rims",
     "count_rims",
@@ -108,7 +85,4 @@ __all__ = [
     "keep_planes",
     "level_water",
     "max_points_in_bucket",
-    "occupancy_block",
-    "outline_block",
-    "survey_block",
 ]

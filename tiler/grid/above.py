@@ -12,6 +12,7 @@ import scipy
 from ptd.gridding.highest_returns import NOTHING
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.pieces import label_block
 from tiler.grid.points_near import PointsNear
 from tiler.grid.steps import Counts
@@ -32,8 +33,8 @@ CELLS_PER_BLOCK = 4
 def above(
     points: PointsNear,
     terrain: Heights,
-    water: Bools,
-    flat: Bools,
+    waters: WatersNear,
+    edits: EditsNear,
     *,
     reach: int,
     spike: Fraction,
@@ -49,8 +50,8 @@ def above(
     points : PointsNear
     terrain : float64 (height + 2, width + 2)
         Terrain of the block and of one pixel on each side.
-    water, flat : bool (height, width)
-        Pixels of water, and of edits that set a height.
+    waters : WatersNear
+    edits : EditsNear
     reach, spike
         See `PointsNear.returns`.
     least : int
@@ -65,7 +66,7 @@ def above(
         `tiler.grid.pieces`). ``places``: [pixels, row, col, last_row, last_col, height] of each place, with the
         largest height of its terrain above the returns in metres. ``cells``: see `_cells`.
     """
-    above_m, below_m = heights_above(points, terrain, water | flat, reach, spike)
+    above_m, below_m = heights_above(points, terrain, waters.inside | edits.flat, reach, spike)
     wrong = above_m > ABOVE_M
     labels, sides = label_block(_listed(wrong, least), corners=True)
     numbers = np.arange(1, int(labels.max(initial=0)) + 1)

@@ -20,6 +20,7 @@ from tiler.core.mask_values import (
 )
 from tiler.core.products import SURVEYED
 from tiler.grid.canopy import OPEN
+from tiler.grid.drawn_near import WatersNear
 from tiler.grid.points_near import PointsNear
 from tiler.grid.steps import Counts
 
@@ -70,7 +71,7 @@ def mask(
     canopy: Float64,
     survey: npt.NDArray[np.float32],
     points: PointsNear,
-    water: Bools,
+    waters: WatersNear,
     failed: Bools,
     area: Bools,
 ) -> tuple[Float64, Counts]:
@@ -90,8 +91,9 @@ def mask(
         Crowns that hide the ground.
     survey : float32 (height, width)
     points : PointsNear
-    water, failed, area : bool (height, width)
-        Pixels in water, in tiles that failed, and in the area of the run.
+    waters : WatersNear
+    failed, area : bool (height, width)
+        Pixels in tiles that failed, and in the area of the run.
     """
     filled = ~np.isnan(delivered)
     known = ~np.isnan(terrain) & filled
@@ -101,7 +103,7 @@ def mask(
         OUTSIDE,
     )
     values[(canopy > OPEN) & filled] = CANOPY
-    values[water & filled] = WATER
+    values[waters.inside & filled] = WATER
     values[failed] = HOLE
     values[~area] = OUTSIDE
     by_value = np.bincount(values.ravel(), minlength=len(MASK_VALUES)).tolist()

@@ -230,8 +230,12 @@ def areas_within(
 def cells_of(
     store: TileStore, name: str, coarse: RasterSpec, window: Block, pieces: Iterable[Piece]
 ) -> Bools:
-    """Return a mask of the cells of some pieces in a window of a raster of labels."""
-    labels = read_cells(store, name, coarse, window)
+    """Return a mask of the cells of some pieces in a window of a raster of labels in the store."""
+    return cells_in(read_cells(store, name, coarse, window), window, pieces)
+
+
+def cells_in(labels: npt.NDArray[np.floating], window: Block, pieces: Iterable[Piece]) -> Bools:
+    """Return a mask of the cells of some pieces in a window of labels."""
     cell_mask = np.zeros(labels.shape, np.bool_)
     of_block: dict[tuple[int, int], list[int]] = defaultdict(list)
     for piece in pieces:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ptd.gridding.highest_returns import NOTHING, HighestReturns
 from ptd.gridding.nearest import nearest_points
+from tiler.core.classes import WATER
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import NODATA, Block, RasterSpec
@@ -73,6 +74,25 @@ class PointsNear:
 
         read_ground(self.store, self.rule, self.spec.block_bounds(block), count)
         return counts.reshape(block.height, block.width)
+
+    def surface_per_pixel(self) -> tuple[Int64, Int64]:
+        """Count the surface points in each pixel, and those that the input classifies as water (height, width)."""
+        shape, bounds = (
+            (self.block.height, self.block.width),
+            self.spec.block_bounds(self.block),
+        )
+        counts, water = np.zeros((2, shape[0] * shape[1]), np.int64)
+        for cell in self.store.buckets_within(bounds):
+            points, chosen = surface_points(self.store, self.rule, cell)
+            chosen &= points.inside(bounds, self.frame.origin)
+            pixels = pixel_indices(
+                points.xyz[:, chosen], self.frame.origin, self.spec, self.block
+            )
+            counts += np.bincount(pixels, minlength=len(counts))
+            if points.classification is not None:
+                wet = points.classification[chosen] == WATER
+                water += np.bincount(pixels[wet], minlength=len(counts))
+        return counts.reshape(shape), water.reshape(shape)
 
     def ground_distance(self, reach: Fraction) -> Float64:
         """Return plan distances from pixels' centres to ground, in counts, infinite beyond ``reach`` counts."""

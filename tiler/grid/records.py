@@ -56,57 +56,10 @@ class TerrainRecord(BlockRecord):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OutlineRecord(BlockRecord):
-    """Record of a block of a model after it was cut at the outline of the survey.
-
-    Attributes
-    ----------
-    cut : int
-        Number of pixels that lost their height other than to a canopy.
-    water : list of [key, pixels]
-        Key of the area of each body of water, and the number of its pixels.
-    surveyed : int
-        Number of pixels that have a height or should have one.
-    voided : int
-        Number of pixels without a height that edits request.
-    holes : list of [pixels, row, col, last_row, last_col, pixels at the border, row, col of one of them]
-        Cells with other pixels without a height, see `tiler.grid.holes.hole_cells`.
-    edit_holes : list of [number, pixels]
-        Number (name) of each edit in the block, and count of its pixels without a height.
-    bare : list of [pixels, row, col, last_row, last_col, pixels at the border, row, col of one of them]
-        Cells with pixels in places without returns that have a height and are not in water.
-    """
-
-    cut: int
-    water: list[tuple[str, int]]
-    surveyed: int
-    voided: int
-    holes: list[list[int]]
-    edit_holes: list[list[int]]
-    bare: list[list[int]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FilledRecord(BlockRecord):
     """Record of a block with filled holes: number of pixels that got a height."""
 
     added: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OccupancyRecord(BlockRecord):
-    """Record of a block of occupied cells.
-
-    Attributes
-    ----------
-    water : int
-        Number of cells that are water by the input.
-    returns : list of list of [bin, cells]
-        Histogram of points per cell for each level of merging, see `tiler.grid.returns`.
-    """
-
-    water: int
-    returns: list[Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,13 +76,6 @@ class LabelsRecord(BlockRecord):
 
     sides: dict[str, Side]
     labels: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OpenAreasRecord(LabelsRecord):
-    """Record of a block of open areas: pairs of a gap width in cells and the number of windows with it."""
-
-    gaps: list[tuple[float, int]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,23 +120,6 @@ class RimsRecord(Record):
 
     rims: list[list[Any]]
     beside: list[list[Any]] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SurveyRecord(BlockRecord):
-    """Record of a block of the survey.
-
-    Attributes
-    ----------
-    inside, cells : int
-        Number of cells inside the survey, and of all cells.
-    blocks : list of list of int
-        Runs of the blocks of the products that overlap the inside (`coarse.block_runs`).
-    """
-
-    inside: int
-    cells: int
-    blocks: list[list[int]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,6 @@ from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import BlankBlocks, blank_blocks
 from tiler.grid.records import (
     BlockRecord,
-    OpenAreasRecord,
-    OutlineRecord,
     TerrainRecord,
 )
 from tiler.grid.tasks.advice import advise
@@ -182,7 +180,7 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
     made = gridding.made["dtm-outlined"]
     if not made or job.plan.config.outline != "survey":
         return
-    cut = sum(record.cut for record in records_of(OutlineRecord, made))
+    cut = sum(counts["cut"] for _, counts in made.values())
     usual, widest = _gaps(gridding)
     job.results.outline = OutlineResult(
         gap_m=usual, widest_gap_m=widest, cell_m=float(gridding.coarse_m), cut_pixels=cut
@@ -201,8 +199,8 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
 def _gaps(gridding: GridContext) -> tuple[float, float]:
     """Return the width in metres of the gaps inside the survey: in most windows with points, and the widest."""
     windows: Counter[float] = Counter()
-    for record in gridding.records("survey-open", OpenAreasRecord).values():
-        windows.update(dict(record.gaps))
+    for counts in gridding.counts("survey-open").values():
+        windows.update(dict(counts["gaps"]))
     if not windows:
         return float(GAP_M), float(GAP_M)
     size = float(gridding.coarse_m)

@@ -6,20 +6,22 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.edits import FLAT
+from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds
+from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import padded
+from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.ground import GroundSelection
 from tiler.grid.points_near import PointsNear
 from tiler.grid.work import BlockWork, Facets
-from tiler.store import TileStore, coarse_values, open_store, read_cells
+from tiler.store import TileStore, coarse_values, coarse_window, open_store, read_cells
 
 Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -61,8 +63,8 @@ class Sources:
     ----------
     rule : GroundSelection
         Rule for the points that are ground, with the key in the store of the edits.
-    coarse : RasterSpec
-        Raster of the coarse cells.
+    pixels, coarse, canopy_grid : RasterSpec
+        Rasters of the products, of the coarse cells, and of the cells in which canopies are compared with the terrain.
     waters, area : str or None
         Keys in the store of bodies of water, and of the area of the run.
     failed : tuple of Bounds
@@ -70,15 +72,29 @@ class Sources:
     facets : Facets
     kind : str or None
         Source of the clouds as methods name it (`ptd.passes.RunHints`); None if it is not known.
+    canopy : (str, str) or None
+        Names in the store of the cells in which the filter found a canopy, as elected points, and of their labels.
     """
 
     rule: GroundSelection
+    pixels: RasterSpec
     coarse: RasterSpec
+    canopy_grid: RasterSpec
     facets: Facets
     waters: str | None = None
     area: str | None = None
     failed: tuple[Bounds, ...] = ()
     kind: str | None = None
+    canopy: tuple[str, str] | None = None
+
+
+class Place(NamedTuple):
+    """Position of a block: the frame of the store, the raster, the block, and what all blocks have in common."""
+
+    frame: CoordFrame
+    spec: RasterSpec
+    block: Block
+    sources: Sources
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,27 +160,44 @@ def _points(store: TileStore, task: MakeBlock, read: Read) -> PointsNear:
     return PointsNear(store, task.sources.rule, task.spec, task.block, read.raster)
 
 
-def _water(store: TileStore, task: MakeBlock, _: Read) -> Bools:
-    """Return a mask of the pixels in bodies of water."""
+def _waters(store: TileStore, task: MakeBlock, _: Read) -> WatersNear:
     waters = store.waters(task.sources.waters, task.spec.block_bounds(task.block))
-    if waters is None:
-        return np.zeros((task.block.height, task.block.width), np.bool_)
-    return waters.inside(task.spec, task.block)
+    return WatersNear(waters, task.spec, task.block)
 
 
-def _flat(store: TileStore, task: MakeBlock, _: Read) -> Bools:
-    """Return a mask of the pixels whose height an edit sets."""
-    key, spec, block = task.sources.rule.edits, task.spec, task.block
-    mask = np.zeros((block.height, block.width), np.bool_)
-    edits = None if key is None else store.edits(key, spec.block_bounds(block), (FLAT,))
-    for edit in () if edits is None else edits.edits:
-        mask |= spec.inside(block, edit.area)
-    return mask
+def _edits(store: TileStore, task: MakeBlock, _: Read) -> EditsNear:
+    return EditsNear(store, task.sources.rule.edits, task.spec, task.block)
 
 
-def _area(store: TileStore, task: MakeBlock, _: Read) -> Bools:
-    """Return a mask of the pixels in the area of the run."""
-    return task.spec.inside(task.block, store.area(task.sources.area))
+def _canopy(store: TileStore, task: MakeBlock, read: Read) -> PointBlock:
+    """Return the cells of a canopy around a block."""
+    assert task.sources.canopy is not None  # else there is no task
+    elected, labels = task.sources.canopy
+    return store.elected(elected, task.spec.block_bounds(task.block).pad(read.margin), labels)
+
+
+def _canopy_grid(store: TileStore, task: MakeBlock, read: Read) -> Float64:
+    """Return a raster of cells of canopies around a block (see `canopy_window`), float64, NaN without a value."""
+    cells = task.sources.canopy_grid
+    window = canopy_window(
+        Place(store.meta.frame, task.spec, task.block, task.sources), read.margin
+    )
+    values = read_cells(store, read.raster, cells, window, NODATA).astype(np.float64)
+    return np.where(values == NODATA, np.nan, values)
+
+
+def canopy_window(place: Place, margin: int) -> Block:
+    """Return the cells of canopies at a block and ``margin`` cells around it."""
+    return padded(coarse_window(place.sources.canopy_grid, place.spec, place.block), margin)
+
+
+def _place(store: TileStore, task: MakeBlock, _: Read) -> Place:
+    return Place(store.meta.frame, task.spec, task.block, task.sources)
+
+
+def _area(store: TileStore, task: MakeBlock, read: Read) -> Bools:
+    """Return a mask of the pixels around a block in the area of the run."""
+    return task.spec.inside(padded(task.block, read.margin), store.area(task.sources.area))
 
 
 def _failed(_: TileStore, task: MakeBlock, __: Read) -> Bools:
@@ -194,8 +227,11 @@ READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "raster": _raster,
     "cells": _cells,
     "points": _points,
-    "water": _water,
-    "flat": _flat,
+    "waters": _waters,
+    "edits": _edits,
+    "canopy": _canopy,
+    "canopy-grid": _canopy_grid,
+    "place": _place,
     "area": _area,
     "failed": _failed,
     "facets": lambda _, task, __: task.sources.facets,

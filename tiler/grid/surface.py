@@ -23,6 +23,7 @@ from tiler.core.points import PointBlock
 from tiler.core.products import BEYOND, VOID
 from tiler.core.raster import Block
 from tiler.grid.block import full_halo, rasterise_window
+from tiler.grid.drawn_near import WatersNear
 from tiler.grid.points_near import PointsNear
 from tiler.grid.steps import Counts
 from tiler.grid.work import Facets
@@ -36,7 +37,7 @@ def surface(
     points: PointsNear,
     terrain: Float64,
     survey: npt.NDArray[np.float32],
-    water: Bools,
+    waters: WatersNear,
     facets: Facets,
     *,
     reach: int,
@@ -52,7 +53,7 @@ def surface(
     points : PointsNear
     terrain : float64 (height, width)
     survey : float32 (height, width)
-    water : bool (height, width)
+    waters : WatersNear
     facets : Facets
     reach, spike
         See `PointsNear.returns`.
@@ -66,7 +67,7 @@ def surface(
     bare = (survey >= VOID) | (survey == BEYOND)
     heights, measured, counts = surface_heights(points, bare, facets, reach, spike)
     heights = raised_to(heights, terrain)
-    wet = water & bare & ~measured
+    wet = waters.inside & bare & ~measured
     heights[wet] = terrain[wet]
     return heights, counts
 

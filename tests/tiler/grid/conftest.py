@@ -29,6 +29,12 @@ FINAL = GroundSelection("final")
 NO_FACETS = Facets(data=Bounds(0, 0, 1, 1), max_edge=Fraction(1), halo=0)
 
 
+def sources_of(pixels: RasterSpec, **given: Any) -> Sources:
+    """Return what the reads of steps have in common, by default with the products' raster for all rasters."""
+    usual = {"rule": FINAL, "coarse": pixels, "canopy_grid": pixels, "facets": NO_FACETS}
+    return Sources(pixels=pixels, **{**usual, **given})
+
+
 def make_block(
     store: TileStore,
     name: str,
@@ -41,7 +47,6 @@ def make_block(
     **values: Any,
 ) -> Mapping[str, Any]:
     """Make one block of a raster by the runner of steps, and return its counts."""
-    coarse = RasterSpec.covering(spec.lattice, spec.block_bounds(block))
     task = MakeBlock(
         name=name,
         work=work,
@@ -50,7 +55,7 @@ def make_block(
         block=block,
         values=values,
         fill=fill,
-        sources=sources or Sources(rule=FINAL, coarse=coarse, facets=NO_FACETS),
+        sources=sources or sources_of(spec),
     )
     return run_block(store.url, task)
 

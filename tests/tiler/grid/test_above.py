@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.tiler.grid.conftest import FINAL, NO_FACETS, Scene, make_block
+from tests.tiler.grid.conftest import FINAL, Scene, make_block, sources_of
 from tiler.core.area import Area
 from tiler.core.edits import FLAT, Edit, Edits
 from tiler.core.frame import CoordFrame
@@ -22,7 +22,7 @@ from tiler.core.water import LAKE, Water, Waters
 from tiler.grid.above import ABOVE_M, above, heights_above, min_pixels
 from tiler.grid.coarse import padded
 from tiler.grid.points_near import PointsNear
-from tiler.grid.steps import Read, Sources
+from tiler.grid.steps import Read
 from tiler.grid.tasks.above import places_of, report_above
 from tiler.store import read_cells
 
@@ -41,12 +41,12 @@ def above_block(
     reads = {
         "points": Read("points:dtm", 1000),
         "terrain": Read("raster:dtm", 1),
-        "water": Read("water"),
-        "flat": Read("flat"),
+        "waters": Read("waters"),
+        "edits": Read("edits"),
     }
     least = min_pixels((spec.lattice.size * scene.store.meta.frame.metres_xy) ** 2)
     values = {"reach": REACH, "spike": SPIKE, "least": least}
-    given = Sources(**{"rule": FINAL, "coarse": spec, "facets": NO_FACETS, **sources})
+    given = sources_of(spec, **sources)
     return make_block(
         scene.store, "dtm-above", above, reads, spec, block, sources=given, **values
     )

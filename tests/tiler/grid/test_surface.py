@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from tests.scenes.ground_points import islands, l_shape, scattered, void
-from tests.tiler.grid.conftest import FINAL, Scene, make_block
+from tests.tiler.grid.conftest import FINAL, Scene, make_block, sources_of
 from tests.tiler.grid.test_above import REACH, SPIKE, above_block
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
@@ -21,7 +21,7 @@ from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.derived import distance
 from tiler.grid.points_near import PointsNear
-from tiler.grid.steps import Read, Sources
+from tiler.grid.steps import Read
 from tiler.grid.surface import raised_to, surface_heights
 from tiler.grid.surface import surface as surface_of
 from tiler.grid.work import Facets
@@ -147,10 +147,10 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
         "points": Read("points:dtm"),
         "terrain": Read("raster:dtm"),
         "survey": Read("cells:survey"),
-        "water": Read("water"),
+        "waters": Read("waters"),
         "facets": Read("facets"),
     }
-    sources = Sources(rule=FINAL, coarse=coarse, facets=facets(scene))
+    sources = sources_of(spec, coarse=coarse, facets=facets(scene))
     values = {"reach": REACH, "spike": SPIKE}
     make_block(scene.store, "dsm", surface_of, reads, spec, block, NODATA, sources, **values)
     above = above_block(scene, spec, block)

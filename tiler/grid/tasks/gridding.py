@@ -19,8 +19,8 @@ from tiler.filter import LABELS
 from tiler.grid import FillBlock, GroundSelection
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
-from tiler.grid.records import BlockRecord, LabelsRecord, OccupancyRecord
-from tiler.grid.steps import Sources
+from tiler.grid.records import BlockRecord, LabelsRecord
+from tiler.grid.steps import Counts, Sources
 from tiler.grid.tasks.canopy import CanopyCells
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.work import BlockWork, Facets
@@ -75,6 +75,19 @@ def ground_rule(plan: Plan) -> GroundSelection:
         plan.frame.counts(plan.config.erosion),
         math.ceil(ERODE_RISE_M / plan.frame.metres_z),
     )
+
+
+def coarse_cell_m(plan: Plan) -> Fraction:
+    """Return the side of a coarse cell in metres."""
+    usual = min(Fraction(COARSE_CELL_M), plan.config.max_edge / 4)
+    if plan.grid.resolution <= MAX_USUAL_PIXEL_M:
+        return usual
+    return max(usual, plan.grid.resolution)
+
+
+def canopy_cell_m(plan: Plan) -> Fraction:
+    """Return the side in metres of the cells in which canopies are compared with the terrain around them."""
+    return max(Fraction(CANOPY_CELL_M), plan.grid.resolution)
 
 
 class Grid(Enum):
@@ -200,12 +213,15 @@ class GridContext:
         """What the reads of all steps have in common."""
         return Sources(
             rule=self.rule,
+            pixels=self.spec,
             coarse=self.coarse,
+            canopy_grid=self.canopy_cells,
             waters=self.water_key,
             area=self.plan.inputs.area_key,
             failed=tuple(self.holes),
             facets=self.facets,
             kind=self.kind,
+            canopy=None if self.canopy is None else (self.canopy.elected, self.canopy.labels),
         )
 
     @property
@@ -244,6 +260,11 @@ class GridContext:
             block = self.coarse.block_named(name, BLOCK_PIXELS)
             records[block.row, block.col] = kind.of(stored)
         return records
+
+    def counts(self, raster: str, grid: Grid = Grid.COARSE) -> dict[Block, Counts]:
+        """Return the counts of each finished block of a raster that is made by a step."""
+        spec, made = self.spec_of(grid), self.made[raster].items()
+        return {spec.block_named(name, BLOCK_PIXELS): stored for name, (_, stored) in made}
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
         """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""
@@ -299,7 +320,7 @@ class GridContext:
     def water_is_sought(self) -> bool:
         """Whether water can be found, because few returns show it or because the input has the class of water."""
         return self.returns_show_water or any(
-            record.water for record in self.records("occupancy", OccupancyRecord).values()
+            counts["water"] for counts in self.counts("occupancy").values()
         )
 
     @property
@@ -317,10 +338,7 @@ class GridContext:
     @property
     def coarse_m(self) -> Fraction:
         """Side of a coarse cell in metres."""
-        usual = min(Fraction(COARSE_CELL_M), self.plan.config.max_edge / 4)
-        if self.plan.grid.resolution <= MAX_USUAL_PIXEL_M:
-            return usual
-        return max(usual, self.plan.grid.resolution)
+        return coarse_cell_m(self.plan)
 
     @property
     def has_large_pixels(self) -> bool:
@@ -330,8 +348,8 @@ class GridContext:
     @property
     def canopy_cells(self) -> RasterSpec:
         """Raster of the cells of canopies, in blocks whose positions do not depend on the run."""
-        side_m = max(Fraction(CANOPY_CELL_M), self.plan.grid.resolution)
-        return coarse_raster(Lattice(self.plan.frame.counts(side_m)), self.assembled.bounds)
+        side = self.plan.frame.counts(canopy_cell_m(self.plan))
+        return coarse_raster(Lattice(side), self.assembled.bounds)
 
     def spec_of(self, grid: Grid) -> RasterSpec:
         """Return the lattice of a raster, and its extent."""

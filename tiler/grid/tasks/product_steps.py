@@ -50,7 +50,7 @@ def product_steps(plan: Plan) -> list[Step]:
     config, frame, pixel_m = plan.config, plan.frame, plan.grid.resolution
     dtm, dsm = final_raster("dtm", config), final_raster("dsm", config)
     terrain, rim, survey = Read(f"raster:{dtm}"), Read(f"raster:{dtm}", 1), Read("cells:survey")
-    points, water = Read("points"), Read("water")
+    points, waters = Read("points"), Read("waters")
     # Plan and heights may have different units.
     pixel = {"pixel": float(pixel_m / frame.units.vertical)}
     reach, land = reach_pixels(pixel_m), land_margin(float(pixel_m))
@@ -66,7 +66,7 @@ def product_steps(plan: Plan) -> list[Step]:
                 "points": Read(f"points:{dtm}", facets_near),
                 "terrain": terrain,
                 "survey": survey,
-                "water": water,
+                "waters": waters,
                 "facets": Read("facets"),
             },
             all_of("points"),
@@ -103,8 +103,8 @@ def product_steps(plan: Plan) -> list[Step]:
             {
                 "points": Read(f"points:{dtm}", math.ceil(reach * size)),
                 "terrain": rim,
-                "water": water,
-                "flat": Read("flat"),
+                "waters": waters,
+                "edits": Read("edits"),
             },
             all_of("points"),
             {"least": min_pixels(pixel_m**2), **support},
@@ -119,7 +119,7 @@ def product_steps(plan: Plan) -> list[Step]:
                 "canopy": Read(f"raster:{CANOPY}"),
                 "survey": survey,
                 "points": points,
-                "water": water,
+                "waters": waters,
                 "failed": Read("failed"),
                 "area": Read("area"),
             },

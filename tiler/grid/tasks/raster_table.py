@@ -24,15 +24,11 @@ Rasters of pixels:
 
 from __future__ import annotations
 
-from tiler.config import AUTO_WATER, VOID_CANOPY
-from tiler.core.edits import ACTIONS, OF_PIXELS
+from tiler.config import AUTO_WATER
+from tiler.core.edits import OF_PIXELS
 from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.grid import (
-    NO_PIECE,
-    below_canopy,
-    canopy_block,
-    close_block,
     count_plane_rims,
     count_rims,
     crowns_block,
@@ -45,39 +41,27 @@ from tiler.grid import (
     ground_cells,
     keep_areas,
     keep_planes,
-    occupancy_block,
-    outline_block,
-    survey_block,
 )
 from tiler.grid.tasks.gridding import Grid, RasterStep
+from tiler.grid.tasks.model_steps import canopy_steps, outline_steps, survey_steps
 from tiler.grid.tasks.product_steps import product_steps
 from tiler.grid.tasks.raster_names import (
     ABOVE,
-    BELOW_CANOPY,
-    CANOPY,
     CANOPY_CELLS,
     CANOPY_TERRAIN,
     MODELS,
     filled_raster,
     final_raster,
     nodata_of,
-    outlined_models,
 )
 from tiler.grid.tasks.rasters import (
-    below_canopy_tasks,
-    canopy_tasks,
     canopy_terrain_tasks,
     coarse_terrain_tasks,
-    outline_tasks,
-    point_tasks,
     terrain_tasks,
 )
 from tiler.grid.tasks.steps import Step
 from tiler.grid.tasks.survey import (
-    domain_gaps,
     fill_tasks,
-    survey_gaps,
-    survey_tasks,
     voids_tasks,
 )
 from tiler.grid.tasks.water_search import (
@@ -96,7 +80,6 @@ from tiler.plan import Plan
 def raster_table(plan: Plan) -> dict[str, RasterStep | Step]:
     """Return all rasters that these settings allow, by name."""
     config = plan.config
-    below = () if config.canopy == VOID_CANOPY else (BELOW_CANOPY,)
     rows: list[RasterStep | Step] = [
         RasterStep(
             "dtm",
@@ -108,13 +91,8 @@ def raster_table(plan: Plan) -> dict[str, RasterStep | Step]:
             edits=OF_PIXELS,
             follows_lines=True,
         ),
-        RasterStep("occupancy", (), occupancy_block, Grid.COARSE, point_tasks),
-        RasterStep(
-            "survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE
-        ),
-        RasterStep("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
-        RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks, NODATA),
-        RasterStep(CANOPY_CELLS, (), canopy_block, Grid.CANOPY, canopy_tasks, NODATA),
+        *survey_steps(plan),
+        *canopy_steps(plan),
         RasterStep(
             CANOPY_TERRAIN,
             (CANOPY_CELLS,),
@@ -125,14 +103,7 @@ def raster_table(plan: Plan) -> dict[str, RasterStep | Step]:
             edits=OF_PIXELS,
             follows_lines=True,
         ),
-        RasterStep(
-            BELOW_CANOPY,
-            ("dtm", CANOPY, CANOPY_CELLS, CANOPY_TERRAIN),
-            below_canopy,
-            Grid.PIXELS,
-            below_canopy_tasks,
-            NODATA,
-        ),
+        *outline_steps(plan),
         *product_steps(plan),
     ]
     for model in MODELS if config.voids != "leave" else ():
@@ -149,29 +120,8 @@ def raster_table(plan: Plan) -> dict[str, RasterStep | Step]:
                 edits=OF_PIXELS if model == "dtm" else (),
             ),
         ]
-    finds_water = config.water == AUTO_WATER
-    if finds_water:
+    if config.water == AUTO_WATER:
         rows += _water_rows()
-    for model in outlined_models(config):
-        # The records of the terrain also count the holes inside edits of points, not only of
-        # pixels.
-        edits = ACTIONS if model == "dtm" else ()
-        inputs = [filled_raster(model, config), "survey"]
-        if model == "dtm" and finds_water:
-            inputs.append("water-cells")
-        if model == "dtm":
-            inputs += below or (CANOPY,)
-        rows.append(
-            RasterStep(
-                final_raster(model, config),
-                tuple(inputs),
-                outline_block,
-                Grid.PIXELS,
-                outline_tasks,
-                nodata_of(model),
-                edits=edits,
-            )
-        )
     return {row.name: row for row in rows}
 
 
@@ -180,10 +130,6 @@ def _water_rows() -> list[RasterStep]:
     cells = ("occupancy", "water-ground", "domain")
     areas, planes = ("water-areas", *cells), ("water-planes", *cells)
     return [
-        RasterStep(
-            "domain-open", ("occupancy",), close_block, Grid.COARSE, domain_gaps, NO_PIECE
-        ),
-        RasterStep("domain", ("domain-open",), survey_block, Grid.COARSE, survey_tasks),
         RasterStep(
             "water-terrain",
             (),

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tiler.core.digests import digest_of
-from tiler.core.edits import FLAT
+from tiler.core.edits import ACTIONS
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.grid.coarse import padded
-from tiler.grid.steps import Counts, MakeBlock, Read, run_block
+from tiler.grid.steps import Counts, MakeBlock, Place, Read, canopy_window, run_block
 from tiler.grid.tasks.gridding import Grid, GridContext
 from tiler.grid.tasks.survey import surveyed_blocks
 from tiler.runs.job import Job
@@ -25,27 +25,32 @@ Near = Mapping[Block, list[Cell]]
 """Blocks near points, each with the buckets that it reads."""
 
 
-@dataclass(frozen=True)
-class Over:
-    """Blocks over which a step works: those where all, or any, of some of its reads hold something."""
-
-    names: tuple[str, ...]
-    combine: Callable[..., set[Block]]
+Values = Mapping[str, Any]
+NONE: Values = {}
+OF_POINTS = "points", "canopy"
+"""Kinds of reads whose margin is in counts around buckets."""
+Over = Callable[["Step", "GridContext", Near], Mapping[Block, Values]]
+"""Function ``over(step, context, near)`` that returns the blocks over which a step works, each with the values that
+depend on the block."""
 
 
 def all_of(*names: str) -> Over:
-    """Return the blocks in which all reads of these names hold something."""
-    return Over(names, set.intersection)
+    """Return the rule for the blocks in which all reads of these names hold something."""
+    return lambda step, context, near: dict.fromkeys(
+        set.intersection(*(set(_blocks(step, name, context, near)) for name in names)), NONE
+    )
 
 
 def any_of(*names: str) -> Over:
-    """Return the blocks in which a read of these names holds something."""
-    return Over(names, set.union)
+    """Return the rule for the blocks in which a read of these names holds something."""
+    return lambda step, context, near: dict.fromkeys(
+        set.union(*(set(_blocks(step, name, context, near)) for name in names)), NONE
+    )
 
 
 @dataclass(frozen=True)
 class Step:
-    """Raster of pixels that is a function of what it reads.
+    """Raster that is a function of what it reads.
 
     Attributes
     ----------
@@ -57,11 +62,12 @@ class Step:
         Arguments of ``work`` that are read for each block.
     over : Over
     values : mapping
-        Other arguments of ``work``.
+        Other arguments of ``work`` that are the same for all blocks.
     finish : callable, optional
         Function ``finish(job, context, counts)`` that enters the counts of all blocks into run.json.
     fill : float
         Value of pixels without one.
+    grid : Grid
     """
 
     name: str
@@ -85,18 +91,19 @@ class Step:
 
     def tasks(self, context: GridContext) -> Iterator[Task]:
         """Yield a task for each block, from north to south."""
-        spec, sources = context.spec, context.sources
-        widest = [read.margin for read in self.reads.values() if read.kind == "points"]
+        spec, sources = context.spec_of(self.grid), context.sources
+        widest = [read.margin for read in self.reads.values() if read.kind in OF_POINTS]
         near = context.near(spec, max(widest)) if widest else {}
-        holding = [_blocks(self.reads[name], context, near) for name in self.over.names]
-        for block in sorted(self.over.combine(*map(set, holding)), key=north_west):
+        chosen = self.over(self, context, near)
+        for block in sorted(chosen, key=north_west):
+            values = {**self.values, **chosen[block]}
             work = MakeBlock(
                 name=self.name,
                 spec=spec,
                 block=block,
                 work=self.work,
                 reads=self.reads,
-                values=self.values,
+                values=values,
                 sources=sources,
                 fill=self.fill,
             )
@@ -104,7 +111,7 @@ class Step:
             yield Task(
                 self.stage,
                 block.name,
-                digest_of(RULES, self.name, spec, block, self.values, held),
+                digest_of(RULES, self.name, spec, block, values, held),
                 run_block,
                 work,
                 points=context.n_points(near.get(block, ())),
@@ -112,9 +119,9 @@ class Step:
             )
 
 
-def _blocks(read: Read, context: GridContext, near: Near) -> Iterable[Block]:
-    """Return the blocks in which a read holds something."""
-    spec = context.spec
+def _blocks(step: Step, name: str, context: GridContext, near: Near) -> Iterable[Block]:
+    """Return the blocks in which a read of a step holds something."""
+    spec, read = context.spec_of(step.grid), step.reads[name]
     if read.kind == "raster":
         return [spec.block_named(key, BLOCK_PIXELS) for key in context.made[read.raster]]
     if read.kind == "cells":
@@ -123,32 +130,41 @@ def _blocks(read: Read, context: GridContext, near: Near) -> Iterable[Block]:
         return [
             block for hole in context.holes for block in spec.blocks_within(hole, BLOCK_PIXELS)
         ]
+    if read.kind == "canopy" and context.canopy is None:
+        return ()
     return near
 
 
 def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> Any:
     """Return what a read holds at a block, as far as it can change the result."""
     spec, sources = work.spec, work.sources
-    bounds = spec.block_bounds(work.block)
-    wider = padded(work.block, read.margin)
+    bounds, buckets = spec.block_bounds(work.block), near.get(work.block, ())
+    wider = spec.block_bounds(padded(work.block, read.margin))
     if read.kind == "raster":
-        return _checksums(context, read.raster, spec, spec.block_bounds(wider))
+        return _checksums(context, read.raster, spec, wider)
     if read.kind == "cells":
-        return [sources.coarse, context.coarse_checksums(read.raster, wider)]
-    if read.kind == "facets":
-        return sources.facets
-    if read.kind == "kind":
-        return sources.kind
-    if read.kind == "water":
+        return [sources.coarse, _checksums(context, read.raster, sources.coarse, wider)]
+    if read.kind == "canopy-grid":
+        place = Place(context.plan.frame, spec, work.block, sources)
+        cells = sources.canopy_grid
+        window = cells.block_bounds(canopy_window(place, read.margin))
+        return [cells, _checksums(context, read.raster, cells, window)]
+    if read.kind == "canopy":
+        digests = {} if context.canopy is None else context.canopy.digests
+        return [digests[cell] for cell in buckets]
+    if read.kind == "waters":
         return context.waters.digest(bounds)
-    if read.kind == "flat":
-        return context.corrections.edit_digests(bounds, (FLAT,))
-    if read.kind == "area":
-        return sources.area
+    if read.kind == "edits":
+        return context.corrections.edit_digests(bounds, ACTIONS)
     if read.kind == "failed":
         return [hole.to_json() for hole in sources.failed if hole.overlaps(bounds)]
-    terrain = _checksums(context, read.raster, spec, bounds.pad(read.margin))
-    return [sources.rule, context.label_digests(near.get(work.block, ())), terrain]
+    if read.kind == "points":
+        terrain = _checksums(context, read.raster, spec, bounds.pad(read.margin))
+        return [sources.rule, context.label_digests(buckets), terrain]
+    alike = {
+        "area": sources.area, "facets": sources.facets, "kind": sources.kind, "place": sources.pixels,
+    }  # fmt: skip
+    return alike[read.kind]
 
 
 def _checksums(

@@ -27,8 +27,9 @@ from tiler.grid import (
 )
 from tiler.grid.coarse import padded
 from tiler.grid.pieces import Joined, Piece, around
-from tiler.grid.records import BlockRecord, OccupancyRecord, RimsRecord, SizesRecord
+from tiler.grid.records import BlockRecord, RimsRecord, SizesRecord
 from tiler.grid.returns import usual_returns
+from tiler.grid.steps import Counts
 from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
 from tiler.grid.tasks.survey import block_names, near_places
 from tiler.grid.water_cells import ENOUGH_RETURNS, CellCounts, Rim, water_confidence
@@ -40,6 +41,11 @@ from tiler.schedule import Task
 AnyWork = TypeVar("AnyWork")
 
 
+def counts_at(context: GridContext, raster: str) -> dict[Place, Counts]:
+    """Return the counts of each finished block of a raster of coarse cells, by place."""
+    return {(block.row, block.col): counts for block, counts in context.counts(raster).items()}
+
+
 def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells that overlaps a block of the terrain with heights."""
     if not context.water_is_sought:
@@ -48,7 +54,7 @@ def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     coarse, spec = context.coarse, context.spec
     if context.has_large_pixels:
         spec, terrain = coarse, coarse_terrain
-    records = context.records(occupancy, OccupancyRecord)
+    records = counts_at(context, occupancy)
     places: set[Place] = set()
     for key, (_, stored) in context.made[terrain].items():
         if BlockRecord.of(stored).filled:
@@ -59,7 +65,7 @@ def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     for place in sorted(places):
         block = coarse.block_at(*place, BLOCK_PIXELS)
         has_water_class = any(
-            records[other].water for other in around(*place) if other in records
+            records[other]["water"] for other in around(*place) if other in records
         )
         work = GroundCells(
             name=raster.name, spec=coarse, block=block, heights=terrain, pixels=spec,
@@ -88,13 +94,13 @@ def areas_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     neighbours, or if the input has the class of water there.
     """
     occupancy, ground, domain = raster.inputs
-    records = context.records(occupancy, OccupancyRecord)
+    records = counts_at(context, occupancy)
     for place, record in context.records(domain, BlockRecord).items():
         near = [other for other in around(*place) if other in records]
         usual = None
         if context.returns_show_water:
-            usual = usual_returns((records[other].returns for other in near), ENOUGH_RETURNS)
-        has_water_class = any(records[other].water for other in near)
+            usual = usual_returns((records[other]["returns"] for other in near), ENOUGH_RETURNS)
+        has_water_class = any(records[other]["water"] for other in near)
         if not record.filled or (usual is None and not has_water_class):
             continue
         n_merged, median = usual or (1, None)
