@@ -15,74 +15,40 @@ from tiler.grid.ground import GroundSelection
 from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
-from tiler.grid.water_crowns import CrownsBlock, crowns_block
 from tiler.grid.water_find import DescribeBody, describe_body
-from tiler.grid.water_finish import FinishWater, finish_water
 from tiler.grid.water_ground import GroundCells, ground_cells
 from tiler.grid.water_level import LevelWater, level_water
-from tiler.grid.water_planes import (
-    CountPlaneRims,
-    KeepPlanes,
-    count_plane_rims,
-    find_planes,
-    keep_planes,
-)
-from tiler.grid.water_search import (
-    CountRims,
-    FindAreas,
-    KeepAreas,
-    Sources,
-    count_rims,
-    find_areas,
-    keep_areas,
-)
 from tiler.grid.work import GridBlock, GridBlocks
 
 __all__ = [
     "CELL_PIXELS",
     "BlankBlocks",
     "CountEditedPoints",
-    "CountPlaneRims",
-    "CountRims",
-    "CrownsBlock",
     "DescribeBody",
     "ExamineDecks",
     "FillBlock",
-    "FindAreas",
     "FindDeckCells",
     "FindVoids",
-    "FinishWater",
     "GridBlock",
     "GridBlocks",
     "GroundCells",
     "GroundSelection",
-    "KeepAreas",
-    "KeepPlanes",
     "LevelWater",
-    "Sources",
     "Void",
     "VoidRasters",
     "blank_blocks",
     "blocks_of",
     "count_edited_points",
-    "count_plane_rims",
-    "count_rims",
-    "crowns_block",
     "describe_body",
     "examine_decks",
     "examined_bounds",
     "fill_block",
-    "find_areas",
     "find_deck_cells",
-    "find_planes",
     "find_voids",
-    "finish_water",
     "full_halo",
     "grid_block",
     "grid_blocks",
     "ground_cells",
-    "keep_areas",
-    "keep_planes",
     "level_water",
     "max_points_in_bucket",
 ]

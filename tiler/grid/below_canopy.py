@@ -82,7 +82,7 @@ def below_canopy(
     cells = place.sources.canopy_grid
     cell_m, unit_m = (
         float(cells.lattice.size * place.frame.metres_xy),
-        float(place.frame.units.vertical),
+        place.unit_m,
     )
     window = canopy_window(place, crowns_margin(cell_m))
     below = _corrected(

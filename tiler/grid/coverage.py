@@ -25,6 +25,7 @@ from tiler.grid.reach import box_around, within
 from tiler.grid.returns import histograms
 from tiler.grid.steps import Counts, Place
 
+Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 
 WINDOW = 128
@@ -69,14 +70,14 @@ def margin_of(max_gap: float) -> int:
 
 
 def open_areas(
-    occupancy: Float64, *, gap: float, max_gap: float, marks_bare: bool
+    occupancy: Float32, *, gap: float, max_gap: float, marks_bare: bool
 ) -> tuple[Float64, Counts]:
     """Label the open areas of a block, which have no points and are not closed gaps; 0 elsewhere.
 
     Parameters
     ----------
-    occupancy : float64 (height + 2 margin, width + 2 margin)
-        Result of `occupancy` for the block and `margin_of` cells around it, NaN beyond the raster.
+    occupancy : float32 (height + 2 margin, width + 2 margin)
+        Result of `occupancy` for the block and `margin_of` cells around it, 0 beyond the raster.
     gap, max_gap : float
         Widest gap in cells where points are dense, and where they are sparse.
     marks_bare : bool
@@ -90,7 +91,7 @@ def open_areas(
         pairs of a gap width in cells and the number of windows with it. ``filled``: number of cells.
     """
     pad = margin_of(max_gap)
-    counts = np.abs(np.nan_to_num(occupancy))
+    counts = np.abs(occupancy)
     occupied = counts != 0
     rows, cols = (side - pad + WINDOW for side in counts.shape)
     # The windows of the block, and one more on each side.
@@ -160,14 +161,14 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
     return min(gap, most)
 
 
-def spacings_of(counts: Float64, gaps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def spacings_of(counts: Float32, gaps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the mean spacing of the points in each window and the eight around it, in cells; infinite without points.
 
     The area of the points is that of occupied squares of half a gap's width, as in `gap_of`.
 
     Parameters
     ----------
-    counts : float64, shape (height, width)
+    counts : float32, shape (height, width)
         Number of points in the cells of whole windows. The outermost windows are only neighbours.
     gaps : float64, shape (height / 128 - 2, width / 128 - 2)
         See `gaps_of`.

@@ -185,18 +185,15 @@ def join_pieces(
 
 
 def areas_within(
-    store: TileStore,
-    name: str,
-    coarse: RasterSpec,
-    window: Block,
-    joins: Iterable[tuple[Piece, Piece]],
+    labels: Labels, window: Block, joins: Iterable[tuple[Piece, Piece]]
 ) -> tuple[Labels, list[Piece]]:
     """Find the areas in a window of a raster of labels.
 
     Parameters
     ----------
-    name : str
-        Name of the raster.
+    labels : int32, shape (height, width)
+        Labels in the window.
+    window : Block
     joins : iterable of (Piece, Piece)
         Result of `Joined.joins` for the blocks that the window touches.
 
@@ -207,7 +204,6 @@ def areas_within(
     names : list of Piece
         Names of the areas with the numbers 1, 2, ...
     """
-    labels = read_cells(store, name, coarse, window).astype(np.int32)
     numbers, names = np.zeros_like(labels), dict[Piece, int]()
     known = dict(joins)
     for row in range(

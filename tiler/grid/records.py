@@ -85,43 +85,6 @@ class HolesRecord(LabelsRecord):
     blocks: list[list[list[int]]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SizesRecord(LabelsRecord):
-    """Record of a block of areas that are or may be water.
-
-    Attributes
-    ----------
-    sizes : list of list of int
-        Counts of cells of each label: fields of `CellCounts` (candidates), fields of `Plane` (planes), or number of
-        cells, number of cells with a confidence and sum of the confidences in hundredths (water).
-    n_merged : int, optional
-        Number of merged cells along a side, for candidates and planes.
-    boxes : list of [row, col, last_row + 1, last_col + 1], optional
-        Extent of each label, for planes.
-    """
-
-    sizes: list[list[int]]
-    n_merged: int | None = None
-    boxes: list[list[int]] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RimsRecord(Record):
-    """Record of the rims of areas, which are the land around them, within a block.
-
-    Attributes
-    ----------
-    rims : list of [name, rim, ...]
-        Name (`Piece`) and `tiler.grid.water_cells.Rim` of each area. In the rim of an evident plane, other evident
-        planes do not count as land. An evident plane also has a second rim, in which no other plane counts as land.
-    beside : list of [name, name], optional
-        Pairs of a plane and an evident plane near it.
-    """
-
-    rims: list[list[Any]]
-    beside: list[list[Any]] | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class BodyRecord(Record):
     """Record of a body of water without a level (`Water.to_json`), or None if it is too small."""

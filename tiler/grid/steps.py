@@ -96,6 +96,16 @@ class Place(NamedTuple):
     block: Block
     sources: Sources
 
+    @property
+    def pixel_m(self) -> float:
+        """Side of a pixel or cell in metres."""
+        return float(self.spec.lattice.size * self.frame.metres_xy)
+
+    @property
+    def unit_m(self) -> float:
+        """Metres in a vertical unit of the CRS."""
+        return float(self.frame.units.vertical)
+
 
 @dataclass(frozen=True, kw_only=True)
 class MakeBlock(BlockWork):
@@ -148,6 +158,11 @@ def _raster(store: TileStore, task: MakeBlock, read: Read) -> Float64:
     window = padded(task.block, read.margin)
     values = read_cells(store, read.raster, task.spec, window, NODATA)
     return np.where(values == np.float32(NODATA), np.nan, values.astype(np.float64))
+
+
+def _numbers(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
+    """Return a raster of numbers that has no nodata around a block, float32, 0 beyond the raster."""
+    return read_cells(store, read.raster, task.spec, padded(task.block, read.margin))
 
 
 def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
@@ -225,6 +240,7 @@ def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slic
 
 READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "raster": _raster,
+    "numbers": _numbers,
     "cells": _cells,
     "points": _points,
     "waters": _waters,

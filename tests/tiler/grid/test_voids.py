@@ -65,7 +65,7 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
         )
 
     make("occupancy", occupancy, {"points": Read("points")})
-    reads = {"occupancy": Read("raster:occupancy", margin_of(gap))}
+    reads = {"occupancy": Read("numbers:occupancy", margin_of(gap))}
     closed = make("open", open_areas, reads, gap=gap, max_gap=gap, marks_bare=False)
     outside, empty = outside_of({(0, 0): closed["sides"]})
     assert not empty

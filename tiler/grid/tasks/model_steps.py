@@ -59,7 +59,7 @@ def survey_steps(plan: Plan) -> list[Step]:
             Step(
                 f"{name}-open",
                 open_areas,
-                {"occupancy": Read("raster:occupancy", margin_of(max_gap))},
+                {"occupancy": Read("numbers:occupancy", margin_of(max_gap))},
                 _near_points,
                 {"gap": gap, "max_gap": max_gap, "marks_bare": name == "survey"},
                 fill=NO_PIECE,

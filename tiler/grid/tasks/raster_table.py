@@ -29,18 +29,10 @@ from tiler.core.edits import OF_PIXELS
 from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.grid import (
-    count_plane_rims,
-    count_rims,
-    crowns_block,
     fill_block,
-    find_areas,
-    find_planes,
     find_voids,
-    finish_water,
     grid_block,
     ground_cells,
-    keep_areas,
-    keep_planes,
 )
 from tiler.grid.tasks.gridding import Grid, RasterStep
 from tiler.grid.tasks.model_steps import canopy_steps, outline_steps, survey_steps
@@ -64,16 +56,8 @@ from tiler.grid.tasks.survey import (
     fill_tasks,
     voids_tasks,
 )
-from tiler.grid.tasks.water_search import (
-    areas_tasks,
-    cells_tasks,
-    crowns_tasks,
-    ground_tasks,
-    plane_rims_tasks,
-    plane_sure_tasks,
-    rims_tasks,
-    sure_tasks,
-)
+from tiler.grid.tasks.water_ground import ground_tasks
+from tiler.grid.tasks.water_search import water_steps
 from tiler.plan import Plan
 
 
@@ -121,14 +105,12 @@ def raster_table(plan: Plan) -> dict[str, RasterStep | Step]:
             ),
         ]
     if config.water == AUTO_WATER:
-        rows += _water_rows()
+        rows += [*_water_rows(), *water_steps(plan)]
     return {row.name: row for row in rows}
 
 
 def _water_rows() -> list[RasterStep]:
-    """Return the steps of the search for water."""
-    cells = ("occupancy", "water-ground", "domain")
-    areas, planes = ("water-areas", *cells), ("water-planes", *cells)
+    """Return the rasters of the heights of coarse cells."""
     return [
         RasterStep(
             "water-terrain",
@@ -147,32 +129,6 @@ def _water_rows() -> list[RasterStep]:
             Grid.COARSE,
             ground_tasks,
             NODATA,
-        ),
-        RasterStep("water-areas", cells, find_areas, Grid.COARSE, areas_tasks),
-        RasterStep("water-rims", areas, count_rims, Grid.COARSE, rims_tasks),
-        RasterStep("water-sure", ("water-rims", *areas), keep_areas, Grid.COARSE, sure_tasks),
-        RasterStep("water-planes", cells, find_planes, Grid.COARSE, areas_tasks),
-        RasterStep("water-plane-rims", planes, count_plane_rims, Grid.COARSE, plane_rims_tasks),
-        RasterStep(
-            "water-plane-sure",
-            ("water-plane-rims", *planes),
-            keep_planes,
-            Grid.COARSE,
-            plane_sure_tasks,
-        ),
-        RasterStep(
-            "water-crowns",
-            ("water-sure", "water-plane-sure", "occupancy", "water-ground"),
-            crowns_block,
-            Grid.COARSE,
-            crowns_tasks,
-        ),
-        RasterStep(
-            "water-cells",
-            ("water-sure", "water-plane-sure", "water-crowns", *cells),
-            finish_water,
-            Grid.COARSE,
-            cells_tasks,
         ),
     ]
 

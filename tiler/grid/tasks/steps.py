@@ -68,6 +68,8 @@ class Step:
     fill : float
         Value of pixels without one.
     grid : Grid
+    after : tuple of str
+        Rasters that the step does not read, but whose counts ``over`` uses.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Step:
     finish: Callable[[Job, GridContext, Mapping[Block, Counts]], None] | None = None
     fill: float = NODATA
     grid: Grid = Grid.PIXELS
+    after: tuple[str, ...] = ()
 
     @property
     def stage(self) -> str:
@@ -86,8 +89,8 @@ class Step:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the rasters that the step reads."""
-        return tuple(read.raster for read in self.reads.values() if read.raster)
+        """Names of the rasters that are made before the step."""
+        return (*self.after, *(read.raster for read in self.reads.values() if read.raster))
 
     def tasks(self, context: GridContext) -> Iterator[Task]:
         """Yield a task for each block, from north to south."""
@@ -122,7 +125,7 @@ class Step:
 def _blocks(step: Step, name: str, context: GridContext, near: Near) -> Iterable[Block]:
     """Return the blocks in which a read of a step holds something."""
     spec, read = context.spec_of(step.grid), step.reads[name]
-    if read.kind == "raster":
+    if read.kind in ("raster", "numbers"):
         return [spec.block_named(key, BLOCK_PIXELS) for key in context.made[read.raster]]
     if read.kind == "cells":
         return surveyed_blocks(context, read.raster)
@@ -140,7 +143,7 @@ def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> An
     spec, sources = work.spec, work.sources
     bounds, buckets = spec.block_bounds(work.block), near.get(work.block, ())
     wider = spec.block_bounds(padded(work.block, read.margin))
-    if read.kind == "raster":
+    if read.kind in ("raster", "numbers"):
         return _checksums(context, read.raster, spec, wider)
     if read.kind == "cells":
         return [sources.coarse, _checksums(context, read.raster, sources.coarse, wider)]
