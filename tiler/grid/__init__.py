@@ -16,7 +16,6 @@ from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
 from tiler.grid.water_find import DescribeBody, describe_body
-from tiler.grid.water_ground import GroundCells, ground_cells
 from tiler.grid.water_level import LevelWater, level_water
 from tiler.grid.work import GridBlock, GridBlocks
 
@@ -31,7 +30,6 @@ __all__ = [
     "FindVoids",
     "GridBlock",
     "GridBlocks",
-    "GroundCells",
     "GroundSelection",
     "LevelWater",
     "Void",
@@ -48,7 +46,6 @@ __all__ = [
     "full_halo",
     "grid_block",
     "grid_blocks",
-    "ground_cells",
     "level_water",
     "max_points_in_bucket",
 ]

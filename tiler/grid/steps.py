@@ -171,6 +171,27 @@ def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.floa
     return coarse_values(store, read.raster, task.sources.coarse, task.spec, window)
 
 
+@dataclass(frozen=True)
+class PixelsUnder:
+    """Raster of which a block of larger cells reads one part at a time, as the whole may not fit into memory."""
+
+    store: TileStore
+    name: str
+    spec: RasterSpec
+
+    def read(self, block: Block) -> npt.NDArray[np.float32]:
+        """Return the pixels of a block, float32 (height, width)."""
+        return self.store.read_block(self.name, block)
+
+
+def _pixels(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
+    return PixelsUnder(store, read.raster, task.sources.pixels)
+
+
+def _same_cells(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
+    return PixelsUnder(store, read.raster, task.spec)
+
+
 def _points(store: TileStore, task: MakeBlock, read: Read) -> PointsNear:
     return PointsNear(store, task.sources.rule, task.spec, task.block, read.raster)
 
@@ -242,6 +263,8 @@ READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "raster": _raster,
     "numbers": _numbers,
     "cells": _cells,
+    "pixels": _pixels,
+    "same-cells": _same_cells,
     "points": _points,
     "waters": _waters,
     "edits": _edits,

@@ -53,7 +53,6 @@ def test_nothing_is_made_that_no_product_needs() -> None:
     terrain = ["dtm", *survey, *canopy, "dtm-outlined"]
     assert names(["slope"]) == [*terrain, "slope"]
     search = [
-        "water-terrain",
         "water-ground",
         "domain-open",
         "domain",

@@ -85,6 +85,11 @@ def coarse_cell_m(plan: Plan) -> Fraction:
     return max(usual, plan.grid.resolution)
 
 
+def has_large_pixels(plan: Plan) -> bool:
+    """Return whether a pixel is larger than a coarse cell."""
+    return plan.grid.resolution > coarse_cell_m(plan)
+
+
 def canopy_cell_m(plan: Plan) -> Fraction:
     """Return the side in metres of the cells in which canopies are compared with the terrain around them."""
     return max(Fraction(CANOPY_CELL_M), plan.grid.resolution)
@@ -339,11 +344,6 @@ class GridContext:
     def coarse_m(self) -> Fraction:
         """Side of a coarse cell in metres."""
         return coarse_cell_m(self.plan)
-
-    @property
-    def has_large_pixels(self) -> bool:
-        """Whether a pixel is larger than a coarse cell."""
-        return self.plan.grid.resolution > self.coarse_m
 
     @property
     def canopy_cells(self) -> RasterSpec:

@@ -32,7 +32,6 @@ from tiler.grid import (
     fill_block,
     find_voids,
     grid_block,
-    ground_cells,
 )
 from tiler.grid.tasks.gridding import Grid, RasterStep
 from tiler.grid.tasks.model_steps import canopy_steps, outline_steps, survey_steps
@@ -56,7 +55,6 @@ from tiler.grid.tasks.survey import (
     fill_tasks,
     voids_tasks,
 )
-from tiler.grid.tasks.water_ground import ground_tasks
 from tiler.grid.tasks.water_search import water_steps
 from tiler.plan import Plan
 
@@ -105,32 +103,20 @@ def raster_table(plan: Plan) -> dict[str, RasterStep | Step]:
             ),
         ]
     if config.water == AUTO_WATER:
-        rows += [*_water_rows(), *water_steps(plan)]
+        rows += water_steps(plan)
+        rows.append(
+            RasterStep(
+                "water-terrain",
+                (),
+                grid_block,
+                Grid.COARSE,
+                coarse_terrain_tasks,
+                NODATA,
+                edits=OF_PIXELS,
+                follows_lines=True,
+            )
+        )
     return {row.name: row for row in rows}
-
-
-def _water_rows() -> list[RasterStep]:
-    """Return the rasters of the heights of coarse cells."""
-    return [
-        RasterStep(
-            "water-terrain",
-            (),
-            grid_block,
-            Grid.COARSE,
-            coarse_terrain_tasks,
-            NODATA,
-            edits=OF_PIXELS,
-            follows_lines=True,
-        ),
-        RasterStep(
-            "water-ground",
-            ("dtm", "water-terrain", "occupancy"),
-            ground_cells,
-            Grid.COARSE,
-            ground_tasks,
-            NODATA,
-        ),
-    ]
 
 
 def required_rasters(plan: Plan) -> list[RasterStep | Step]:

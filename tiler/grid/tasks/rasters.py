@@ -22,11 +22,7 @@ def terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 
 def coarse_terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield the tasks of the terrain in coarse cells, which the search for water needs if pixels are larger."""
-    return (
-        terrain_tasks(raster, context)
-        if context.water_is_sought and context.has_large_pixels
-        else iter(())
-    )
+    return terrain_tasks(raster, context) if context.water_is_sought else iter(())
 
 
 def canopy_terrain_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:

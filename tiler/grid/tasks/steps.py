@@ -145,6 +145,9 @@ def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> An
     wider = spec.block_bounds(padded(work.block, read.margin))
     if read.kind in ("raster", "numbers"):
         return _checksums(context, read.raster, spec, wider)
+    if read.kind in ("pixels", "same-cells"):
+        pixels = sources.pixels if read.kind == "pixels" else spec
+        return [pixels, _checksums(context, read.raster, pixels, bounds)]
     if read.kind == "cells":
         return [sources.coarse, _checksums(context, read.raster, sources.coarse, wider)]
     if read.kind == "canopy-grid":

@@ -8,7 +8,6 @@ land around it.
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -19,13 +18,14 @@ from tiler.grid.coarse import padded
 from tiler.grid.pieces import Joined, Piece, around
 from tiler.grid.returns import usual_returns
 from tiler.grid.steps import Counts, Read
-from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m
+from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
 from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values
 from tiler.grid.tasks.survey import near_places
 from tiler.grid.water_cells import ENOUGH_RETURNS, CellCounts, Rim, water_confidence
 from tiler.grid.water_crowns import crowns_margin, plants_near_water
 from tiler.grid.water_find import MIN_LENGTH
 from tiler.grid.water_finish import finish_margin, finish_water
+from tiler.grid.water_ground import NEAR_CELLS, ground_cells
 from tiler.grid.water_planes import (
     DAM_M,
     SHORE_CELLS,
@@ -70,10 +70,24 @@ def water_steps(plan: Plan) -> list[Step]:
     def near(margin: int, **names: str) -> dict[str, Read]:
         return {key: Read(f"numbers:{name}", margin) for key, name in names.items()}
 
+    heights = "same-cells:water-terrain" if has_large_pixels(plan) else "pixels:dtm"
+    cell = plan.frame.counts(coarse_cell_m(plan))
     search = _search(MARGIN)
     areas = {**near(MARGIN, areas="water-areas"), **search}
     planes = {**near(MARGIN, areas="water-planes"), **search}
     return [
+        Step(
+            "water-ground",
+            ground_cells,
+            {
+                "heights": Read(heights),
+                **near(NEAR_CELLS, occupancy="occupancy"),
+                "points": Read("points", int(NEAR_CELLS * cell) + 1),
+                "place": Read("place"),
+            },
+            _with_heights,
+            grid=Grid.COARSE,
+        ),
         step("areas", find_areas, search, _may_have_water),
         step("rims", count_rims, areas, _near_candidates),
         step(
@@ -93,7 +107,7 @@ def water_steps(plan: Plan) -> list[Step]:
                 **near(crowns, **found),
                 **near(1, occupancy="occupancy"),
                 "ground": Read("raster:water-ground", 1),
-                "points": Read("points", math.ceil(plan.frame.counts(coarse_cell_m(plan))) + 1),
+                "points": Read("points", int(cell) + 1),
                 "place": Read("place"),
             },
             _near_water_of_pulses,
@@ -116,6 +130,24 @@ def _search(margin: int) -> dict[str, Read]:
         "ground": Read("raster:water-ground", margin),
         "domain": Read("numbers:domain", margin),
         "place": Read("place"),
+    }
+
+
+def _with_heights(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
+    """Return the blocks that overlap a block of the terrain with heights, if water is sought."""
+    if not context.water_is_sought:
+        return {}
+    coarse, counts = context.coarse, counts_at(context, "occupancy")
+    read = step.reads["heights"]
+    spec = context.spec if read.kind == "pixels" else coarse
+    blocks: set[Block] = set()
+    for key, (_digest, terrain) in context.made[read.raster].items():
+        if terrain["filled"]:
+            bounds = spec.block_bounds(spec.block_named(key, BLOCK_PIXELS))
+            blocks.update(coarse.blocks_within(bounds, BLOCK_PIXELS))
+    wet = {at for at, of_block in counts.items() if of_block["water"]}
+    return {
+        block: {"is_wet": not wet.isdisjoint(around(block.row, block.col))} for block in blocks
     }
 
 
