@@ -29,7 +29,8 @@ from tests.scenes.running import wait_for
 LEFT_OUT = ("report.html", "events.jsonl", "run.json", "classified.vpc")
 """Files with times. Of ``run.json`` the rest is read."""
 FACTS_LEFT_OUT = (
-    "cpu_seconds", "inputs", "libraries", "mtime_ns", "outputs", "peak_rss_bytes", "seconds", "stages", "tiles",
+    "cpu_seconds", "inputs", "libraries", "mtime_ns", "outputs", "peak_rss_bytes", "projected_seconds",
+    "rates_of_this_machine", "seconds", "stages", "tiles",
     "version", "written",
 )  # fmt: skip
 """Names in ``run.json`` of times, memory, the machine, and what the work was divided into."""

@@ -229,9 +229,7 @@ def _tell(job: Job, until: str) -> None:
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}; copies go to {job.products} when the run ends"
         )
-    seconds = stage_seconds(
-        plan, [raster.stage for raster in required_rasters(plan.config)], until
-    )
+    seconds = stage_seconds(plan, [raster.stage for raster in required_rasters(plan)], until)
     stages = [
         ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3))
         for s, t in seconds.items()

@@ -151,10 +151,8 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
         g = GridContext(plan, assembled, labels)
-        for raster in required_rasters(config):
-            made = timed(
-                f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(raster, g))
-            )
+        for raster in required_rasters(plan):
+            made = timed(f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(g)))
             g.made[raster.name] = {
                 t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made
             }

@@ -28,10 +28,13 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
 from tiler.filter.tile import LABELS
 from tiler.grid import GroundSelection
+from tiler.grid.coarse import padded
+from tiler.grid.points_near import PointsNear
+from tiler.grid.sigma_land import land_margin
 from tiler.grid.sigma_measures import measures_of
 from tiler.grid.stage import MATCHED_EROSION
 from tiler.pipeline import run
-from tiler.store import open_store
+from tiler.store import open_store, read_cells
 
 CORNER = (500_000.0, 5_000_000.0)
 """Coordinates of the south-west corner of each scene, where its own begin at (0, 0)."""
@@ -149,7 +152,11 @@ def pixels_of(known: Known, out: Path) -> Pixels:
         )
         error = np.where(heights == np.float32(NODATA), np.nan, heights) - truth(x, y)
         there = ~np.isnan(error)
-        found = measures_of(store, rule, spec, block, name, frame.counts(MAX_EDGE_M))
+        margin = land_margin(float(spec.lattice.size * frame.metres_xy))
+        wider = read_cells(store, name, spec, padded(block, margin), NODATA)
+        terrain = np.where(wider == np.float32(NODATA), np.nan, wider.astype(np.float64))
+        points = PointsNear(store, rule, spec, block)
+        found = measures_of(points, terrain, margin, frame.counts(MAX_EDGE_M))
         measured.append(np.stack([values[there] for values in found]))
         masks.append(store.read_block("mask", block)[there])
         errors.append(error[there])

@@ -28,7 +28,7 @@ from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
 from tiler.filter.tasks import passes
 from tiler.grid.roofs import Advice
-from tiler.grid.tasks import gridding
+from tiler.grid.tasks import gridding, steps
 from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
@@ -134,7 +134,7 @@ def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScen
 def test_other_rules_of_a_checkout_filter_and_grid_but_do_not_ingest(
     out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (passes, gridding):
+    for module in (passes, gridding, steps):
         monkeypatch.setattr(module, "RULES", "0.1.0-other")
     made = {"filter0", *GROUND, *PIXELS, *POINTS}
     assert made <= again(demo, out).keys() <= made | {"export", "catalogue"}

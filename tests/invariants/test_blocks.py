@@ -58,7 +58,7 @@ def test_each_block_is_one_task_and_none_shows(
     labels = label_digests(assembled, store.committed("filter0"))
     gridding = GridContext(plan, assembled, labels)
     spec = gridding.spec
-    tasks = list(terrain_tasks(raster_table(plan.config)["dtm"], gridding))
+    tasks = list(terrain_tasks(raster_table(plan)["dtm"], gridding))
     blocks = [task.arguments.block for task in tasks]
     assert blocks == list(spec.blocks(512))
     assert len({task.key for task in tasks}) == 4

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.core.digests import NOT_IN_DIGEST
-from tiler.core.edits import FLAT
+from ptd.gridding.highest_returns import NOTHING
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.grid.derived import with_rim
-from tiler.grid.highest import NOTHING, ReturnsBlock, returns_of
+from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.pieces import label_block
-from tiler.grid.records import AboveRecord
-from tiler.store import TileStore, open_store
+from tiler.grid.points_near import PointsNear
+from tiler.grid.steps import Counts
 
+Bools = npt.NDArray[np.bool_]
 Heights = npt.NDArray[np.float64]
 
 ABOVE_M = 1.0
@@ -32,89 +30,90 @@ CELLS_PER_BLOCK = 4
 """Number of cells along the side of a block in which pixels below all returns are counted."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AboveBlock(ReturnsBlock):
-    """Arguments of `above_block`.
-
-    Attributes
-    ----------
-    waters : str or None
-        Key in the store of bodies of water. The digest includes those that touch the block.
-    """
-
-    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-
-
-def above_block(store_url: str, work: AboveBlock) -> AboveRecord:
+def above(
+    points: PointsNear,
+    terrain: Heights,
+    waters: WatersNear,
+    edits: EditsNear,
+    *,
+    reach: int,
+    spike: Fraction,
+    least: int,
+) -> tuple[None, Counts]:
     """Find the places in a block where the terrain lies above all returns.
 
-    This is a `tiler.schedule.task.Work`. It writes no pixels. Places are pixels that touch at
-    sides or corners. The record has those that are large enough or that touch a side of the
+    Places are pixels that touch at sides or corners. Those count that are large enough or that touch a side of the
     block, as they may continue in the next one.
+
+    Parameters
+    ----------
+    points : PointsNear
+    terrain : float64 (height + 2, width + 2)
+        Terrain of the block and of one pixel on each side.
+    waters : WatersNear
+    edits : EditsNear
+    reach, spike
+        See `PointsNear.returns`.
+    least : int
+        Number of pixels of the smallest place.
 
     Returns
     -------
-    AboveRecord
-        Record of the block.
+    None
+    counts : dict
+        ``wrong``: number of pixels in which the terrain is above all returns, also of those in places that are too
+        small. ``labels``, ``sides``: number of places, and their labels along the sides of the block (see
+        `tiler.grid.pieces`). ``places``: [pixels, row, col, last_row, last_col, height] of each place, with the
+        largest height of its terrain above the returns in metres. ``cells``: see `_cells`.
     """
-    store = open_store(store_url)
-    above, below = heights_above(store, work)
-    wrong = above > ABOVE_M
-    labels, sides = label_block(_listed(wrong, min_pixels(store, work.spec)), corners=True)
+    above_m, below_m = heights_above(points, terrain, waters.inside | edits.flat, reach, spike)
+    wrong = above_m > ABOVE_M
+    labels, sides = label_block(_listed(wrong, least), corners=True)
     numbers = np.arange(1, int(labels.max(initial=0)) + 1)
     sizes = np.bincount(labels.ravel(), minlength=len(numbers) + 1)[1:]
-    largest = scipy.ndimage.maximum(above, labels, numbers) if len(numbers) else ()
-    places = []
+    largest = scipy.ndimage.maximum(above_m, labels, numbers) if len(numbers) else ()
+    places, block = [], points.block
     for size, height, (rows, cols) in zip(
         sizes, largest, scipy.ndimage.find_objects(labels), strict=True
     ):
-        first = work.block.row + rows.start, work.block.col + cols.start
-        last = work.block.row + rows.stop - 1, work.block.col + cols.stop - 1
+        first = block.row + rows.start, block.col + cols.start
+        last = block.row + rows.stop - 1, block.col + cols.stop - 1
         places.append([int(size), *first, *last, round(float(height), 3)])
-    return AboveRecord(
-        filled=0,
-        sides=sides,
-        labels=len(places),
-        wrong=int(np.count_nonzero(wrong)),
-        places=places,
-        cells=_cells(work, below),
-    )
+    return None, {
+        "wrong": int(np.count_nonzero(wrong)),
+        "labels": len(places),
+        "sides": sides,
+        "places": places,
+        "cells": _cells(block, below_m),
+    }
 
 
-def _cells(work: AboveBlock, below: Heights) -> list[list[int]]:
+def _cells(block: Block, below_m: Heights) -> list[list[int]]:
     """Return row and column of each cell, its number of known pixels, and of those below all returns."""
     side, cells = BLOCK_PIXELS // CELLS_PER_BLOCK, []
-    for row in range(0, work.block.height, side):
-        for col in range(0, work.block.width, side):
-            part = below[row : row + side, col : col + side]
+    for row in range(0, block.height, side):
+        for col in range(0, block.width, side):
+            part = below_m[row : row + side, col : col + side]
             if known := int(np.count_nonzero(~np.isnan(part))):
                 counts = known, int(np.count_nonzero(part > BELOW_M))
-                cells.append([work.block.row + row, work.block.col + col, *counts])
+                cells.append([block.row + row, block.col + col, *counts])
     return cells
 
 
-def heights_above(store: TileStore, work: AboveBlock) -> tuple[Heights, Heights]:
+def heights_above(
+    points: PointsNear, wider: Heights, excluded: Bools, reach: int, spike: Fraction
+) -> tuple[Heights, Heights]:
     """Return the metres of the terrain of each pixel above the highest return, and below the lowest one.
 
     The terrain is that at the lowest corner of the pixel for the first, at the highest for the second.
 
-    Pixels without a return or without terrain have 0 and NaN. So have pixels of water, whose low
-    returns are noise, and of edits that set a height.
+    Pixels without a return or without terrain have 0 and NaN. So have ``excluded`` pixels: those of water, whose low
+    returns are noise, and of edits that set a height. Other parameters are those of `above`.
     """
-    spec, block = work.spec, work.block
-    supported, lowest = returns_of(store, work, block)
-    returns = supported[..., 2]
-    wider = with_rim(store, work.terrain, spec, block)
-    terrain = wider[1:-1, 1:-1]
-    known = (returns != NOTHING) & ~np.isnan(terrain)
-    waters = store.waters(work.waters, spec.block_bounds(block))
-    if waters is not None:
-        known &= ~waters.inside(spec, block)
-    key = work.rule.edits
-    edits = None if key is None else store.edits(key, spec.block_bounds(block), (FLAT,))
-    for edit in () if edits is None else edits.edits:
-        known &= ~spec.inside(block, edit.area)
-    half, metres = _half_rise(wider), float(store.meta.frame.units.vertical)
+    highest, lowest = points.returns(points.block, reach, spike)
+    returns, terrain = highest[..., 2], wider[1:-1, 1:-1]
+    known = (returns != NOTHING) & ~np.isnan(terrain) & ~excluded
+    half, metres = _half_rise(wider), float(points.frame.units.vertical)
     above = terrain - half - returns / COUNTS_PER_UNIT
     below = lowest / COUNTS_PER_UNIT - terrain - half
     return np.where(known, above * metres, 0.0), np.where(known, below * metres, np.nan)
@@ -138,9 +137,9 @@ def _half_rise(wider: Heights) -> Heights:
     return rise
 
 
-def min_pixels(store: TileStore, spec: RasterSpec) -> int:
+def min_pixels(pixel_m2: Fraction) -> int:
     """Return the number of pixels of the smallest place."""
-    return math.ceil(MIN_PLACE_M2 / (spec.lattice.size * store.meta.frame.metres_xy) ** 2)
+    return math.ceil(MIN_PLACE_M2 / pixel_m2)
 
 
 def _listed(wrong: npt.NDArray[np.bool_], least: int) -> npt.NDArray[np.bool_]:

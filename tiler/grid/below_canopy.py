@@ -12,23 +12,17 @@ wider than `EDGE_M`, the terrain stays as it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.core.nodata import NODATA
-from tiler.core.raster import RasterSpec
 from tiler.grid.canopy import OPEN, SIGHT_M
-from tiler.grid.checksum import checksum
-from tiler.grid.coarse import padded
 from tiler.grid.pixel_cells import linear
 from tiler.grid.reach import distances, opened
-from tiler.grid.records import BlockRecord
-from tiler.grid.work import BlockWork
-from tiler.store import Steps, between_centres, coarse_window, open_store, read_cells
+from tiler.grid.steps import Counts, Place, canopy_window
+from tiler.store import Steps, between_centres
 
 TREES_MEAN_M, GROUND_MEAN_M = 8.0, 2.0
 """Standard deviations of the weights of heights in a mean: an area of several trees, and the nearest ground, so that
@@ -64,27 +58,6 @@ Float64 = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 
-@dataclass(frozen=True, kw_only=True)
-class BelowCanopy(BlockWork):
-    """Arguments of `below_canopy`.
-
-    Attributes
-    ----------
-    heights, canopy : str
-        Rasters of the interpolated terrain and of the canopy, in pixels.
-    cells : RasterSpec
-        Raster of cells that are not smaller than pixels, or of 2 m. They go on beyond the area of the run.
-    crowns, terrain : str
-        Rasters of the canopy and of the interpolated terrain in these cells.
-    """
-
-    heights: str
-    canopy: str
-    cells: RasterSpec
-    crowns: str
-    terrain: str
-
-
 class _Trees(NamedTuple):
     """Height of the trees around each cell and its error in metres, NaN where they are not known."""
 
@@ -92,46 +65,44 @@ class _Trees(NamedTuple):
     error: Float64
 
 
-def below_canopy(store_url: str, work: BelowCanopy) -> BlockRecord:
-    """Write the terrain below a canopy in one block. This is a `tiler.schedule.task.Work`.
+def below_canopy(
+    terrain: Float64, canopy: Float64, crowns: Float64, bridge: Float64, place: Place
+) -> tuple[Float64, Counts]:
+    """Return the terrain below a canopy, NaN where the terrain stays as it is.
 
-    Pixels in which the terrain stays as it is are nodata.
-
-    Returns
-    -------
-    BlockRecord
-        Record of the block.
+    Parameters
+    ----------
+    terrain, canopy : float64 (height, width)
+        Interpolated terrain and canopy in pixels, NaN without a value.
+    crowns, bridge : float64
+        Canopy and interpolated terrain in cells: those at the block and `crowns_margin` more on each side. They go on
+        beyond the area of the run.
+    place : Place
     """
-    store, spec, block, cells = open_store(store_url), work.spec, work.block, work.cells
-    frame, nodata = store.meta.frame, np.float32(NODATA)
-    cell_m, unit_m = float(cells.lattice.size * frame.metres_xy), float(frame.units.vertical)
-    window = padded(coarse_window(cells, spec, block), round(CROWNS_REACH_M / cell_m) + 2)
-    crowns, terrain = (
-        read_cells(store, name, cells, window, NODATA).astype(np.float64)
-        for name in (work.crowns, work.terrain)
+    cells = place.sources.canopy_grid
+    cell_m, unit_m = (
+        float(cells.lattice.size * place.frame.metres_xy),
+        place.unit_m,
     )
+    window = canopy_window(place, crowns_margin(cell_m))
     below = _corrected(
         np.where(crowns > OPEN, crowns * unit_m, np.nan),
-        np.where(terrain != NODATA, terrain * unit_m, np.nan),
+        bridge * unit_m,
         crowns == OPEN,
         cell_m,
         (window.row - cells.north, window.col + cells.west),
     )
-    rows, columns = between_centres(cells, spec, block)
+    rows, columns = between_centres(cells, place.spec, place.block)
     steps = (rows[0] - window.row, rows[1]), (columns[0] - window.col, columns[1])
     correction, continued = (_known_linear(values, *steps) / unit_m for values in below)
-    model = store.read_block(work.heights, block)
-    heights = np.where(
-        (model != nodata) & np.isfinite(correction), model + correction, continued
-    )
-    hidden = store.read_block(work.canopy, block) > OPEN
-    heights = np.where(hidden & np.isfinite(heights), heights, nodata).astype(np.float32)
-    store.write_block(work.name, block, heights)
-    return BlockRecord(
-        pixels=heights.size,
-        filled=int(np.count_nonzero(heights != nodata)),
-        checksum=checksum(heights),
-    )
+    heights = np.where(np.isfinite(terrain + correction), terrain + correction, continued)
+    heights[~(canopy > OPEN)] = np.nan
+    return heights, {}
+
+
+def crowns_margin(cell_m: float) -> int:
+    """Return the margin in cells around a block within which crowns can change its heights."""
+    return round(CROWNS_REACH_M / cell_m) + 2
 
 
 def _corrected(

@@ -29,7 +29,7 @@ from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
 from tiler.grid.records import TerrainRecord
 from tiler.grid.thinning import max_points_in_bucket, surface_ground
-from tiler.grid.work import GridBlock, GridBlocks, TinBlock
+from tiler.grid.work import Facets, GridBlock, GridBlocks
 from tiler.store import TileStore, open_store
 
 
@@ -248,7 +248,8 @@ def _attempt(
         lines = store.breaklines(work.breaklines)
         xyz = lines.applied(xyz, window, work.data, store.meta.frame.origin)
     counts = _GroundCounts(ground.read, xyz.shape[1], ground.marked)
-    return rasterise_window(store, work, window, xyz), counts
+    origin = store.meta.frame.origin
+    return rasterise_window(work.spec, work.block, origin, work, window, xyz), counts
 
 
 def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:
@@ -266,17 +267,24 @@ def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels
 
 
 def rasterise_window(
-    store: TileStore, work: TinBlock, window: Bounds, xyz: npt.NDArray[np.int32]
+    spec: RasterSpec,
+    block: Block,
+    origin: tuple[int, int],
+    facets: Facets,
+    window: Bounds,
+    xyz: npt.NDArray[np.int32],
 ) -> TinRaster:
-    """Return the heights of a block in counts, NaN for none, and a mask of its uncertified pixels."""
-    east, north = store.meta.frame.origin
-    spec, block, limit = work.spec, work.block, float(work.max_edge)
+    """Return the heights of a block in counts, NaN for none, and a mask of its uncertified pixels.
+
+    ``xyz``, int32 (3, n) in counts from ``origin``, are the points in ``window``.
+    """
+    (east, north), limit = origin, float(facets.max_edge)
     try:
-        pixels = pixels_of(spec, block, (east, north))
+        pixels = pixels_of(spec, block, origin)
         raster = rasterise(
             Tin.build(xyz[0], xyz[1], xyz[2]),
             pixels,
-            interpolator="natural" if work.interpolation == "natural" else "linear",
+            interpolator="natural" if facets.interpolation == "natural" else "linear",
             max_edge=limit,
             max_radius=limit,
             window=KnownWindow(
@@ -284,13 +292,13 @@ def rasterise_window(
                 window.y0 - north,
                 window.x1 - east,
                 window.y1 - north,
-                open_west=window.x0 <= work.data.x0,
-                open_south=window.y0 <= work.data.y0,
-                open_east=window.x1 >= work.data.x1,
-                open_north=window.y1 >= work.data.y1,
+                open_west=window.x0 <= facets.data.x0,
+                open_south=window.y0 <= facets.data.y0,
+                open_east=window.x1 >= facets.data.x1,
+                open_north=window.y1 >= facets.data.y1,
             ),
         )
-        if work.interpolation != "idw":
+        if facets.interpolation != "idw":
             return raster
         heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)
         # All points within the halo are known. If the search went farther, there may be nearer

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -18,12 +17,13 @@ from ptd.passes import Points
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Lattice
 from tiler.core.nodata import NODATA
+from tiler.core.points import PointBlock
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.checksum import checksum
-from tiler.grid.density import ground_counts
-from tiler.grid.records import BlockRecord
-from tiler.grid.work import PointsBlock
-from tiler.store import TileStore, open_store
+from tiler.grid.points_near import PointsNear
+from tiler.grid.steps import Counts, Place
+
+Bools = npt.NDArray[np.bool_]
+Float64 = npt.NDArray[np.float64]
 
 GAP = 2
 """Half the width in cells of gaps without points that are filled like the cells around them."""
@@ -33,66 +33,54 @@ OPEN = NODATA + 1
 """Value of pixels with ground points. Pixels without ground points and canopy are nodata. All crowns are higher."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CanopyBlock(PointsBlock):
-    """Arguments of `canopy_block`.
-
-    Attributes
-    ----------
-    elected, labels : str
-        Names in the store of the cells on which the filter worked, and of their codes.
-    side : Fraction
-        Side of the smaller cells in counts. Larger cells are twice as wide.
-    """
-
-    elected: str
-    labels: str
-    side: Fraction
-
-
-def canopy_block(store_url: str, work: CanopyBlock) -> BlockRecord:
-    """Write one block of the canopy. This is a `tiler.schedule.task.Work`.
+def canopy(
+    cells: PointBlock, points: PointsNear, place: Place, *, side: Fraction
+) -> tuple[Float64, Counts]:
+    """Return the heights of crowns where they hide the ground, and `OPEN` where ground is seen.
 
     A pixel has the height of a crown if its centre lies in a cell under a canopy and no ground
     point lies in the pixel.
 
+    Parameters
+    ----------
+    cells : PointBlock
+        Cells on which the filter worked, within `canopy_reach` of the block, with their codes as labels.
+    points : PointsNear
+    place : Place
+    side : Fraction
+        Side of the smaller cells in counts. Larger cells are twice as wide.
+
     Returns
     -------
-    BlockRecord
-        Record of the block. ``filled`` is the number of pixels with a crown.
+    heights : float64 (height, width)
+    counts : dict
+        ``filled``: number of pixels with a crown.
     """
-    store, spec, block = open_store(store_url), work.spec, work.block
-    values, near = _crowns(store, work, spec, block)
-    if near:
-        seen = ground_counts(store, work.rule, spec, block) > 0
-        values[seen] = OPEN
-    store.write_block(work.name, block, values)
-    return BlockRecord(
-        pixels=values.size,
-        filled=int(np.count_nonzero(values > OPEN)),
-        checksum=checksum(values),
+    hidden = (
+        np.zeros(len(cells), np.bool_) if cells.labels is None else (cells.labels & COVERED) > 0
     )
+    if not hidden.any():
+        return np.full((place.block.height, place.block.width), np.nan), {"filled": 0}
+    values = _crowns(cells, hidden, place, side)
+    values[points.ground_per_pixel() > 0] = OPEN
+    return values, {"filled": int(np.count_nonzero(values > OPEN))}
 
 
-def canopy_reach_cells(side_m: float) -> int:
-    """Return the distance in cells around a block within which cells can change its pixels."""
-    return math.ceil(SIGHT_M / side_m) + 2 * GAP + 2
+def canopy_reach(side: Fraction, metres: Fraction) -> int:
+    """Return the distance in counts around a block within which cells of a side in counts can change its pixels.
+
+    ``metres`` are the metres per count.
+    """
+    cells = math.ceil(SIGHT_M / float(side * metres)) + 2 * GAP + 2
+    return math.ceil(cells * side)
 
 
-def _crowns(
-    store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block
-) -> tuple[npt.NDArray[np.float32], bool]:
-    """Return the heights of crowns at the pixels' centres (or nodata), and whether a canopy is near the block."""
-    lattice, frame = Lattice(work.side), store.meta.frame
-    reach = canopy_reach_cells(float(work.side * frame.metres_xy))
-    bounds = spec.block_bounds(block).pad(math.ceil(reach * work.side))
+def _crowns(cells: PointBlock, hidden: Bools, place: Place, side: Fraction) -> Float64:
+    """Return the heights of crowns at the pixels' centres, NaN where there are none."""
+    lattice, frame, spec, block = Lattice(side), place.frame, place.spec, place.block
+    bounds = spec.block_bounds(block).pad(canopy_reach(side, frame.metres_xy))
     west, south = lattice.index_of(bounds.x0) - 1, lattice.index_of(bounds.y0) - 1
     shape = lattice.index_of(bounds.y1) - south + 2, lattice.index_of(bounds.x1) - west + 2
-    cells = store.elected(work.elected, bounds, work.labels)
-    labels = np.zeros(len(cells), np.uint8) if cells.labels is None else cells.labels
-    hidden = (labels & COVERED) > 0
-    if not hidden.any():
-        return np.full((block.height, block.width), NODATA, np.float32), False
     wide = (
         size_of_cells(Points(cells.xyz), Scale(frame.metres_xy, frame.metres_z, frame.origin))
         > CELL_M
@@ -103,7 +91,7 @@ def _crowns(
     # The middle of a wide cell is the corner of four small ones. Rounding may put it into any
     # of the four.
     wide_rows, wide_columns = (
-        Lattice(2 * work.side).index(v) * 2 - first for v, first in ((y, south), (x, west))
+        Lattice(2 * side).index(v) * 2 - first for v, first in ((y, south), (x, west))
     )
     for down in (0, 1):
         for right in (0, 1):
@@ -116,8 +104,8 @@ def _crowns(
             np.fmax.at(tops, places, cells.xyz[2][hidden] / COUNTS_PER_UNIT)
     _fill_gaps(tops, there)
     pixel_rows, pixel_columns = (lattice.index(centres) for centres in _centres(spec, block))
-    values = tops[np.ix_(pixel_rows - south, pixel_columns - west)]
-    return np.where(np.isfinite(values), values, NODATA).astype(np.float32), True
+    values: Float64 = tops[np.ix_(pixel_rows - south, pixel_columns - west)]
+    return values
 
 
 def _fill_gaps(tops: npt.NDArray[np.float64], there: npt.NDArray[np.bool_]) -> None:

@@ -12,25 +12,21 @@ Gaps that are closed, but wider than four times the spacing of the points around
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.core.classes import WATER
 from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
-from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.grid.checksum import checksum
+from tiler.core.raster import BLOCK_PIXELS
 from tiler.grid.coarse import Bools, block_runs, padded
-from tiler.grid.density import pixel_indices
-from tiler.grid.ground import surface_points
-from tiler.grid.pieces import Piece, cells_of, label_block, part_of
+from tiler.grid.pieces import Piece, cells_in, label_block, part_of
+from tiler.grid.points_near import PointsNear
 from tiler.grid.reach import box_around, within
-from tiler.grid.records import OccupancyRecord, OpenAreasRecord, SurveyRecord
 from tiler.grid.returns import histograms
-from tiler.grid.work import BlockWork, PointsBlock
-from tiler.store import open_store, read_cells
+from tiler.grid.steps import Counts, Place
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
 
 WINDOW = 128
 """Side of the windows in coarse cells, anchored at CRS coordinate 0. Each window has its own
@@ -52,120 +48,70 @@ NO_PIECE = -1.0
 """Value of a raster of open areas for a block that was not written: it is open everywhere."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CloseBlock(BlockWork):
-    """Arguments of `close_block`: one block of the raster of open areas, which have no points and are not closed gaps.
+def occupancy(points: PointsNear) -> tuple[Float64, Counts]:
+    """Return the number of points of each cell, negated if the input classifies more than half of them as water.
 
-    Attributes
+    Returns
+    -------
+    values : float64 (height, width)
+    counts : dict
+        ``water``: number of cells that are water by the input. ``returns``: histogram of points per cell for each level
+        of merging, see `tiler.grid.returns`.
+    """
+    counts, water = points.surface_per_pixel()
+    wet = 2 * water > counts
+    values = np.where(wet, -counts, counts).astype(np.float64)
+    return values, {"water": int(wet.sum()), "returns": histograms(counts)}
+
+
+def margin_of(max_gap: float) -> int:
+    """Return the margin in cells around a block that `open_areas` needs."""
+    return max(WINDOW, 2 * int(np.ceil(max_gap / 2)) + 2)
+
+
+def open_areas(
+    occupancy: Float32, *, gap: float, max_gap: float, marks_bare: bool
+) -> tuple[Float64, Counts]:
+    """Label the open areas of a block, which have no points and are not closed gaps; 0 elsewhere.
+
+    Parameters
     ----------
-    occupancy : str
-        Name of the raster of occupied cells.
+    occupancy : float32 (height + 2 margin, width + 2 margin)
+        Result of `occupancy` for the block and `margin_of` cells around it, 0 beyond the raster.
     gap, max_gap : float
         Widest gap in cells where points are dense, and where they are sparse.
     marks_bare : bool
         Whether closed cells in places without returns are marked as `BARE_GAP`.
-    """
-
-    occupancy: str
-    gap: float
-    max_gap: float
-    marks_bare: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurveyBlock(BlockWork):
-    """Arguments of `survey_block`.
-
-    Attributes
-    ----------
-    opened : str
-        Name of the raster of open areas.
-    outside : tuple of Piece
-        Open areas of this block and of its neighbours that are not enclosed by the survey.
-    empty : tuple of (row, column)
-        First row and column of each missing block, among this block and its neighbours, that the survey encloses.
-    pixels : RasterSpec
-        Raster of the products.
-    """
-
-    opened: str
-    outside: tuple[Piece, ...]
-    empty: tuple[tuple[int, int], ...]
-    pixels: RasterSpec
-
-
-def occupancy_block(store_url: str, work: PointsBlock) -> OccupancyRecord:
-    """Write one block of the raster of occupied cells. This is a `tiler.schedule.task.Work`.
-
-    The value of a cell is the number of its points, negated if the input classifies more than
-    half of them as water.
 
     Returns
     -------
-    OccupancyRecord
-        Record of the block.
+    values : float64 (height, width)
+    counts : dict
+        ``sides``, ``labels``: labels along the sides of the block and their number (`tiler.grid.pieces`). ``gaps``:
+        pairs of a gap width in cells and the number of windows with it. ``filled``: number of cells.
     """
-    store, spec, block = open_store(store_url), work.spec, work.block
-    rule, bounds = work.rule, spec.block_bounds(block)
-    counts, water = np.zeros((2, block.height * block.width), np.int64)
-    for cell in store.buckets_within(bounds):
-        points, chosen = surface_points(store, rule, cell)
-        chosen &= points.inside(bounds, store.meta.frame.origin)
-        cell_indices = pixel_indices(
-            points.xyz[:, chosen], store.meta.frame.origin, spec, block
-        )
-        counts += np.bincount(cell_indices, minlength=len(counts))
-        if points.classification is not None:
-            water += np.bincount(
-                cell_indices[points.classification[chosen] == WATER], minlength=len(counts)
-            )
-    shape = block.height, block.width
-    values = np.where(2 * water > counts, -counts, counts).astype(np.float32).reshape(shape)
-    store.write_block(work.name, block, values)
-    return OccupancyRecord(
-        filled=int(np.count_nonzero(values)),
-        water=int((values < 0).sum()),
-        returns=histograms(counts.reshape(shape)),
-        checksum=checksum(values),
-    )
-
-
-def close_block(store_url: str, work: CloseBlock) -> OpenAreasRecord:
-    """Label the open areas of one block, 0 elsewhere. This is a `tiler.schedule.task.Work`.
-
-    Returns
-    -------
-    OpenAreasRecord
-        Record of the block.
-    """
-    store, block = open_store(store_url), work.block
-    pad = max(WINDOW, 2 * int(np.ceil(work.max_gap / 2)) + 2)
-    counts = np.abs(read_cells(store, work.occupancy, work.spec, padded(block, pad)))
+    pad = margin_of(max_gap)
+    counts = np.abs(occupancy)
     occupied = counts != 0
+    rows, cols = (side - pad + WINDOW for side in counts.shape)
     # The windows of the block, and one more on each side.
-    surroundings = (
-        slice(pad - WINDOW, pad + block.height + WINDOW),
-        slice(pad - WINDOW, pad + block.width + WINDOW),
-    )
-    gaps = gaps_of(occupied[surroundings], work.gap, work.max_gap)
+    surroundings = np.s_[pad - WINDOW : rows, pad - WINDOW : cols]
+    gaps = gaps_of(occupied[surroundings], gap, max_gap)
     closed = closed_cells(occupied, gaps, pad)
     labels, sides = label_block(~closed, corners=False)
-    values = labels.astype(np.float32)
-    if work.marks_bare:
-        values[bare_cells(occupied, spacings_of(counts[surroundings], gaps), pad) & closed] = (
-            BARE_GAP
-        )
-    store.write_block(work.name, block, values)
-    inner = occupied[pad : pad + block.height, pad : pad + block.width]
+    values = labels.astype(np.float64)
+    if marks_bare:
+        spacings = spacings_of(counts[surroundings], gaps)
+        values[bare_cells(occupied, spacings, pad) & closed] = BARE_GAP
+    inner = occupied[pad : len(occupied) - pad, pad : occupied.shape[1] - pad]
     held = inner.reshape(len(gaps), WINDOW, -1, WINDOW).any(axis=(1, 3))
     widths, windows = np.unique(gaps[held], return_counts=True)
-    return OpenAreasRecord(
-        sides=sides,
-        labels=int(labels.max(initial=0)),
-        gaps=[(float(width), int(n)) for width, n in zip(widths, windows, strict=True)],
-        filled=values.size,
-        checksum=checksum(values),
-    )
+    return values, {
+        "sides": sides,
+        "labels": int(labels.max(initial=0)),
+        "gaps": list(zip(widths.tolist(), windows.tolist(), strict=True)),
+        "filled": values.size,
+    }
 
 
 def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]:
@@ -215,9 +161,7 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
     return min(gap, most)
 
 
-def spacings_of(
-    counts: npt.NDArray[np.float32], gaps: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def spacings_of(counts: Float32, gaps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the mean spacing of the points in each window and the eight around it, in cells; infinite without points.
 
     The area of the points is that of occupied squares of half a gap's width, as in `gap_of`.
@@ -291,31 +235,41 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
     return closed
 
 
-def survey_block(store_url: str, work: SurveyBlock) -> SurveyRecord:
-    """Write one block of the survey (see `tiler.core.products.BEYOND`). This is a `tiler.schedule.task.Work`.
+def survey(
+    opened: Float64, place: Place, *, outside: list[Piece], empty: list[tuple[int, int]]
+) -> tuple[Float64, Counts]:
+    """Return the survey (see `tiler.core.products.BEYOND`).
+
+    Parameters
+    ----------
+    opened : float64 (height + 2, width + 2)
+        Result of `open_areas` for the block and one cell on each side.
+    place : Place
+    outside : list of Piece
+        Open areas of this block and of its neighbours that are not enclosed by the survey.
+    empty : list of (row, column)
+        First row and column of each missing block, among this block and its neighbours, that the survey encloses.
 
     Returns
     -------
-    SurveyRecord
-        Record of the block.
+    values : float64 (height, width)
+    counts : dict
+        ``inside``, ``cells``: number of cells inside the survey, and of all cells. ``blocks``: runs of the blocks of
+        the products that overlap the inside (`coarse.block_runs`).
     """
-    store, spec, block = open_store(store_url), work.spec, work.block
-    window = padded(block, 1)
-    opened = read_cells(store, work.opened, spec, window, NO_PIECE)
-    enclosed = (opened > 0) & ~cells_of(store, work.opened, spec, window, work.outside)
-    for first_cell in work.empty:
+    window = padded(place.block, 1)
+    enclosed = (opened > 0) & ~cells_in(opened, window, outside)
+    for first_cell in empty:
         enclosed[part_of(window, *first_cell)] = True
     bare = opened == BARE_GAP
-    values = survey_values((opened == 0) | bare, enclosed, bare)[1:-1, 1:-1].astype(np.float32)
-    store.write_block(work.name, block, values)
+    values = survey_values((opened == 0) | bare, enclosed, bare)[1:-1, 1:-1]
     inside = values >= SURVEYED
-    return SurveyRecord(
-        inside=int(inside.sum()),
-        cells=values.size,
-        blocks=block_runs(inside, spec.window(block), work.pixels, BLOCK_PIXELS),
-        filled=int(np.count_nonzero(values)),
-        checksum=checksum(values),
-    )
+    pixels, cells = place.sources.pixels, place.spec.window(place.block)
+    return values.astype(np.float64), {
+        "inside": int(inside.sum()),
+        "cells": values.size,
+        "blocks": block_runs(inside, cells, pixels, BLOCK_PIXELS),
+    }
 
 
 def survey_values(closed: Bools, enclosed: Bools, bare: Bools) -> npt.NDArray[np.uint8]:

@@ -1,107 +1,110 @@
-"""Hillshade, slope and height above ground, computed block by block from other rasters with a margin."""
+"""Products made of the terrain, of points and of other rasters: each is a function of arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
 
 from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
-from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.checksum import checksum
-from tiler.grid.records import BlockRecord
-from tiler.grid.work import BlockWork
-from tiler.store import TileStore, open_store
+from tiler.core.mask_values import (
+    CANOPY,
+    FILLED,
+    HOLE,
+    INTERPOLATED,
+    MASK_VALUES,
+    MEASURED,
+    OUTSIDE,
+    WATER,
+)
+from tiler.core.products import SURVEYED
+from tiler.grid.canopy import OPEN
+from tiler.grid.drawn_near import WatersNear
+from tiler.grid.points_near import PointsNear
+from tiler.grid.steps import Counts
 
+Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 
-
-@dataclass(frozen=True, kw_only=True)
-class DeriveBlock(BlockWork):
-    """Arguments of `derive_block`.
-
-    Attributes
-    ----------
-    sources : tuple of str
-        Raster of the terrain; for ``ndsm`` the rasters of the surface and the terrain.
-    fill : float
-        Value to store for pixels without a result.
-    """
-
-    sources: tuple[str, ...]
-    fill: float
+FIRST_SHARE = 4
+"""Divisor of the cap for the first search of points, as few blocks need the whole cap."""
 
 
-def derive_block(store_url: str, work: DeriveBlock) -> BlockRecord:
-    """Write one block of a raster that is computed from other rasters. This is a `tiler.schedule.task.Work`.
-
-    Returns
-    -------
-    BlockRecord
-        Record of the block.
-    """
-    store, spec, block = open_store(store_url), work.spec, work.block
-    computed_values = _PRODUCTS[work.name](store, spec, block, work.sources)
-    fill = np.float32(work.fill)
-    values = np.where(np.isnan(computed_values), fill, computed_values.astype(np.float32))
-    store.write_block(work.name, block, values)
-    return BlockRecord(
-        pixels=values.size,
-        filled=int(np.count_nonzero(values != fill)),
-        checksum=checksum(values),
-    )
+def hillshade(terrain: Float64, *, pixel: float) -> tuple[Float64, Counts]:
+    """Return the shade of the terrain. ``pixel`` is the side of a pixel in units of the heights."""
+    return multidirectional_hillshade(*gradients(terrain, pixel)), {}
 
 
-def _read(store: TileStore, name: str, block: Block) -> Float64:
-    heights = store.read_block(name, block)
-    return np.where(heights == np.float32(NODATA), np.nan, heights.astype(np.float64))
+def slope(terrain: Float64, *, pixel: float) -> tuple[Float64, Counts]:
+    """Return the slope of the terrain in degrees. ``pixel`` is the side of a pixel in units of the heights."""
+    return slope_deg(*gradients(terrain, pixel)), {}
 
 
-def with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Float64:
-    """Return the heights of a block and of one pixel on each side, NaN beyond the raster."""
-    top, left = min(block.row, 1), min(block.col, 1)
-    bottom = min(spec.height - block.row - block.height, 1)
-    right = min(spec.width - block.col - block.width, 1)
-    wider = Block(
-        block.row - top,
-        block.col - left,
-        block.height + top + bottom,
-        block.width + left + right,
-    )
-    rim = ((1 - top, 1 - bottom), (1 - left, 1 - right))
-    return np.pad(_read(store, name, wider), rim, constant_values=np.nan)
-
-
-def _terrain_gradients(
-    store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]
-) -> tuple[Float64, Float64]:
-    # The size of a pixel is converted to vertical units, as plan and heights may have different
-    # units (feet, metres).
-    frame = store.meta.frame
-    step = spec.lattice.size * frame.metres_xy / frame.units.vertical
-    return gradients(with_rim(store, sources[0], spec, block), float(step))
-
-
-def _hillshade(
-    store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]
-) -> Float64:
-    return multidirectional_hillshade(*_terrain_gradients(store, spec, block, sources))
-
-
-def _slope(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
-    return slope_deg(*_terrain_gradients(store, spec, block, sources))
-
-
-def _ndsm(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
+def height_above_ground(surface: Float64, terrain: Float64) -> tuple[Float64, Counts]:
     """Return surface minus terrain. The surface is not below the terrain, except in voids that were filled."""
-    surface, terrain = sources
-    return _read(store, surface, block) - _read(store, terrain, block)
+    return surface - terrain, {}
 
 
-_PRODUCTS: dict[str, Callable[[TileStore, RasterSpec, Block, Sequence[str]], Float64]] = {
-    "hillshade": _hillshade,
-    "slope": _slope,
-    "ndsm": _ndsm,
-}
+def density(points: PointsNear, *, pixel_m2: float) -> tuple[Float64, Counts]:
+    """Return ground points per square metre."""
+    counts: Float64 = points.ground_per_pixel() / pixel_m2
+    return counts, {}
+
+
+def distance(points: PointsNear, *, cap: Fraction) -> tuple[Float64, Counts]:
+    """Return the plan distance in metres from each pixel's centre to the nearest ground point.
+
+    Centres are rounded down to a whole count. Distances are at most ``cap`` counts. ``filled`` counts the pixels that
+    are nearer.
+    """
+    counts = points.ground_distance(cap / FIRST_SHARE)
+    if np.isinf(counts).any():
+        counts = points.ground_distance(cap)
+    near = int(np.isfinite(counts).sum())
+    return np.minimum(counts, float(cap)) * float(points.frame.metres_xy), {"filled": near}
+
+
+def mask(
+    terrain: Float64,
+    delivered: Float64,
+    canopy: Float64,
+    survey: npt.NDArray[np.float32],
+    points: PointsNear,
+    waters: WatersNear,
+    failed: Bools,
+    area: Bools,
+) -> tuple[Float64, Counts]:
+    """Return where the height of each pixel comes from (`tiler.core.mask_values`).
+
+    A pixel with a height is measured if a ground point lies in it, else interpolated. A pixel
+    without a height is a hole inside the survey (see `tiler.grid.coverage`), else outside.
+    Filled holes, water and a canopy that was bridged have separate values. A pixel where a tile
+    failed is a hole, even if its surroundings give it a height.
+
+    Parameters
+    ----------
+    terrain, delivered : float64 (height, width)
+        Heights before voids are filled, and delivered heights, cut at the outline. The outline or edits may have
+        removed a height.
+    canopy : float64 (height, width)
+        Crowns that hide the ground.
+    survey : float32 (height, width)
+    points : PointsNear
+    waters : WatersNear
+    failed, area : bool (height, width)
+        Pixels in tiles that failed, and in the area of the run.
+    """
+    filled = ~np.isnan(delivered)
+    known = ~np.isnan(terrain) & filled
+    values = np.select(
+        [known & (points.ground_per_pixel() > 0), known, filled, survey >= SURVEYED],
+        [MEASURED, INTERPOLATED, FILLED, HOLE],
+        OUTSIDE,
+    )
+    values[(canopy > OPEN) & filled] = CANOPY
+    values[waters.inside & filled] = WATER
+    values[failed] = HOLE
+    values[~area] = OUTSIDE
+    by_value = np.bincount(values.ravel(), minlength=len(MASK_VALUES)).tolist()
+    return values.astype(np.float64), {"filled": int(filled.sum()), "values": by_value}

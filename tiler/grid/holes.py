@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.core.area import Area
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
-from tiler.core.raster import NODATA, Block, RasterSpec, within
-from tiler.grid.coarse import padded
-from tiler.store import TileStore
+from tiler.core.raster import Block, within
+from tiler.grid.drawn_near import EditsNear
+from tiler.grid.steps import Counts
 
 CELL_PIXELS = 32
 """Side in pixels of the cells that summarize holes. They keep a block's record small for holes
@@ -24,72 +21,41 @@ LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
 Mask = npt.NDArray[np.bool_]
 
 
-class BlockHoles(NamedTuple):
-    """Holes of a block.
-
-    Attributes
-    ----------
-    n_surveyed : int
-        Number of pixels that have a height or should have one.
-    n_voided : int
-        Number of holes that edits request.
-    cells : list of list of int
-        All other holes, see `hole_cells`.
-    by_edit : list of [number, pixels]
-        Number (name) of each edit, and count of the holes in it.
-    """
-
-    n_surveyed: int
-    n_voided: int
-    cells: list[list[int]]
-    by_edit: list[list[int]]
-
-
-def holes_of_block(
-    store: TileStore,
-    spec: RasterSpec,
-    block: Block,
-    heights: npt.NDArray[np.float32],
-    surveyed: Mask,
-    edits: str | None,
-    area: Area | None,
-) -> BlockHoles:
+def holes_of_block(known: Mask, surveyed: Mask, edits: EditsNear, area: Mask) -> Counts:
     """Count and locate the holes of a block.
 
     Parameters
     ----------
-    store : TileStore
-    spec : RasterSpec
-    block : Block
-    heights : float32, shape (height, width)
-        Heights as they are delivered.
-    surveyed : bool, shape (height + 2, width + 2)
-        Mask of the pixels inside the survey: those of the block and one more on each side.
-    edits : str or None
-        Key in the store of the edits.
-    area : Area or None
-        Area outside which holes do not count.
+    known : bool, shape (height, width)
+        Mask of the pixels that are delivered with a height.
+    surveyed, area : bool, shape (height + 2, width + 2)
+        Masks of the pixels inside the survey and in the area outside which holes do not count: those of the block and
+        one more on each side.
+    edits : EditsNear
+
+    Returns
+    -------
+    dict
+        ``surveyed``: number of pixels that have a height or should have one. ``voided``: number of holes that edits
+        request. ``holes``: all other holes, see `hole_cells`. ``edit_holes``: number (name) of each edit, and count of
+        the holes in it.
     """
-    empty, in_area = heights == np.float32(NODATA), spec.inside(padded(block, 1), area)
-    outside, in_area = ~(surveyed & in_area), in_area[1:-1, 1:-1]
+    outside, in_area = ~(surveyed & area), area[1:-1, 1:-1]
     surveyed = surveyed[1:-1, 1:-1]
-    holes = empty & surveyed & in_area
+    holes = ~known & surveyed & in_area
     asked, counts = np.zeros_like(holes), []
-    block_edits = (
-        None if edits is None else store.edits(edits, spec.block_bounds(block), LEAVE_HOLES)
-    )
-    for edit in () if block_edits is None else block_edits.edits:
-        part = spec.part(block, edit.area.bounds)
-        inside, part_in_block = spec.inside(part, edit.area), within(part, block)
+    for edit in edits.of(LEAVE_HOLES):
+        part = edits.spec.part(edits.block, edit.area.bounds)
+        inside, part_in_block = edits.spec.inside(part, edit.area), within(part, edits.block)
         counts.append([edit.number, int(np.count_nonzero(inside & holes[part_in_block]))])
         if edit.action == VOID:
             asked[part_in_block] |= inside
-    return BlockHoles(
-        n_surveyed=int(np.count_nonzero((~empty | surveyed) & in_area)),
-        n_voided=int(np.count_nonzero(holes & asked)),
-        cells=hole_cells(holes & ~asked, block, outside),
-        by_edit=counts,
-    )
+    return {
+        "surveyed": int(np.count_nonzero((known | surveyed) & in_area)),
+        "voided": int(np.count_nonzero(holes & asked)),
+        "holes": hole_cells(holes & ~asked, edits.block, outside),
+        "edit_holes": counts,
+    }
 
 
 def hole_cells(holes: Mask, block: Block, outside: Mask) -> list[list[int]]:

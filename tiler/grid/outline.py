@@ -2,115 +2,88 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
+import numpy.typing as npt
 
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.products import BEYOND, SURVEYED, VOID
-from tiler.core.raster import NODATA, RasterSpec
-from tiler.grid.block import edit_heights
+from tiler.core.raster import NODATA
 from tiler.grid.canopy import OPEN
-from tiler.grid.checksum import checksum
-from tiler.grid.coarse import padded
+from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.holes import hole_cells, holes_of_block
-from tiler.grid.records import OutlineRecord
-from tiler.grid.work import BlockWork
-from tiler.store import coarse_values, open_store
+from tiler.grid.steps import Counts
+
+Bools = npt.NDArray[np.bool_]
+Float64 = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class OutlineBlock(BlockWork):
-    """Arguments of `outline_block`.
+def outline(
+    heights: Float64,
+    survey: npt.NDArray[np.float32],
+    area: Bools,
+    edits: EditsNear,
+    waters: WatersNear | None = None,
+    canopy: Float64 | None = None,
+    below: Float64 | None = None,
+    *,
+    cut: bool,
+    finds_water: bool,
+) -> tuple[npt.NDArray[np.float32], Counts]:
+    """Return a model that ends at the outline of the survey, with level water.
 
-    Attributes
-    ----------
-    heights : str
-        Raster of the model.
-    survey : str
-        Raster of the survey.
-    coarse : RasterSpec
-        Raster of the survey's cells.
-    cut : bool
-        Whether heights beyond the survey are removed.
-    canopy : str or None
-        Raster of the canopy. Where it hides the ground, pixels get no height.
-    below : str or None
-        Raster of the heights below a canopy, which replace those of the model.
-    waters, edits : str or None
-        Keys in the store of bodies of water, and of edits, which are applied after water. The digest includes those
-        that touch the block.
-    finds_water : bool
-        Whether the run found the water itself. Drawn water gets no height outside the survey where the model has none.
-    area : str or None
-        Key in the store of the area. Holes outside it do not count.
-    """
-
-    heights: str
-    survey: str
-    coarse: RasterSpec
-    cut: bool = True
-    canopy: str | None = None
-    below: str | None = None
-    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-    finds_water: bool = False
-    area: str | None = None
-
-
-def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
-    """Write one block of a model, cut at the survey's outline and with level water.
-
-    This is a `tiler.schedule.task.Work`. Facets span a concave border of the survey, so land
+    Facets span a concave border of the survey, so land
     that was never surveyed would get a height from the border. Facets also span rivers that
     leave the survey. Water keeps its height there.
 
+    Parameters
+    ----------
+    heights : float64 (height, width)
+    survey : float32 (height + 2, width + 2)
+    area : bool (height + 2, width + 2)
+        Pixels in the area of the run. Holes outside it do not count.
+    edits : EditsNear
+        They are applied after water and canopy.
+    waters : WatersNear, optional
+    canopy : float64 (height, width), optional
+        Canopy. Where it hides the ground, pixels get no height.
+    below : float64 (height, width), optional
+        Heights below a canopy, which replace those of the model.
+    cut : bool
+        Whether heights beyond the survey are removed.
+    finds_water : bool
+        Whether the run found the water itself. Drawn water gets no height outside the survey where the model has none.
+
     Returns
     -------
-    OutlineRecord
-        Record of the block.
+    heights : float32 (height, width)
+    counts : dict
+        ``cut``: number of pixels that lost their height other than to a canopy. ``water``: key of the area of each body
+        of water, and the number of its pixels. ``bare``: cells with pixels in places without returns that have a height
+        and are not in water (`hole_cells`). ``surveyed``, ``voided``, ``holes``, ``edit_holes``: see `holes_of_block`.
     """
-    store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
-    heights_before = store.read_block(work.heights, block)
-    cells = coarse_values(store, work.survey, work.coarse, spec, padded(block, 1))
-    beyond = cells[1:-1, 1:-1] == BEYOND
-    heights, water = heights_before.copy(), []
-    if work.canopy is not None:
-        heights[store.read_block(work.canopy, block) > OPEN] = nodata
-    if work.below is not None:
-        below = store.read_block(work.below, block)
-        heights = np.where(below != nodata, below, heights)
-    if work.canopy is not None or work.below is not None:
-        edit_heights(store, work.edits, spec, block, heights)
-    hidden = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
-    waters = store.waters(work.waters, spec.block_bounds(block))
+    had = ~np.isnan(heights)
+    values = np.where(had, heights, nodata).astype(np.float32)
+    if canopy is not None:
+        values[canopy > OPEN] = nodata
+        if below is not None:
+            values = np.where(np.isnan(below), values, below).astype(np.float32)
+        edits.set_heights(values)
+    hidden = int(np.count_nonzero(had & (values == nodata)))
+    beyond = survey[1:-1, 1:-1] == BEYOND
+    bare, water = survey[1:-1, 1:-1] >= VOID, []
     if waters is not None:
-        wet = waters.inside(spec, block)
-        gets_water = (heights_before != nodata) | ~beyond | work.finds_water
-        water = waters.set_heights(spec, block, heights, gets_water)
-        edit_heights(store, work.edits, spec, block, heights)
+        wet = waters.inside
+        water = waters.set_heights(values, had | ~beyond | finds_water)
+        edits.set_heights(values)
         beyond &= ~wet
-    if work.cut:
-        heights[beyond] = nodata
-    store.write_block(work.name, block, heights)
-    bare = (cells[1:-1, 1:-1] >= VOID) & (heights != nodata)
-    bare &= spec.inside(block, store.area(work.area))
-    if waters is not None:
         bare &= ~wet
-    lost = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
-    holes = holes_of_block(
-        store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area)
-    )
-    return OutlineRecord(
-        pixels=heights.size,
-        filled=int(np.count_nonzero(heights != nodata)),
-        cut=max(lost - hidden, 0),
-        water=water,
-        checksum=checksum(heights),
-        surveyed=holes.n_surveyed,
-        voided=holes.n_voided,
-        holes=holes.cells,
-        edit_holes=holes.by_edit,
-        bare=hole_cells(bare, block, cells < SURVEYED),
-    )
+    if cut:
+        values[beyond] = nodata
+    known = values != nodata
+    holes = holes_of_block(known, survey >= SURVEYED, edits, area)
+    return values, {
+        "cut": max(int(np.count_nonzero(had & ~known)) - hidden, 0),
+        "water": water,
+        "bare": hole_cells(bare & known & area[1:-1, 1:-1], edits.block, survey < SURVEYED),
+        **holes,
+    }

@@ -185,18 +185,15 @@ def join_pieces(
 
 
 def areas_within(
-    store: TileStore,
-    name: str,
-    coarse: RasterSpec,
-    window: Block,
-    joins: Iterable[tuple[Piece, Piece]],
+    labels: Labels, window: Block, joins: Iterable[tuple[Piece, Piece]]
 ) -> tuple[Labels, list[Piece]]:
     """Find the areas in a window of a raster of labels.
 
     Parameters
     ----------
-    name : str
-        Name of the raster.
+    labels : int32, shape (height, width)
+        Labels in the window.
+    window : Block
     joins : iterable of (Piece, Piece)
         Result of `Joined.joins` for the blocks that the window touches.
 
@@ -207,7 +204,6 @@ def areas_within(
     names : list of Piece
         Names of the areas with the numbers 1, 2, ...
     """
-    labels = read_cells(store, name, coarse, window).astype(np.int32)
     numbers, names = np.zeros_like(labels), dict[Piece, int]()
     known = dict(joins)
     for row in range(
@@ -230,8 +226,12 @@ def areas_within(
 def cells_of(
     store: TileStore, name: str, coarse: RasterSpec, window: Block, pieces: Iterable[Piece]
 ) -> Bools:
-    """Return a mask of the cells of some pieces in a window of a raster of labels."""
-    labels = read_cells(store, name, coarse, window)
+    """Return a mask of the cells of some pieces in a window of a raster of labels in the store."""
+    return cells_in(read_cells(store, name, coarse, window), window, pieces)
+
+
+def cells_in(labels: npt.NDArray[np.floating], window: Block, pieces: Iterable[Piece]) -> Bools:
+    """Return a mask of the cells of some pieces in a window of labels."""
     cell_mask = np.zeros(labels.shape, np.bool_)
     of_block: dict[tuple[int, int], list[int]] = defaultdict(list)
     for piece in pieces:

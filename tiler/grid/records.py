@@ -56,105 +56,10 @@ class TerrainRecord(BlockRecord):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SurfaceRecord(BlockRecord):
-    """Record of a block of the surface model.
-
-    Attributes
-    ----------
-    measured : int
-        Number of pixels with a return.
-    marked, tries, halo : int
-        See `TerrainRecord`.
-    """
-
-    measured: int
-    marked: int
-    tries: int
-    halo: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutlineRecord(BlockRecord):
-    """Record of a block of a model after it was cut at the outline of the survey.
-
-    Attributes
-    ----------
-    cut : int
-        Number of pixels that lost their height other than to a canopy.
-    water : list of [key, pixels]
-        Key of the area of each body of water, and the number of its pixels.
-    surveyed : int
-        Number of pixels that have a height or should have one.
-    voided : int
-        Number of pixels without a height that edits request.
-    holes : list of [pixels, row, col, last_row, last_col, pixels at the border, row, col of one of them]
-        Cells with other pixels without a height, see `tiler.grid.holes.hole_cells`.
-    edit_holes : list of [number, pixels]
-        Number (name) of each edit in the block, and count of its pixels without a height.
-    bare : list of [pixels, row, col, last_row, last_col, pixels at the border, row, col of one of them]
-        Cells with pixels in places without returns that have a height and are not in water.
-    """
-
-    cut: int
-    water: list[tuple[str, int]]
-    surveyed: int
-    voided: int
-    holes: list[list[int]]
-    edit_holes: list[list[int]]
-    bare: list[list[int]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MaskRecord(BlockRecord):
-    """Record of a block of the mask: number of pixels of each value."""
-
-    values: list[int]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DensityRecord(BlockRecord):
-    """Record of a block of the density of ground points: number of ground points."""
-
-    points: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FilledRecord(BlockRecord):
     """Record of a block with filled holes: number of pixels that got a height."""
 
     added: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SigmaRecord(BlockRecord):
-    """Record of a block of the standard error.
-
-    Attributes
-    ----------
-    groups : dict of str to [pixels, squares]
-        Number of pixels of each group (`tiler.core.sigma_groups.GROUPS`), and sum of squares in mm2.
-    histogram : dict of str to list of int
-        Number of pixels of each group by the classes of `tiler.core.sigma_groups.EDGES_M`.
-    """
-
-    groups: dict[str, list[int]]
-    histogram: dict[str, list[int]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OccupancyRecord(BlockRecord):
-    """Record of a block of occupied cells.
-
-    Attributes
-    ----------
-    water : int
-        Number of cells that are water by the input.
-    returns : list of list of [bin, cells]
-        Histogram of points per cell for each level of merging, see `tiler.grid.returns`.
-    """
-
-    water: int
-    returns: list[Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,91 +79,10 @@ class LabelsRecord(BlockRecord):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AboveRecord(LabelsRecord):
-    """Record of the places in a block where the terrain lies above all returns.
-
-    Attributes
-    ----------
-    wrong : int
-        Number of these pixels, also of those in places that are too small to be listed.
-    places : list of [pixels, row, col, last_row, last_col, height]
-        Place of each label, and the largest height of its terrain above the returns, in metres.
-    cells : list of [row, col, pixels, pixels below], optional
-        First pixel of each cell, its number of pixels with returns and terrain, and of those in which the terrain lies
-        far below all returns. Records of an earlier version do not have it.
-    """
-
-    wrong: int
-    places: list[list[float]]
-    cells: list[list[int]] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OpenAreasRecord(LabelsRecord):
-    """Record of a block of open areas: pairs of a gap width in cells and the number of windows with it."""
-
-    gaps: list[tuple[float, int]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class HolesRecord(LabelsRecord):
     """Record of a block of holes: for each label, runs of the nearby blocks of the model (`coarse.block_runs`)."""
 
     blocks: list[list[list[int]]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SizesRecord(LabelsRecord):
-    """Record of a block of areas that are or may be water.
-
-    Attributes
-    ----------
-    sizes : list of list of int
-        Counts of cells of each label: fields of `CellCounts` (candidates), fields of `Plane` (planes), or number of
-        cells, number of cells with a confidence and sum of the confidences in hundredths (water).
-    n_merged : int, optional
-        Number of merged cells along a side, for candidates and planes.
-    boxes : list of [row, col, last_row + 1, last_col + 1], optional
-        Extent of each label, for planes.
-    """
-
-    sizes: list[list[int]]
-    n_merged: int | None = None
-    boxes: list[list[int]] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RimsRecord(Record):
-    """Record of the rims of areas, which are the land around them, within a block.
-
-    Attributes
-    ----------
-    rims : list of [name, rim, ...]
-        Name (`Piece`) and `tiler.grid.water_cells.Rim` of each area. In the rim of an evident plane, other evident
-        planes do not count as land. An evident plane also has a second rim, in which no other plane counts as land.
-    beside : list of [name, name], optional
-        Pairs of a plane and an evident plane near it.
-    """
-
-    rims: list[list[Any]]
-    beside: list[list[Any]] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SurveyRecord(BlockRecord):
-    """Record of a block of the survey.
-
-    Attributes
-    ----------
-    inside, cells : int
-        Number of cells inside the survey, and of all cells.
-    blocks : list of list of int
-        Runs of the blocks of the products that overlap the inside (`coarse.block_runs`).
-    """
-
-    inside: int
-    cells: int
-    blocks: list[list[int]]
 
 
 @dataclass(frozen=True, slots=True)

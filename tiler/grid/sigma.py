@@ -2,91 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from math import sqrt
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.core.mask_values import CANOPY, FILLED, WATER
-from tiler.core.nodata import NODATA
 from tiler.core.sigma_groups import COVERED_SHARE, EDGES_M, GROUPS
 from tiler.core.terrain_results import SigmaGroup, SigmaResult
 from tiler.grid.below_canopy import BEND_M
-from tiler.grid.checksum import checksum
-from tiler.grid.records import SigmaRecord
+from tiler.grid.points_near import PointsNear
 from tiler.grid.sigma_measures import Measures, measures_of
 from tiler.grid.sigma_model import standard_error_m
-from tiler.grid.work import PointsBlock
-from tiler.store import open_store
+from tiler.grid.steps import Counts
 
 Float64 = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SigmaBlock(PointsBlock):
-    """Arguments of `sigma_block`.
+def sigma(
+    points: PointsNear,
+    terrain: Float64,
+    mask: Float64,
+    kind: str | None,
+    below: Float64 | None = None,
+    *,
+    margin: int,
+    cap: Fraction,
+) -> tuple[Float64, Counts]:
+    """Return the standard error of the heights in vertical units.
 
-    Attributes
+    Parameters
     ----------
-    terrain, mask : str
-        Rasters of the delivered heights, and of the mask.
-    below : str or None
-        Raster of the terrain below a canopy. There, ground farther than `BEND_M` counts as if it were as near as this.
+    points : PointsNear
+    terrain : float64 (height + 2 * margin, width + 2 * margin)
+        Delivered heights of the block and around it.
+    mask : float64 (height, width)
     kind : str or None
         Source of the cloud as methods name it (`ptd.passes.RunHints`); None if it is not known.
+    below : float64 (height, width), optional
+        Terrain below a canopy, if it is made. There, ground farther than `BEND_M` counts as if it were as near as this.
+    margin : int
     cap : Fraction
         Largest distance to ground in counts. Larger distances count as this one.
-    """
-
-    terrain: str
-    mask: str
-    below: str | None
-    kind: str | None
-    cap: Fraction
-
-
-def sigma_block(store_url: str, work: SigmaBlock) -> SigmaRecord:
-    """Write one block of the standard error in vertical units. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    SigmaRecord
-        Record of the block.
+    errors : float64 (height, width)
+    counts : dict
+        ``groups``: number of pixels and sum of squares in mm2 by group (`tiler.core.sigma_groups.GROUPS`).
+        ``histogram``: number of pixels by the classes of `tiler.core.sigma_groups.EDGES_M`, by group.
     """
-    store, spec, block = open_store(store_url), work.spec, work.block
-    there = store.read_block(work.terrain, block) != np.float32(NODATA)
-    values = np.full(there.shape, NODATA, np.float32)
-    groups: dict[str, list[int]] = {}
-    histogram: dict[str, list[int]] = {}
-    if there.any():
-        mask = store.read_block(work.mask, block)
-        measures = measures_of(store, work.rule, spec, block, work.terrain, work.cap)
-        if work.below is not None:
-            from_crowns = store.read_block(work.below, block) != np.float32(NODATA)
-            limit_m = np.where(from_crowns, BEND_M, np.inf)
-            measures = measures._replace(distance=np.minimum(measures.distance, limit_m))
-        sigma_m = standard_error_m(measures, mask, work.kind)
-        unit_m = float(store.meta.frame.units.vertical)
-        values = np.where(there, sigma_m / unit_m, NODATA).astype(np.float32)
-        for name, pixels in _groups(measures, mask, there).items():
-            groups[name] = _squares(sigma_m[pixels])
-            histogram[name] = _histogram(sigma_m[pixels])
-    store.write_block(work.name, block, values)
-    filled = int(np.count_nonzero(there))
-    return SigmaRecord(
-        pixels=values.size,
-        filled=filled,
-        groups=groups,
-        histogram=histogram,
-        checksum=checksum(values),
-    )
+    height, width = mask.shape
+    there = ~np.isnan(terrain[margin : margin + height, margin : margin + width])
+    if not there.any():
+        return np.full(there.shape, np.nan), {"groups": {}, "histogram": {}}
+    measures = measures_of(points, terrain, margin, cap)
+    if below is not None:
+        limit_m = np.where(np.isnan(below), np.inf, BEND_M)
+        measures = measures._replace(distance=np.minimum(measures.distance, limit_m))
+    sigma_m = standard_error_m(measures, mask, kind)
+    groups = {name: sigma_m[pixels] for name, pixels in _groups(measures, mask, there).items()}
+    values = np.where(there, sigma_m / float(points.frame.units.vertical), np.nan)
+    return values, {
+        "groups": {name: _squares(errors) for name, errors in groups.items()},
+        "histogram": {name: _histogram(errors) for name, errors in groups.items()},
+    }
 
 
-def _groups(found: Measures, mask: npt.NDArray[np.float32], there: Bools) -> dict[str, Bools]:
+def _groups(found: Measures, mask: Float64, there: Bools) -> dict[str, Bools]:
     """Return masks of the pixels of open ground, covered ground and water, by group."""
     wet = there & (mask == WATER)
     covered = (found.near_objects >= COVERED_SHARE) | (mask == CANOPY) | (mask == FILLED)
@@ -106,25 +93,21 @@ def _histogram(sigma_m: Float64) -> list[int]:
     return counts
 
 
-def sigma_result(kind: str | None, records: Sequence[SigmaRecord]) -> SigmaResult:
-    """Return the summary of the standard error from the records of its blocks.
+def sigma_result(kind: str | None, counts: Sequence[Mapping[str, Any]]) -> SigmaResult:
+    """Return the summary of the standard error from the counts of its blocks.
 
     ``kind`` is the kind of cloud whose constants were used, or None for the larger error of both kinds.
     """
-    groups = {name: _group(name, records) for name in GROUPS}
+    groups = {name: _group(name, counts) for name in GROUPS}
     return SigmaResult(kind, list(EDGES_M), **groups)
 
 
-def _group(name: str, records: Sequence[SigmaRecord]) -> SigmaGroup:
+def _group(name: str, counts: Sequence[Mapping[str, Any]]) -> SigmaGroup:
     """Return the pixels, the expected RMSE and the histogram of a group of ground."""
-    pixels, squares, histogram = 0, 0, [0] * (len(EDGES_M) - 1)
-    for record in records:
-        if name not in record.groups:
-            continue
-        n, sum_mm2 = record.groups[name]
-        pixels, squares = pixels + n, squares + sum_mm2
-        histogram = [a + b for a, b in zip(histogram, record.histogram[name], strict=True)]
-    rmse_m = None
-    if pixels:
-        rmse_m = round(sqrt(squares / pixels) / 1000, 4)
+    there = [of_block for of_block in counts if name in of_block["groups"]]
+    pixels, squares = (sum(of_block["groups"][name][i] for of_block in there) for i in (0, 1))
+    histogram = [0] * (len(EDGES_M) - 1)
+    for of_block in there:
+        histogram = [a + b for a, b in zip(histogram, of_block["histogram"][name], strict=True)]
+    rmse_m = round(sqrt(squares / pixels) / 1000, 4) if pixels else None
     return SigmaGroup(pixels, rmse_m, histogram)

@@ -6,10 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.gridding.shape import gradients
-from tiler.core.nodata import NODATA
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.pixel_cells import PixelCells, linear
-from tiler.store import TileStore, read_cells
 
 CELL_M = 3.4
 """Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17
@@ -22,16 +20,28 @@ RIM = HALF + 1
 Float64 = npt.NDArray[np.float64]
 
 
+def land_margin(pixel_m: float) -> int:
+    """Return the margin in pixels around a block that `Land` needs."""
+    return _side(pixel_m) * (RIM + 1)
+
+
+def _side(pixel_m: float) -> int:
+    """Return the side of a cell in pixels."""
+    return max(1, round(CELL_M / pixel_m))
+
+
 class Land:
     """Heights of a block and its margin, and their means over cells of whole pixels."""
 
-    def __init__(self, store: TileStore, name: str, spec: RasterSpec, block: Block) -> None:
-        pixel_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-        self._cells = PixelCells(spec, block, max(1, round(CELL_M / pixel_m)), RIM)
-        heights = read_cells(store, name, spec, self._cells.window, NODATA)
-        known = heights != np.float32(NODATA)
-        self._heights = np.where(known, heights.astype(np.float64), np.nan)
-        self._means = self._cells.means(self._heights, known)
+    def __init__(
+        self, heights: Float64, margin: int, pixel_m: float, spec: RasterSpec, block: Block
+    ) -> None:
+        """Prepare the heights of a block and of ``margin`` pixels around it, NaN without a height."""
+        self._cells = PixelCells(spec, block, _side(pixel_m), RIM)
+        window = self._cells.window
+        top, left = window.row - block.row + margin, window.col - block.col + margin
+        self._heights = heights[top : top + window.height, left : left + window.width]
+        self._means = self._cells.means(self._heights, ~np.isnan(self._heights))
 
     def known(self) -> npt.NDArray[np.bool_]:
         """Return a mask of the block's pixels that have a height."""

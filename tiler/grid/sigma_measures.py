@@ -13,10 +13,8 @@ from ptd.gridding.ground_cells import CellWindow, box_sums, cell_counts, plane_v
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.distance import distance_to, ground_distance
-from tiler.grid.ground import GroundSelection, read_ground, read_objects
+from tiler.grid.points_near import PointsNear
 from tiler.grid.sigma_land import Land
-from tiler.store import TileStore
 
 CELL_M = Fraction(1)
 """Side of the cells in which points are counted, or half a pixel if that is wider."""
@@ -59,44 +57,36 @@ class Measures(NamedTuple):
     around_objects: Float64
 
 
-def measures_of(
-    store: TileStore,
-    rule: GroundSelection,
-    spec: RasterSpec,
-    block: Block,
-    terrain: str,
-    cap: Fraction,
-) -> Measures:
+def measures_of(points: PointsNear, terrain: Float64, margin: int, cap: Fraction) -> Measures:
     """Compute the measures of a block's pixels. Measures of pixels without a height are not meaningful.
 
     Parameters
     ----------
-    store : TileStore
-    rule : GroundSelection
-    spec : RasterSpec
-    block : Block
-    terrain : str
-        Raster of the heights.
+    points : PointsNear
+    terrain : float64 (height + 2 * margin, width + 2 * margin)
+        Heights of the block and of pixels around it, NaN without a height.
+    margin : int
+        At least `land_margin`.
     cap : Fraction
         Largest distance to ground in counts. Larger distances count as this one.
     """
-    frame = store.meta.frame
+    spec, block, frame = points.spec, points.block, points.frame
     unit_m, count_m = float(frame.units.vertical), float(frame.metres_z)
-    land = Land(store, terrain, spec, block)
+    pixel_m = spec.lattice.size * frame.metres_xy
+    land = Land(terrain, margin, float(pixel_m), spec, block)
     cells = _Cells(_lattice(frame, spec.lattice.size), spec, block)
-    ground = read_ground(store, rule, cells.bounds).xyz
-    objects = read_objects(store, rule, cells.bounds)
+    ground, objects = points.ground(cells.bounds), points.objects(cells.bounds)
     window = cells.window(frame.origin)
     variance = plane_variance(ground, window, PLANE_HALVES)
     counts = cell_counts(ground, window), cell_counts(objects, window)
     first = min(frame.counts(FIRST_REACH_M), cap)
-    distance = distance_to(ground, frame.origin, spec, block, first)
+    distance = points.distance_to(ground, first)
     if first < cap and np.isinf(distance[land.known()]).any():
-        distance = ground_distance(store, rule, spec, block, cap)
+        distance = points.ground_distance(cap)
     return Measures(
         roughness=cells.at_pixels(np.sqrt(np.nan_to_num(variance)) * count_m),
         distance=np.minimum(distance, float(cap)) * float(frame.metres_xy),
-        slope=land.slope(float(spec.lattice.size * frame.metres_xy / frame.units.vertical)),
+        slope=land.slope(float(pixel_m / frame.units.vertical)),
         off_trend=land.off_trend() * unit_m,
         near_objects=cells.at_pixels(_share(*counts, NEAR)),
         around_objects=cells.at_pixels(_share(*counts, AROUND)),

@@ -84,7 +84,7 @@ WEIGHTS: Mapping[str, Weights] = {
 """Weights by kind of cloud, fitted by ``tests/benchmarks/sigma_constants.py``."""
 
 
-def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
+def terms(found: Measures, mask: npt.NDArray[np.floating]) -> dict[str, Float64]:
     """Return the terms of the variance by the names of `Weights`, without their weights.
 
     In water, gaps and objects do not count, as its level comes from the shores.
@@ -107,14 +107,14 @@ def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
 
 
 def standard_error_m(
-    found: Measures, mask: npt.NDArray[np.float32], kind: str | None
+    found: Measures, mask: npt.NDArray[np.floating], kind: str | None
 ) -> Float64:
     """Return the standard error of heights in metres.
 
     Parameters
     ----------
     found : Measures
-    mask : float32, the shape of the measures
+    mask : float, the shape of the measures
         Values of the mask.
     kind : str or None
         Source of the cloud: `LASER`, `MATCHED`, or None if it is not known.

@@ -16,11 +16,10 @@ from tiler.config import NO_WATER
 from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
-from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import records_of
 from tiler.core.selection import WITHHELD
-from tiler.core.terrain_results import Implausible, OutlineResult, SurfaceResult, TerrainResult
+from tiler.core.terrain_results import Implausible, OutlineResult, TerrainResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
@@ -28,23 +27,17 @@ from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import BlankBlocks, blank_blocks
 from tiler.grid.records import (
     BlockRecord,
-    MaskRecord,
-    OpenAreasRecord,
-    OutlineRecord,
-    SigmaRecord,
-    SurfaceRecord,
     TerrainRecord,
 )
-from tiler.grid.sigma import sigma_result
-from tiler.grid.tasks.above import report_above
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
-from tiler.grid.tasks.implausible import report_implausible
-from tiler.grid.tasks.raster_table import ABOVE, final_raster, required_rasters
+from tiler.grid.tasks.raster_names import final_raster
+from tiler.grid.tasks.raster_table import required_rasters
 from tiler.grid.tasks.shared_tins import join_blocks
+from tiler.grid.tasks.steps import Step
 from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
 from tiler.grid.tasks.water_facts import report_waters
@@ -82,13 +75,14 @@ def grid(
         returns_show_water=not labelled.matched, kind=labelled.kind,
         canopy=canopy_cells(job, assembled, labelled),
     )  # fmt: skip
-    for raster in required_rasters(job.plan.config):
+    rasters = required_rasters(job.plan)
+    for raster in rasters:
         name = raster.name
         if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
             gridding.waters = find_waters(job, gridding)
-        tasks = list(raster.tasks(raster, gridding))
+        tasks = list(raster.tasks(gridding))
         join = partial(join_blocks, job.plan, assembled.records) if name == "dtm" else None
-        gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
+        gridding.made[name] = _make(job, raster, gridding.spec_of(raster.grid), tasks, join)
         if name == "dtm":
             report_edited_pixels(job, gridding.made[name])
             _report_terrain(job, gridding, tasks, gridding.made[name])
@@ -98,16 +92,14 @@ def grid(
     job.results.dtm = replace(job.results.dtm, filled=_delivered_heights(gridding, "dtm"))
     _report_outline(job, gridding)
     report_voids(job, gridding, gridding.made["dtm-outlined"])
-    report_above(job, gridding.spec, gridding.made[ABOVE])
-    report_implausible(job, gridding.spec, gridding.made[ABOVE])
-    if "dsm" in gridding.made:
-        _report_surface(job, gridding)
-    if "mask" in gridding.made:
-        _report_mask(job, gridding.spec, gridding.made["mask"])
-    if "sigma" in gridding.made:
-        job.results.sigma = sigma_result(
-            gridding.kind, records_of(SigmaRecord, gridding.made["sigma"])
-        )
+    for raster in rasters:
+        if isinstance(raster, Step) and raster.finish is not None:
+            made = gridding.made[raster.name].items()
+            spec = gridding.spec
+            of_blocks = {
+                spec.block_named(key, BLOCK_PIXELS): counts for key, (_, counts) in made
+            }
+            raster.finish(job, gridding, of_blocks)
     return gridding
 
 
@@ -135,7 +127,7 @@ def _holes(job: Job) -> list[Bounds]:
 
 
 def _make(
-    job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], join: Join | None
+    job: Job, raster: RasterStep | Step, spec: RasterSpec, tasks: list[Task], join: Join | None
 ) -> Commits:
     """Make one raster of the store."""
     name, stage = raster.name, raster.stage
@@ -188,7 +180,7 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
     made = gridding.made["dtm-outlined"]
     if not made or job.plan.config.outline != "survey":
         return
-    cut = sum(record.cut for record in records_of(OutlineRecord, made))
+    cut = sum(counts["cut"] for _, counts in made.values())
     usual, widest = _gaps(gridding)
     job.results.outline = OutlineResult(
         gap_m=usual, widest_gap_m=widest, cell_m=float(gridding.coarse_m), cut_pixels=cut
@@ -207,29 +199,13 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
 def _gaps(gridding: GridContext) -> tuple[float, float]:
     """Return the width in metres of the gaps inside the survey: in most windows with points, and the widest."""
     windows: Counter[float] = Counter()
-    for record in gridding.records("survey-open", OpenAreasRecord).values():
-        windows.update(dict(record.gaps))
+    for counts in gridding.counts("survey-open").values():
+        windows.update(dict(counts["gaps"]))
     if not windows:
         return float(GAP_M), float(GAP_M)
     size = float(gridding.coarse_m)
     usual = min(windows, key=lambda gap: (-windows[gap], gap))
     return usual * size, max(windows) * size
-
-
-def _report_surface(job: Job, gridding: GridContext) -> None:
-    records = records_of(SurfaceRecord, gridding.made["dsm"])
-    job.results.dsm = SurfaceResult(
-        filled=_delivered_heights(gridding, "dsm"),
-        measured=sum(record.measured for record in records),
-    )
-
-
-def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
-    totals = np.sum([record.values for record in records_of(MaskRecord, made)], axis=0).tolist()
-    totals[OUTSIDE] += spec.height * spec.width - sum(totals)
-    job.results.mask = {
-        text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()
-    }
 
 
 def _report_terrain(

@@ -11,128 +11,109 @@ high (see `tiler.grid.above`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.digests import NOT_IN_DIGEST
+from ptd.gridding.highest_returns import NOTHING
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.products import BEYOND, VOID
-from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.block import full_halo, heights_in_units, rasterise_window
-from tiler.grid.checksum import checksum
-from tiler.grid.highest import NOTHING, ReturnsBlock, highest_returns
-from tiler.grid.records import SurfaceRecord
-from tiler.grid.work import TinBlock
-from tiler.store import TileStore, coarse_values, open_store
+from tiler.core.raster import Block
+from tiler.grid.block import full_halo, rasterise_window
+from tiler.grid.drawn_near import WatersNear
+from tiler.grid.points_near import PointsNear
+from tiler.grid.steps import Counts
+from tiler.grid.work import Facets
 
-Int32 = npt.NDArray[np.int32]
-Heights = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SurfaceBlock(TinBlock, ReturnsBlock):
-    """Arguments of `surface_block`. The terrain limits the surface from below.
+def surface(
+    points: PointsNear,
+    terrain: Float64,
+    survey: npt.NDArray[np.float32],
+    waters: WatersNear,
+    facets: Facets,
+    *,
+    reach: int,
+    spike: Fraction,
+) -> tuple[Float64, Counts]:
+    """Return the heights of the surface. All are at least those of the terrain.
 
-    Attributes
+    A pixel with a return has the height of its highest one. Other pixels are interpolated
+    on the TIN of these returns under the same limit as the terrain, except in places without returns.
+
+    Parameters
     ----------
-    survey : str
-        Raster of the survey.
-    coarse : RasterSpec
-        Raster of the survey's cells.
-    waters : str or None
-        Key in the store of the bodies of water. The digest includes those that touch the block.
-    """
-
-    survey: str
-    coarse: RasterSpec
-    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-
-
-def surface_block(store_url: str, work: SurfaceBlock) -> SurfaceRecord:
-    """Write one block of the surface model. This is a `tiler.schedule.task.Work`.
-
-    A pixel with a return (see `highest_returns`) has its height. Other pixels are interpolated
-    on the TIN of these returns under the same limit as the terrain, except in places without returns. All heights are
-    at least those of the terrain.
+    points : PointsNear
+    terrain : float64 (height, width)
+    survey : float32 (height, width)
+    waters : WatersNear
+    facets : Facets
+    reach, spike
+        See `PointsNear.returns`.
 
     Returns
     -------
-    SurfaceRecord
-        Record of the block.
+    heights : float64 (height, width)
+    counts : dict
+        ``measured``: number of pixels with a return. ``marked``, ``tries``, ``halo``: see `TerrainRecord`.
     """
-    store = open_store(store_url)
-    cells = coarse_values(store, work.survey, work.coarse, work.spec, work.block)
-    bare = (cells >= VOID) | (cells == BEYOND)
-    heights, measured, record = surface_heights(store, work, bare)
-    terrain = store.read_block(work.terrain, work.block)
+    bare = (survey >= VOID) | (survey == BEYOND)
+    heights, measured, counts = surface_heights(points, bare, facets, reach, spike)
     heights = raised_to(heights, terrain)
-    waters = store.waters(work.waters, work.spec.block_bounds(work.block))
-    if waters is not None:
-        wet = waters.inside(work.spec, work.block) & bare & ~measured
-        heights[wet] = terrain[wet]
-    store.write_block(work.name, work.block, heights)
-    filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return replace(record, filled=filled, checksum=checksum(heights))
+    wet = waters.inside & bare & ~measured
+    heights[wet] = terrain[wet]
+    return heights, counts
 
 
-def raised_to(heights: Heights, terrain: Heights) -> Heights:
+def raised_to(heights: Float64, terrain: Float64) -> Float64:
     """Return the heights, at least those of the terrain where both are known."""
-    both = (heights != np.float32(NODATA)) & (terrain != np.float32(NODATA))
-    return np.where(both, np.maximum(heights, terrain), heights)
+    raised: Float64 = np.where(np.isnan(terrain), heights, np.maximum(heights, terrain))
+    return raised
 
 
 def surface_heights(
-    store: TileStore, work: SurfaceBlock, bare: Bools
-) -> tuple[Heights, Bools, SurfaceRecord]:
-    """Return the heights of any block, not yet raised to the terrain, a mask of measured pixels, and the record.
+    points: PointsNear, bare: Bools, facets: Facets, reach: int, spike: Fraction
+) -> tuple[Float64, Bools, Counts]:
+    """Return the heights of a block, not yet raised to the terrain, a mask of measured pixels, and the counts.
 
     Pixels of ``bare`` without a return get no height.
     """
-    block, bounds, limit = (
-        work.block,
-        work.spec.block_bounds(work.block),
-        full_halo(work.max_edge),
-    )
-    returns = highest_returns(store, work, block)
-    measured = returns[..., 2] != NOTHING
-    heights = np.where(measured, returns[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
+    spec, block, limit = points.spec, points.block, full_halo(facets.max_edge)
+    bounds = spec.block_bounds(block)
+    returns = points.returns(block, reach, spike)[0][..., 2]
+    measured = returns != NOTHING
+    heights = np.where(measured, returns / COUNTS_PER_UNIT, np.nan)
     between = ~measured & ~bare
     # A block with a return in every pixel needs no interpolation.
     halo, tries, marked = 0, 1, 0
     while between.any():
-        halo = min(max(2 * halo, work.halo, math.ceil(work.spec.lattice.size)), limit)
+        halo = min(max(2 * halo, facets.halo, math.ceil(spec.lattice.size)), limit)
         window = bounds.pad(halo)
-        raster = rasterise_window(store, work, window, _vertices(store, work, window))
-        marks = raster.marks & between
-        marked = int(marks.sum())
+        xyz = _vertices(points, window, reach, spike)
+        raster = rasterise_window(spec, block, points.frame.origin, facets, window, xyz)
+        marked = int((raster.marks & between).sum())
         if marked == 0 or halo >= limit:
-            heights = np.where(between, heights_in_units(raster.heights), heights)
+            heights = np.where(between, raster.heights / COUNTS_PER_UNIT, heights)
             break
         tries += 1
-    filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-    record = SurfaceRecord(
-        pixels=heights.size,
-        filled=filled,
-        measured=int(measured.sum()),
-        marked=marked,
-        tries=tries,
-        halo=halo,
-    )
-    return heights, measured, record
+    counts = {"measured": int(measured.sum()), "marked": marked, "tries": tries, "halo": halo}
+    return heights, measured, counts
 
 
-def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:
+def _vertices(points: PointsNear, window: Bounds, reach: int, spike: Fraction) -> Int32:
     """Return the pixels' returns in a window, local counts (3, n). Pixels at its border are processed whole."""
-    lattice, spec = work.spec.lattice, work.spec
+    lattice, spec = points.spec.lattice, points.spec
     west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
     south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
     block = Block(spec.north - north, west - spec.west, north - south, east - west)
-    returns = highest_returns(store, work, block).reshape(-1, 3).T
+    returns = points.returns(block, reach, spike)[0].reshape(-1, 3).T
     returns = returns[:, returns[2] != NOTHING]
-    inside = PointBlock(returns).inside(window, store.meta.frame.origin)
+    inside = PointBlock(returns).inside(window, points.frame.origin)
     return np.ascontiguousarray(returns[:, inside])

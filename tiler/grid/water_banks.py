@@ -19,8 +19,8 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.raster import within as within_window
 from tiler.grid.coarse import Bools, padded
-from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground_and_objects
+from tiler.grid.points_near import pixel_indices
 from tiler.grid.reach import Floats, within, within_square
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import LEVEL_M

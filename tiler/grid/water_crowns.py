@@ -11,7 +11,6 @@ continued bank rises above the level.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -20,17 +19,15 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.raster import Block
-from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.continued_bank import continued_bank
-from tiler.grid.density import pixel_indices
-from tiler.grid.ground import GroundSelection, read_ground_and_objects
+from tiler.grid.ground import read_ground_and_objects
+from tiler.grid.points_near import PointsNear, pixel_indices
 from tiler.grid.reach import Floats, box_around, within, within_square
-from tiler.grid.records import BlockRecord
+from tiler.grid.steps import Counts, Place
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_search import ground_in
-from tiler.grid.work import BlockWork
-from tiler.store import TileStore, open_store, read_cells
+
+Float32 = npt.NDArray[np.float32]
 
 CROWN_WITH_GROUND = 1
 """Value of a cell with a crown and with ground."""
@@ -69,60 +66,42 @@ LOW_M = 0.15
 metres."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CrownsBlock(BlockWork):
-    """Arguments of `crowns_block`.
-
-    Attributes
-    ----------
-    confidences : tuple of str
-        Rasters of the confidence that each cell is water.
-    occupancy : str
-        Raster of the number of points in each cell, negative in cells that are water by the input.
-    ground : str
-        Raster of the heights of the terrain.
-    rule : GroundSelection
-    """
-
-    confidences: tuple[str, ...]
-    occupancy: str
-    ground: str
-    rule: GroundSelection
-
-
-def crowns_block(store_url: str, work: CrownsBlock) -> BlockRecord:
-    """Write the kinds of plants in the cells of a block that are near water. This is a `tiler.schedule.task.Work`.
+def plants_near_water(
+    sure: Float32,
+    planes: Float32,
+    occupancy: Float32,
+    ground: Floats,
+    points: PointsNear,
+    place: Place,
+    *,
+    margin: int,
+) -> tuple[npt.NDArray[np.float32], Counts]:
+    """Return the kinds of plants in the cells of a block that are near water.
 
     The value of a cell is `CROWN_WITH_GROUND` or `HIDDEN` for a crown, `REED` for reed, the sum
     for both, or 0.
 
-    Returns
-    -------
-    BlockRecord
-        Record of the block. ``filled`` is the number of cells with plants.
+    Parameters
+    ----------
+    sure, planes : float32 (height + 2 margin, width + 2 margin)
+        Confidences that each cell is water.
+    occupancy : float32 (height + 2, width + 2)
+        Number of points in each cell, negative in cells that are water by the input.
+    ground : float64 (height + 2, width + 2)
+        Heights of the terrain.
+    points : PointsNear
+    place : Place
+    margin : int
+        See `crowns_margin`.
     """
-    store, spec = open_store(store_url), work.spec
-    size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    margin = crowns_margin(size_m)
-    confidence = np.max(
-        [
-            read_cells(store, name, spec, padded(work.block, margin))
-            for name in work.confidences
-        ],
-        axis=0,
-    )
     # The window has a margin of one cell, because `plant_kinds` compares each cell with its
     # neighbours.
-    near_water = within(confidence > 0, CROWN_M / size_m)[
+    near_water = within(np.maximum(sure, planes) > 0, CROWN_M / place.pixel_m)[
         margin - 1 : 1 - margin, margin - 1 : 1 - margin
     ]
-    window = padded(work.block, 1)
-    examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
-    values = np.where(examined, _crowns(store, work, window, examined), 0)[1:-1, 1:-1].astype(
-        np.float32
-    )
-    store.write_block(work.name, work.block, values)
-    return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
+    examined = near_water & (occupancy != 0)
+    kinds = _crowns(points, padded(place.block, 1), examined, ground * place.unit_m)
+    return np.where(examined, kinds, 0)[1:-1, 1:-1].astype(np.float32), {}
 
 
 def crowns_margin(size_m: float) -> int:
@@ -131,14 +110,14 @@ def crowns_margin(size_m: float) -> int:
 
 
 def _crowns(
-    store: TileStore, work: CrownsBlock, window: Block, examined: Bools
+    points: PointsNear, window: Block, examined: Bools, terrain: Floats
 ) -> npt.NDArray[np.int64]:
-    """Return the value of each cell of a window, see `crowns_block`.
+    """Return the value of each cell of a window, see `plants_near_water`.
 
     Only the values of ``examined`` cells are right, because only buckets with such cells are
     read.
     """
-    frame, spec = store.meta.frame, work.spec
+    store, frame, spec = points.store, points.frame, points.spec
     point_cells, are_objects = [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
     xyz_parts = [np.empty((3, 0), np.int32)]
     for bucket in store.buckets_within(spec.block_bounds(window)):
@@ -147,7 +126,7 @@ def _crowns(
         top, left = part.row - window.row, part.col - window.col
         if not examined[top : top + part.height, left : left + part.width].any():
             continue
-        ground, objects = read_ground_and_objects(store, work.rule, bounds)
+        ground, objects = read_ground_and_objects(store, points.rule, bounds)
         for xyz, is_object in ((ground, False), (objects, True)):
             cells = pixel_indices(xyz, frame.origin, spec, window)
             chosen = examined.ravel()[cells]
@@ -155,7 +134,6 @@ def _crowns(
             are_objects.append(np.full(int(chosen.sum()), is_object))
             xyz_parts.append(xyz[:, chosen])
     xyz, cells = np.concatenate(xyz_parts, axis=1), np.concatenate(point_cells)
-    terrain = ground_in(store, work.ground, spec, window)
     return plant_kinds(xyz, cells, np.concatenate(are_objects), terrain, frame.metres_z)
 
 
@@ -166,7 +144,7 @@ def plant_kinds(
     terrain: Floats,
     metres_z: Fraction,
 ) -> npt.NDArray[np.int64]:
-    """Return the value of each cell, int64 (h, w), see `crowns_block`.
+    """Return the value of each cell, int64 (h, w), see `plants_near_water`.
 
     Parameters
     ----------
@@ -210,7 +188,7 @@ def plant_kinds(
 
 
 def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
-    """Return a mask of the cells with crowns and without ground, from the values of `crowns_block`."""
+    """Return a mask of the cells with crowns and without ground, from the values of `plants_near_water`."""
     return np.asarray((crowns == HIDDEN) | (crowns == HIDDEN + REED))
 
 
@@ -287,7 +265,7 @@ def beneath_crowns(
     cells : WaterCells
         Cells with smoothed heights.
     crowns : float, shape of the cells
-        Values of plants, see `crowns_block`.
+        Values of plants, see `plants_near_water`.
     wet : bool, shape of the cells
         Mask of the water.
     level : float64, shape of the cells

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from tiler.core.classes import WATER
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
-from tiler.grid.checksum import checksum
+from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.grid.coarse import blocks_under, padded
-from tiler.grid.density import pixel_indices
-from tiler.grid.ground import GroundSelection, surface_points
-from tiler.grid.records import BlockRecord
-from tiler.grid.work import BlockWork
-from tiler.store import TileStore, coarse_cells, open_store, read_cells
+from tiler.grid.ground import surface_points
+from tiler.grid.points_near import PointsNear, pixel_indices
+from tiler.grid.steps import Counts, PixelsUnder, Place
+from tiler.store import coarse_cells
 
+Float32 = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]
 
 NEAR_CELLS = 8
@@ -26,63 +23,46 @@ NEAR_CELLS = 8
 far away, in cells."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class GroundCells(BlockWork):
-    """Arguments of `ground_cells`.
-
-    Attributes
-    ----------
-    heights : str
-        Raster of the terrain.
-    pixels : RasterSpec
-        Raster of the terrain's pixels.
-    occupancy : str or None
-        Raster of the number of points in each cell; None if the input has no points of class water near the block.
-    rule : GroundSelection
-    """
-
-    heights: str
-    pixels: RasterSpec
-    occupancy: str | None
-    rule: GroundSelection
-
-
-def ground_cells(store_url: str, work: GroundCells) -> BlockRecord:
-    """Write the mean height of each cell of a block in units of the CRS. This is a `tiler.schedule.task.Work`.
+def ground_cells(
+    heights: PixelsUnder, occupancy: Float32, points: PointsNear, place: Place, *, is_wet: bool
+) -> tuple[Floats, Counts]:
+    """Return the mean height of each cell of a block in units of the CRS, `NODATA` without one.
 
     In cells that are water by the input, heights are those of the points of class water. In
     other cells, heights are those of the terrain. Only whole counts are added, so that sums do
     not depend on the order of pixels or points.
 
-    Returns
-    -------
-    BlockRecord
-        Record of the block. ``filled`` is the number of cells with a height.
+    Parameters
+    ----------
+    heights : PixelsUnder
+        Terrain.
+    occupancy : float32 (height + 2 `NEAR_CELLS`, width + 2 `NEAR_CELLS`)
+        Number of points in each cell, negative in cells that are water by the input.
+    points : PointsNear
+    place : Place
+    is_wet : bool
+        Whether the input has points of class water near the block.
     """
-    store, block = open_store(store_url), work.block
+    spec, block = place.spec, place.block
     size = block.height * block.width
     total, number = np.zeros(size), np.zeros(size, np.int64)
-    for piece in blocks_under(work.spec, work.pixels, block, BLOCK_PIXELS):
-        heights = store.read_block(work.heights, piece)
-        rows, cols = coarse_cells(work.spec, work.pixels, piece)
+    for piece in blocks_under(spec, heights.spec, block, BLOCK_PIXELS):
+        values = heights.read(piece)
+        rows, cols = coarse_cells(spec, heights.spec, piece)
         rows, cols = rows - block.row, cols - block.col
         in_rows = (rows >= 0) & (rows < block.height)
         in_cols = (cols >= 0) & (cols < block.width)
-        known = (heights != np.float32(NODATA)) & in_rows[:, None] & in_cols
+        known = (values != np.float32(NODATA)) & in_rows[:, None] & in_cols
         cell_indices = (rows[:, None] * block.width + cols)[known]
         total += np.bincount(
-            cell_indices, np.rint(heights[known].astype(np.float64) * COUNTS_PER_UNIT), size
+            cell_indices, np.rint(values[known].astype(np.float64) * COUNTS_PER_UNIT), size
         )
         number += np.bincount(cell_indices, minlength=size)
     mean = _means(total, number).reshape(block.height, block.width)
-    if work.occupancy is not None:
-        water = _water_class_heights(store, work, work.occupancy)
+    if is_wet:
+        water = _water_class_heights(points, occupancy)
         mean = np.where(water == NODATA, mean, water)
-    values = mean.astype(np.float32)
-    store.write_block(work.name, block, values)
-    return BlockRecord(
-        filled=int(np.count_nonzero(values != np.float32(NODATA))), checksum=checksum(values)
-    )
+    return mean, {}
 
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
@@ -92,23 +72,22 @@ def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
     return means
 
 
-def _water_class_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
+def _water_class_heights(points: PointsNear, returns: Float32) -> Floats:
     """Return the mean height of the points of class water for each cell that is water by the input, or `NODATA`.
 
     A cell without returns is water if the nearest cell with returns is water and near. It gets
     the height of that cell.
     """
-    window = padded(work.block, NEAR_CELLS)
-    returns = read_cells(store, occupancy, work.spec, window)
+    window, store = padded(points.block, NEAR_CELLS), points.store
     total, number = np.zeros(returns.size), np.zeros(returns.size, np.int64)
-    bounds, origin = work.spec.block_bounds(window), store.meta.frame.origin
+    bounds, origin = points.spec.block_bounds(window), points.frame.origin
     for bucket in store.buckets_within(bounds):
-        points, chosen = surface_points(store, work.rule, bucket)
-        if points.classification is None:
+        surface, chosen = surface_points(store, points.rule, bucket)
+        if surface.classification is None:
             continue
-        chosen &= points.inside(bounds, origin) & (points.classification == WATER)
-        xyz = points.xyz[:, chosen]
-        cell_indices = pixel_indices(xyz, origin, work.spec, window)
+        chosen &= surface.inside(bounds, origin) & (surface.classification == WATER)
+        xyz = surface.xyz[:, chosen]
+        cell_indices = pixel_indices(xyz, origin, points.spec, window)
         total += np.bincount(cell_indices, xyz[2], returns.size)
         number += np.bincount(cell_indices, minlength=returns.size)
     mean = _means(total, number).reshape(returns.shape)

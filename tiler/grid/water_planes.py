@@ -11,18 +11,17 @@ near an evident plane of water, for example on the other side of a dam.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 
-from tiler.grid.checksum import checksum
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.pieces import Piece, label_block
+from tiler.grid.coarse import Bools
+from tiler.grid.pieces import Piece
 from tiler.grid.reach import Floats, distances, opened
-from tiler.grid.records import BlockRecord, RimsRecord, SizesRecord
+from tiler.grid.steps import Counts, Place
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
     Rim,
@@ -36,14 +35,14 @@ from tiler.grid.water_extent import extended_to_shore, smoothed, water_heights
 from tiler.grid.water_search import (
     MARGIN,
     AreasAround,
-    AreasWork,
-    FindAreas,
+    Float32,
+    Joins,
+    Kept,
+    SearchRead,
     areas_around,
-    ground_in,
     inner_window,
-    read_search_cells,
+    label_areas,
 )
-from tiler.store import open_store
 
 RELIEF_M = 0.08
 """Three by three cells are level if their smoothed heights differ by less than this, in metres.
@@ -91,108 +90,93 @@ class Plane(NamedTuple):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class CountPlaneRims(AreasWork):
-    """Arguments of `count_plane_rims`.
-
-    Attributes
-    ----------
-    evident : tuple of Piece
-        Evident planes. They do not count as land around each other.
-    others : tuple of Piece
-        Planes that may be water only near evident planes. All cells around them count as land, even water. So the crest
-        of a dam is not water: it is level, but its ring falls to the water on both sides.
-    """
-
-    evident: tuple[Piece, ...]
-    others: tuple[Piece, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class KeepPlanes(AreasWork):
-    """Arguments of `keep_planes`.
-
-    Attributes
-    ----------
-    kept : tuple of (Piece, float)
-        Planes that are water, with confidences.
-    """
-
-    kept: tuple[tuple[Piece, float], ...]
-
-
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
     """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
     return opened((relief(ground) < RELIEF_M) & domain, math.sqrt(2))
 
 
-def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
-    """Label the planes in a block. This is a `tiler.schedule.task.Work`.
+def find_planes(
+    occupancy: Float32,
+    ground: Floats,
+    domain: Float32,
+    place: Place,
+    *,
+    n_merged: int,
+    usual: float | None,
+) -> tuple[Floats, Counts]:
+    """Label the planes in a block. Parameters are those of `find_areas`.
 
     Returns
     -------
-    SizesRecord
-        Record of the block, with sizes as in `Plane`, ``n_merged`` and ``boxes``.
+    labels : float64 (height, width)
+    counts : dict
+        Counts of `label_areas` with sizes as in `Plane`, ``n_merged``, and ``boxes``: [row, col, last_row + 1,
+        last_col + 1] of each label.
     """
-    store, block = open_store(store_url), work.block
-    cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
-    inner = inner_window(block, MARGIN)
-    labels, sides = label_block(
-        plane_cells(smoothed(cells.ground), cells.domain)[inner], corners=False
-    )
-    sparse = np.zeros_like(labels, np.bool_)
-    if work.usual is not None:
-        coarser = cells.merged(work.n_merged)
-        coarse_sparse = sparse_cells(coarser, flat_cells(coarser), work.usual)
-        sparse = coarse_sparse.repeat(work.n_merged, axis=0).repeat(work.n_merged, axis=1)[
-            inner
+    block, inner = place.block, inner_window(place.block, MARGIN)
+    cells = SearchRead(occupancy, ground, domain, place).cells(1)
+    planes = plane_cells(smoothed(cells.ground), cells.domain)[inner]
+    sparse = np.zeros_like(planes)
+    if usual is not None:
+        coarser = cells.merged(n_merged)
+        coarse_sparse = sparse_cells(coarser, flat_cells(coarser), usual)
+        sparse = coarse_sparse.repeat(n_merged, axis=0).repeat(n_merged, axis=1)[inner]
+    labels, counts = label_areas(planes, cells.given[inner], sparse)
+    boxes = [
+        [
+            block.row + rows.start,
+            block.col + cols.start,
+            block.row + rows.stop,
+            block.col + cols.stop,
         ]
-    values = labels.astype(np.float32)
-    store.write_block(work.name, block, values)
-    count = int(labels.max(initial=0))
-    masks = (labels > 0, cells.given[inner], sparse)
-    counts = [np.bincount(labels[mask], minlength=count + 1)[1:] for mask in masks]
-    boxes = []
-    for rows, cols in scipy.ndimage.find_objects(labels):
-        boxes.append(
-            [
-                block.row + rows.start,
-                block.col + cols.start,
-                block.row + rows.stop,
-                block.col + cols.stop,
-            ]
-        )
-    return SizesRecord(
-        sides=sides,
-        labels=count,
-        sizes=np.stack(counts, axis=1).tolist(),
-        boxes=boxes,
-        n_merged=work.n_merged,
-        filled=int(np.count_nonzero(values)),
-        checksum=checksum(values),
-    )
+        for rows, cols in scipy.ndimage.find_objects(labels)
+    ]
+    return labels.astype(np.float64), {**counts, "n_merged": n_merged, "boxes": boxes}
 
 
-def count_plane_rims(store_url: str, work: CountPlaneRims) -> RimsRecord:
-    """Count the land of a block around planes. This is a `tiler.schedule.task.Work`.
+def count_plane_rims(
+    areas: Float32,
+    occupancy: Float32,
+    ground: Floats,
+    domain: Float32,
+    place: Place,
+    *,
+    n_merged: int,
+    joins: Joins,
+    evident: Sequence[Piece],
+    others: Sequence[Piece],
+) -> tuple[None, Counts]:
+    """Count the land of a block around planes.
+
+    Parameters
+    ----------
+    areas, occupancy, ground, domain, place, n_merged, joins
+        See `count_rims`.
+    evident : sequence of Piece
+        Evident planes. They do not count as land around each other.
+    others : sequence of Piece
+        Planes that may be water only near evident planes. All cells around them count as land, even water. So the crest
+        of a dam is not water: it is level, but its ring falls to the water on both sides.
 
     Returns
     -------
-    RimsRecord
-        Record of the block.
+    None
+    counts : dict
+        ``rims``: name (`Piece`) and rims of each plane. In the rim of an evident plane, other evident planes do not
+        count as land. An evident plane also has a second rim, in which no other plane counts as land. ``beside``: pairs
+        of a plane and an evident plane near it.
     """
-    evident = set(work.evident)
-    planes = {*work.evident, *work.others}
-    areas = _planes(store_url, work, planes)
-    is_evident = np.array([False, *(name in evident for name in areas.names)])
-    is_plane = np.array([False, *(name in planes for name in areas.names)])
+    planes = {*evident, *others}
+    near = _planes(SearchRead(occupancy, ground, domain, place), areas, joins, n_merged, planes)
+    is_evident = np.array([False, *(name in evident for name in near.names)])
+    is_plane = np.array([False, *(name in planes for name in near.names)])
     named_rims: list[list[Any]] = []
     beside: list[list[Any]] = []
-    for number, window in areas.windows(planes):
-        name = areas.names[number - 1]
-        cells = areas.cells.cut(window)
-        numbers = areas.numbers[window]
-        counted = areas.counted[window]
+    for number, window in near.windows(planes):
+        name = near.names[number - 1]
+        cells = near.cells.cut(window)
+        numbers = near.numbers[window]
+        counted = near.counted[window]
         plane_mask = numbers == number
         water = extended_to_shore(
             cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS
@@ -209,8 +193,8 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> RimsRecord:
             named_rims.append([list(name), *(list(rim) for rim in rims)])
         is_near = distances(plane_mask, DAM_M / cells.size_m + 1) * cells.size_m <= DAM_M
         for other in np.unique(numbers[evident_water & counted & is_near]):
-            beside.append([list(name), list(areas.names[other - 1])])
-    return RimsRecord(rims=named_rims, beside=beside)
+            beside.append([list(name), list(near.names[other - 1])])
+    return None, {"rims": named_rims, "beside": beside}
 
 
 def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Rim:
@@ -221,33 +205,37 @@ def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Ri
     return rim_of(cells, water, with_shores, counted)
 
 
-def keep_planes(store_url: str, work: KeepPlanes) -> BlockRecord:
-    """Write for each cell the confidence of the plane of water that covers it, shore included; otherwise 0.
+def keep_planes(
+    areas: Float32,
+    occupancy: Float32,
+    ground: Floats,
+    domain: Float32,
+    place: Place,
+    *,
+    n_merged: int,
+    joins: Joins,
+    kept: Kept,
+) -> tuple[Float32, Counts]:
+    """Return for each cell the confidence of the plane of water that covers it, shore included; otherwise 0.
 
-    This is a `tiler.schedule.task.Work`.
-
-    Returns
-    -------
-    BlockRecord
-        Record of the block. ``filled`` is the number of cells of water.
+    Parameters are those of `count_rims` and `keep_areas`.
     """
-    kept, block = dict(work.kept), work.block
-    areas = _planes(store_url, work, kept)
-    confidence = np.zeros(areas.numbers.shape, np.float32)
-    for number, window in areas.windows(kept):
-        cells, mask = areas.cells.cut(window), areas.numbers[window] == number
+    confidences = dict(kept)
+    read = SearchRead(occupancy, ground, domain, place)
+    near = _planes(read, areas, joins, n_merged, confidences)
+    confidence = np.zeros(near.numbers.shape, np.float32)
+    for number, window in near.windows(confidences):
+        cells, mask = near.cells.cut(window), near.numbers[window] == number
         water = extended_to_shore(cells, mask, water_heights(cells, mask), SHORE_CELLS)
         confidence[window][water] = np.maximum(
-            confidence[window][water], kept[areas.names[number - 1]]
+            confidence[window][water], confidences[near.names[number - 1]]
         )
-    values = areas.block_values(confidence)
-    open_store(store_url).write_block(work.name, block, values)
-    return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
+    return near.block_values(confidence), {}
 
 
-def _planes(store_url: str, work: AreasWork, selected: Collection[Piece]) -> AreasAround:
+def _planes(
+    read: SearchRead, areas: Float32, joins: Joins, n_merged: int, selected: Collection[Piece]
+) -> AreasAround:
     """Return the planes in and around a block, with smoothed heights of the cells near the selected planes."""
-    store = open_store(store_url)
-    areas = areas_around(store, work, selected, BESIDE_M)
-    ground = ground_in(store, work.sources.ground, work.spec, areas.window)
-    return replace(areas, cells=areas.cells.with_ground(smoothed(ground)))
+    near = areas_around(read, areas, joins, n_merged, selected, BESIDE_M)
+    return replace(near, cells=near.cells.with_ground(smoothed(near.ground)))

@@ -64,7 +64,7 @@ def has_no_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
     Parameters
     ----------
     crowns : float (h, w)
-        Values of plants, see `tiler.grid.water_crowns.crowns_block`.
+        Values of plants, see `tiler.grid.water_crowns.plants_near_water`.
     above : float64 (h, w)
         Height of the ground above the water in metres.
     """

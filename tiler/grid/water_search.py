@@ -7,9 +7,10 @@ block. Between two steps, the areas of all blocks are joined (`tiler.grid.tasks.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,19 +18,17 @@ import scipy
 
 from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Labels, Piece, areas_within, label_block
 from tiler.grid.reach import Floats, box_around
-from tiler.grid.records import BlockRecord, RimsRecord, SizesRecord
+from tiler.grid.steps import Counts, Place
 from tiler.grid.water_cells import (
     RING_M,
     WaterCells,
     rim_of,
     water_candidates,
 )
-from tiler.grid.work import BlockWork
-from tiler.store import TileStore, open_store, read_cells
+from tiler.store import TileStore, read_cells
 
 MARGIN = 64
 """Width of the margin around a block, in coarse cells."""
@@ -44,6 +43,10 @@ metres."""
 SMOOTHING_CELLS = 8
 """Cells farther away than this, in cells, do not change the smoothed height of a cell."""
 Slices = tuple[slice, slice]
+WHOLE: Slices = (slice(None), slice(None))
+Float32 = npt.NDArray[np.float32]
+Joins = Sequence[tuple[Piece, Piece]]
+Kept = Sequence[tuple[Piece, float]]
 
 
 @dataclass(frozen=True)
@@ -65,108 +68,119 @@ class Sources:
     domain: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class FindAreas(BlockWork):
-    """Arguments of `find_areas` and `find_planes`.
+class SearchRead(NamedTuple):
+    """What the steps of the search read at a block and `MARGIN` cells around it, each (height, width).
 
     Attributes
     ----------
-    sources : Sources
+    occupancy : float32
+        Number of points in each cell, negative in cells that are water by the input.
+    ground : float64
+        Heights of the terrain in units of the CRS, NaN for cells without a height.
+    domain : float32
+        Cells of the survey, and of the gaps that may be water.
+    place : Place
+    """
+
+    occupancy: Float32
+    ground: Floats
+    domain: Float32
+    place: Place
+
+    def cells(self, n_merged: int, part: Slices = WHOLE) -> WaterCells:
+        """Return the cells of a part, with squares of ``n_merged`` by ``n_merged`` cells merged (a power of two)."""
+        points, ground = self.occupancy[part], self.ground[part] * self.place.unit_m
+        domain = self.domain[part] != BEYOND
+        cells = WaterCells(np.abs(points), points < 0, ground, domain, self.place.pixel_m)
+        return cells.merged(n_merged)
+
+
+def find_areas(
+    occupancy: Float32,
+    ground: Floats,
+    domain: Float32,
+    place: Place,
+    *,
+    n_merged: int,
+    usual: float | None,
+) -> tuple[Floats, Counts]:
+    """Label the candidates for water in a block.
+
+    Parameters
+    ----------
+    occupancy, ground, domain, place
+        See `SearchRead`.
     n_merged : int
         Number of cells that are merged along a side, a power of two. A merged cell is so large that it is not
         empty by chance.
     usual : float or None
         Usual number of returns, see `tiler.grid.water_cells.water_candidates`.
-    """
-
-    sources: Sources
-    n_merged: int
-    usual: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class AreasWork(BlockWork):
-    """Arguments of tasks on the candidates in and around a block.
-
-    Attributes
-    ----------
-    sources : Sources
-    n_merged : int
-        See `FindAreas`.
-    areas : str
-        Raster of the labels of candidates.
-    joins : tuple of (Piece, Piece)
-        Result of `tiler.grid.pieces.Joined.joins`.
-    """
-
-    sources: Sources
-    n_merged: int
-    areas: str
-    joins: tuple[tuple[Piece, Piece], ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CountRims(AreasWork):
-    """Arguments of `count_rims`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class KeepAreas(AreasWork):
-    """Arguments of `keep_areas`.
-
-    Attributes
-    ----------
-    kept : tuple of (Piece, float)
-        Areas that are water, with confidences.
-    """
-
-    kept: tuple[tuple[Piece, float], ...]
-
-
-def find_areas(store_url: str, work: FindAreas) -> SizesRecord:
-    """Label the candidates for water in a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    SizesRecord
-        Record of the block, with sizes as in `CellCounts`, and ``n_merged``.
+    labels : float64 (height, width)
+    counts : dict
+        Counts of `label_areas` with sizes as in `CellCounts`, and ``n_merged``.
     """
-    store, block = open_store(store_url), work.block
-    cells = read_search_cells(
-        store, work.sources, work.spec, padded(block, MARGIN), work.n_merged
-    )
+    cells = SearchRead(occupancy, ground, domain, place).cells(n_merged)
     candidate_mask = (
-        water_candidates(cells, work.usual)
-        .repeat(work.n_merged, axis=0)
-        .repeat(work.n_merged, axis=1)
+        water_candidates(cells, usual).repeat(n_merged, axis=0).repeat(n_merged, axis=1)
     )
-    fine = cells.finer(work.n_merged).cut(inner_window(block, MARGIN))
-    labels, sides = label_block(candidate_mask[inner_window(block, MARGIN)], corners=False)
-    values = labels.astype(np.float32)
-    store.write_block(work.name, block, values)
-    count = int(labels.max(initial=0))
-    counts = [
-        np.bincount(labels[mask], minlength=count + 1)[1:] for mask in (labels > 0, fine.given)
-    ]
-    return SizesRecord(
-        sides=sides,
-        labels=count,
-        sizes=np.stack(counts, axis=1).tolist(),
-        n_merged=work.n_merged,
-        filled=int(np.count_nonzero(values)),
-        checksum=checksum(values),
-    )
+    inner = inner_window(place.block, MARGIN)
+    given = cells.finer(n_merged).given[inner]
+    labels, counts = label_areas(candidate_mask[inner], given)
+    return labels.astype(np.float64), {**counts, "n_merged": n_merged}
 
 
-def count_rims(store_url: str, work: CountRims) -> RimsRecord:
-    """Count the land of a block around candidates. This is a `tiler.schedule.task.Work`.
+def label_areas(cells: Bools, *masks: Bools) -> tuple[Labels, dict[str, Any]]:
+    """Label the connected areas of a block.
 
     Returns
     -------
-    RimsRecord
-        Record of the block.
+    labels : int32 (height, width)
+    counts : dict
+        ``labels``, ``sides``: number of labels, and the labels along the sides of the block (`tiler.grid.pieces`).
+        ``sizes``: for each label, its number of cells, and the number of those in each mask.
     """
-    near = areas_around(open_store(store_url), work, None, BESIDE_M)
+    labels, sides = label_block(cells, corners=False)
+    count = int(labels.max(initial=0))
+    sizes = [
+        np.bincount(labels[mask], minlength=count + 1)[1:] for mask in (labels > 0, *masks)
+    ]
+    return labels, {"labels": count, "sides": sides, "sizes": np.stack(sizes, axis=1).tolist()}
+
+
+def count_rims(
+    areas: Float32,
+    occupancy: Float32,
+    ground: Floats,
+    domain: Float32,
+    place: Place,
+    *,
+    n_merged: int,
+    joins: Joins,
+) -> tuple[None, Counts]:
+    """Count the land of a block around candidates.
+
+    Parameters
+    ----------
+    areas : float32 (height, width)
+        Labels of candidates.
+    occupancy, ground, domain, place
+        See `SearchRead`.
+    n_merged : int
+        See `find_areas`.
+    joins : sequence of (Piece, Piece)
+        Result of `tiler.grid.pieces.Joined.joins`.
+
+    Returns
+    -------
+    None
+    counts : dict
+        ``rims``: name (`Piece`) and `tiler.grid.water_cells.Rim` of each area.
+    """
+    read = SearchRead(occupancy, ground, domain, place)
+    near = areas_around(read, areas, joins, n_merged, None, BESIDE_M)
     named_rims = []
     for number, window in near.windows(None):
         area_mask = near.numbers[window] == number
@@ -174,22 +188,27 @@ def count_rims(store_url: str, work: CountRims) -> RimsRecord:
         rim = rim_of(near.cells.cut(window), area_mask, other_areas_mask, near.counted[window])
         if any(rim):
             named_rims.append([list(near.names[number - 1]), list(rim)])
-    return RimsRecord(rims=named_rims)
+    return None, {"rims": named_rims}
 
 
-def keep_areas(store_url: str, work: KeepAreas) -> BlockRecord:
-    """Write the confidence that each cell of a block is water, 0 for land. This is a `tiler.schedule.task.Work`.
+def keep_areas(
+    areas: Float32, place: Place, *, joins: Joins, kept: Kept
+) -> tuple[Float32, Counts]:
+    """Return the confidence that each cell of a block is water, 0 for land.
 
-    Returns
-    -------
-    BlockRecord
-        Record of the block. ``filled`` is the number of cells of water.
+    Parameters
+    ----------
+    areas : float32 (height, width)
+        Labels of candidates.
+    place : Place
+    joins : sequence of (Piece, Piece)
+    kept : sequence of (Piece, float)
+        Areas that are water, with confidences.
     """
-    store, kept = open_store(store_url), dict(work.kept)
-    numbers, names = areas_within(store, work.areas, work.spec, work.block, work.joins)
-    values = np.array([0.0, *(kept.get(name, 0.0) for name in names)], np.float32)[numbers]
-    store.write_block(work.name, work.block, values)
-    return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
+    confidences = dict(kept)
+    numbers, names = areas_within(areas.astype(np.int32), place.block, joins)
+    values = np.array([0.0, *(confidences.get(name, 0.0) for name in names)], np.float32)
+    return values[numbers], {}
 
 
 def inner_window(block: Block, margin: int) -> Slices:
@@ -226,6 +245,8 @@ class AreasAround:
     Attributes
     ----------
     cells : WaterCells
+    ground : float64
+        Heights of the cells before any are merged.
     numbers : int32, shape of the cells
         Number of the area in each cell, 0 for none.
     names : list of Piece
@@ -238,6 +259,7 @@ class AreasAround:
     """
 
     cells: WaterCells
+    ground: Floats
     numbers: Labels
     names: list[Piece]
     window: Block
@@ -291,17 +313,22 @@ class AreasAround:
 
 
 def areas_around(
-    store: TileStore, work: AreasWork, selected: Collection[Piece] | None, margin_m: float
+    read: SearchRead,
+    areas: Float32,
+    joins: Joins,
+    n_merged: int,
+    selected: Collection[Piece] | None,
+    margin_m: float,
 ) -> AreasAround:
-    """Find the areas in and around a block, and read the cells within ``margin_m`` of selected areas.
+    """Find the areas in and around a block, and the cells within ``margin_m`` of selected areas.
 
     None selects all areas.
     """
-    whole = padded(work.block, MARGIN)
-    numbers, names = areas_within(store, work.areas, work.spec, whole, work.joins)
+    place, whole = read.place, padded(read.place.block, MARGIN)
+    numbers, names = areas_within(areas.astype(np.int32), whole, joins)
     selected_names = names if selected is None else selected
     area_mask = np.array([False, *(name in selected_names for name in names)])[numbers]
-    pad = math.ceil(margin_m / float(work.spec.lattice.size * store.meta.frame.metres_xy)) + 1
+    pad = math.ceil(margin_m / place.pixel_m) + 1
     # Windows are aligned, so that squares of cells that are merged are the same in all windows.
     rows, cols = (
         slice(s.start // ALIGNED * ALIGNED, -(-s.stop // ALIGNED) * ALIGNED)
@@ -309,7 +336,7 @@ def areas_around(
     )
     numbers = numbers[rows, cols]
     window = Block(whole.row + rows.start, whole.col + cols.start, *numbers.shape)
-    cells = read_search_cells(store, work.sources, work.spec, window, work.n_merged).finer(
-        work.n_merged
+    cells = read.cells(n_merged, (rows, cols)).finer(n_merged)
+    return AreasAround(
+        cells, read.cells(1, (rows, cols)).ground, numbers, names, window, place.block, pad
     )
-    return AreasAround(cells, numbers, names, window, work.block, pad)

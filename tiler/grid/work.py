@@ -35,15 +35,8 @@ class BlockWork:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointsBlock(BlockWork):
-    """Block made from points: their density, or the occupied coarse cells."""
-
-    rule: GroundSelection
-
-
-@dataclass(frozen=True, kw_only=True)
-class TinBlock(PointsBlock):
-    """Block whose pixels are interpolated on a TIN.
+class Facets:
+    """Facets of a TIN that fill the pixels of a block.
 
     Attributes
     ----------
@@ -64,11 +57,12 @@ class TinBlock(PointsBlock):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridBlock(TinBlock):
-    """Arguments of `tiler.grid.grid_block`: one block of the terrain.
+class GridBlock(Facets, BlockWork):
+    """Arguments of `tiler.grid.grid_block`: one block of the terrain, interpolated on a TIN.
 
     Attributes
     ----------
+    rule : GroundSelection
     max_halo : int or None
         Largest halo in counts; None for `tiler.grid.full_halo`.
     thin : Lattice or None
@@ -83,6 +77,7 @@ class GridBlock(TinBlock):
         depend on it.
     """
 
+    rule: GroundSelection
     max_halo: int | None = None
     thin: Lattice | None = None
     percent: int | None = None

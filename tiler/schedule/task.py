@@ -15,7 +15,7 @@ from tiler.core.records import JoinedRecord, Record
 if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
     from tiler.core.lattice import Bounds, Lattice
 
-Work = Callable[[str, Any], Record]
+Work = Callable[[str, Any], Record | Mapping[str, Any]]
 """Function ``work(store_url, arguments) -> record`` of a module, since it is pickled by name.
 
 The arguments are a frozen dataclass that defines the data to read and write and the parameters.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -18,10 +18,46 @@ from tiler.core.points import PointBlock, pack_origin
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid import GridBlock, GroundSelection
 from tiler.grid.block import block_heights, grid_block
+from tiler.grid.steps import MakeBlock, Read, Sources, run_block
+from tiler.grid.work import Facets
 from tiler.store import StoreMeta, TileStore, create_store
 
 FINAL = GroundSelection("final")
 """Ground is what the scene's labels say."""
+
+
+NO_FACETS = Facets(data=Bounds(0, 0, 1, 1), max_edge=Fraction(1), halo=0)
+
+
+def sources_of(pixels: RasterSpec, **given: Any) -> Sources:
+    """Return what the reads of steps have in common, by default with the products' raster for all rasters."""
+    usual = {"rule": FINAL, "coarse": pixels, "canopy_grid": pixels, "facets": NO_FACETS}
+    return Sources(pixels=pixels, **{**usual, **given})
+
+
+def make_block(
+    store: TileStore,
+    name: str,
+    work: Callable[..., Any],
+    reads: dict[str, Read],
+    spec: RasterSpec,
+    block: Block,
+    fill: float = 0.0,
+    sources: Sources | None = None,
+    **values: Any,
+) -> Mapping[str, Any]:
+    """Make one block of a raster by the runner of steps, and return its counts."""
+    task = MakeBlock(
+        name=name,
+        work=work,
+        reads=reads,
+        spec=spec,
+        block=block,
+        values=values,
+        fill=fill,
+        sources=sources or sources_of(spec),
+    )
+    return run_block(store.url, task)
 
 
 @dataclass(frozen=True)

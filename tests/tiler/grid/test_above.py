@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.tiler.grid.conftest import FINAL, Scene
+from tests.tiler.grid.conftest import FINAL, Scene, make_block, sources_of
 from tiler.core.area import Area
 from tiler.core.edits import FLAT, Edit, Edits
 from tiler.core.frame import CoordFrame
@@ -17,21 +19,47 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.core.water import LAKE, Water, Waters
-from tiler.grid import AboveBlock, above_block
-from tiler.grid.above import ABOVE_M, heights_above
-from tiler.grid.records import AboveRecord
+from tiler.grid.above import ABOVE_M, above, heights_above, min_pixels
+from tiler.grid.coarse import padded
+from tiler.grid.points_near import PointsNear
+from tiler.grid.steps import Read
 from tiler.grid.tasks.above import places_of, report_above
+from tiler.store import read_cells
 
 PIXEL = Fraction(1000)
 SIDE = 40
 """Pixels of the scenes along a side, each with one return at its centre."""
 
 
-def above_work(spec: RasterSpec, block: Block, **options) -> AboveBlock:
-    usual = {"name": "dtm-above", "rule": FINAL, "terrain": "dtm"}
-    return AboveBlock(
-        spec=spec, block=block, **{**usual, "reach": 1, "spike": Fraction(5000), **options}
+REACH, SPIKE = 1, Fraction(5000)
+
+
+def above_block(
+    scene: Scene, spec: RasterSpec, block: Block, **sources: Any
+) -> Mapping[str, Any]:
+    """Return the counts of the places in a block of the raster ``dtm``."""
+    reads = {
+        "points": Read("points:dtm", 1000),
+        "terrain": Read("raster:dtm", 1),
+        "waters": Read("waters"),
+        "edits": Read("edits"),
+    }
+    least = min_pixels((spec.lattice.size * scene.store.meta.frame.metres_xy) ** 2)
+    values = {"reach": REACH, "spike": SPIKE, "least": least}
+    given = sources_of(spec, **sources)
+    return make_block(
+        scene.store, "dtm-above", above, reads, spec, block, sources=given, **values
     )
+
+
+def heights_of(scene: Scene, block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """Return the result of `heights_above` for a block of the raster ``dtm``, without water and edits."""
+    spec = spec_of(scene)
+    values = read_cells(scene.store, "dtm", spec, padded(block, 1), NODATA)
+    terrain = np.where(values == NODATA, np.nan, values.astype(np.float64))
+    points = PointsNear(scene.store, FINAL, spec, block, "dtm")
+    nothing = np.zeros((block.height, block.width), np.bool_)
+    return heights_above(points, terrain, nothing, REACH, SPIKE)
 
 
 def flat_scene(make_scene, low: np.ndarray, depth_m: float = 3.0, **options) -> Scene:
@@ -60,24 +88,22 @@ def pixels(*places: tuple[slice, slice]) -> np.ndarray:
     return low
 
 
-def records(scene: Scene, **options) -> dict[tuple[int, int], AboveRecord]:
+def records(scene: Scene, **sources: Any) -> dict[Block, Mapping[str, Any]]:
     spec = spec_of(scene)
     return {
-        (block.row, block.col): above_block(scene.store.url, above_work(spec, block, **options))
-        for block in spec.blocks(BLOCK_PIXELS)
+        block: above_block(scene, spec, block, **sources) for block in spec.blocks(BLOCK_PIXELS)
     }
 
 
-def found(scene: Scene, **options) -> list[tuple[int, list[float], float]]:
+def found(scene: Scene, **sources: Any) -> list[tuple[int, list[float], float]]:
     """Area, bounds and height of each place."""
-    places = places_of(records(scene, **options), spec_of(scene), Fraction(1))
+    places = places_of(records(scene, **sources), spec_of(scene), Fraction(1))
     return [(place.area_m2, place.bounds, place.height_m) for place in places]
 
 
 def test_a_place_has_its_area_its_bounds_and_its_largest_height(make_scene) -> None:
     low = pixels((slice(10, 14), slice(20, 25)), (slice(30, 34), slice(5, 9)))
     scene = flat_scene(make_scene, low)
-    spec = spec_of(scene)
     dtm = np.full((SIDE, SIDE), 50.0, np.float32)
     dtm[30:34, 5:9] = 54.5
     scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), dtm)
@@ -85,8 +111,8 @@ def test_a_place_has_its_area_its_bounds_and_its_largest_height(make_scene) -> N
         (16.0, [5.0, SIDE - 34.0, 9.0, SIDE - 30.0], 7.5),
         (20.0, [20.0, SIDE - 14.0, 25.0, SIDE - 10.0], 3.0),
     ]
-    above, _ = heights_above(scene.store, above_work(spec, Block(0, 0, SIDE, SIDE)))
-    assert np.array_equal(above > ABOVE_M, low)
+    above_m, _ = heights_of(scene, Block(0, 0, SIDE, SIDE))
+    assert np.array_equal(above_m > ABOVE_M, low)
 
 
 def test_a_slope_whose_returns_lie_at_the_low_edge_of_pixels_is_right(make_scene) -> None:
@@ -100,14 +126,14 @@ def test_a_slope_whose_returns_lie_at_the_low_edge_of_pixels_is_right(make_scene
     terrain = np.tile(50.0 + 3.0 * (np.arange(SIDE) + 0.5), (SIDE, 1)).astype(np.float32)
     scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), terrain)
     (record,) = records(scene).values()
-    assert record.wrong == 0
+    assert record["wrong"] == 0
 
 
 def test_small_places_are_counted_but_not_listed(make_scene) -> None:
     low = pixels((slice(10, 13), slice(20, 23)), (slice(20, 22), slice(5, 10)))
     assert [area for area, _, _ in found(flat_scene(make_scene, low))] == [10.0]
     (record,) = records(flat_scene(make_scene, low)).values()
-    assert (record.wrong, record.filled) == (19, 0)
+    assert record["wrong"] == 19
 
 
 def test_pixels_that_touch_at_a_corner_are_one_place(make_scene) -> None:
@@ -174,10 +200,7 @@ def test_places_across_blocks_are_joined(make_scene, monkeypatch: pytest.MonkeyP
     spec = spec_of(scene)
     for side in (8, 16):
         monkeypatch.setattr("tiler.grid.pieces.BLOCK_PIXELS", side)
-        of_blocks = {
-            (block.row, block.col): above_block(scene.store.url, above_work(spec, block))
-            for block in spec.blocks(side)
-        }
+        of_blocks = {block: above_block(scene, spec, block) for block in spec.blocks(side)}
         places = places_of(of_blocks, spec, Fraction(1))
         assert [(p.area_m2, p.bounds, p.height_m) for p in places] == whole
 
@@ -188,14 +211,14 @@ def test_blocks_do_not_change_the_height_above_a_slope(make_scene) -> None:
     spec, whole = spec_of(scene), Block(0, 0, SIDE, SIDE)
     terrain = 50.0 + np.random.default_rng(3).normal(0.0, 3.0, (SIDE, SIDE))
     scene.store.write_block("dtm", whole, terrain.astype(np.float32))
-    expected = np.stack(heights_above(scene.store, above_work(spec, whole)))
+    expected = np.stack(heights_of(scene, whole))
     assert (expected > ABOVE_M).any(axis=(1, 2)).all()
     for side in (1, 8, 13):
         of_blocks = np.full((2, SIDE, SIDE), np.nan)
         for block in spec.blocks(side):
             rows = slice(block.row, block.row + block.height)
             cols = slice(block.col, block.col + block.width)
-            of_blocks[:, rows, cols] = heights_above(scene.store, above_work(spec, block))
+            of_blocks[:, rows, cols] = heights_of(scene, block)
         assert np.array_equal(of_blocks, expected)
 
 
@@ -223,7 +246,7 @@ def test_pixels_whose_lowest_return_is_far_above_the_terrain_are_counted(make_sc
     )
     scene.store.put_waters(waters)
     (record,) = records(scene, waters=waters.key).values()
-    assert record.cells == [[0, 0, SIDE**2 - 30 - 60, 150]]
+    assert record["cells"] == [[0, 0, SIDE**2 - 30 - 60, 150]]
 
 
 def test_the_note_counts_the_pixels_of_its_places(make_scene) -> None:
@@ -235,13 +258,7 @@ def test_the_note_counts_the_pixels_of_its_places(make_scene) -> None:
         frame=SimpleNamespace(units=Units(METRE, METRE)),
     )
     job = SimpleNamespace(plan=plan, results=SimpleNamespace(), note=notes.append)
-    made = {
-        block.name: ("digest", record.to_json())
-        for block, record in zip(
-            spec_of(scene).blocks(BLOCK_PIXELS), records(scene).values(), strict=True
-        )
-    }
-    report_above(job, spec_of(scene), made)
+    report_above(job, spec_of(scene), records(scene))
     assert (job.results.above_returns.pixels, job.results.above_returns.number) == (19, 1)
     (note,) = notes
     assert note.startswith("in 10 pixels all returns lie more than 1 m below the terrain, ")

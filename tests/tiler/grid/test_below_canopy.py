@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.tiler.grid.conftest import Scene
+from tests.tiler.grid.conftest import Scene, make_block, sources_of
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid import BelowCanopy, below_canopy
+from tiler.grid.below_canopy import below_canopy, crowns_margin
 from tiler.grid.canopy import OPEN
 from tiler.grid.coarse import coarse_raster
+from tiler.grid.steps import Read
 from tiler.store import between_centres
 
 SIDE, RADIUS_M, HILL_M, TREES_M = 400, 90.0, 8.0, 17.0
@@ -62,11 +63,19 @@ def made(
             part = np.s_[b.row : b.row + b.height, b.col : b.col + b.width]
             store.write_block(height, b, values[0][part])
             store.write_block(canopy, b, values[1][part])
-    names = {"heights": "model", "canopy": "canopy", "crowns": "crowns", "terrain": "terrain"}
+    margin = crowns_margin(float(coarse.lattice.size * store.meta.frame.metres_xy))
+    reads = {
+        "terrain": Read("raster:model"),
+        "canopy": Read("raster:canopy"),
+        "crowns": Read("canopy-grid:crowns", margin),
+        "bridge": Read("canopy-grid:terrain", margin),
+        "place": Read("place"),
+    }
+    sources = sources_of(spec, canopy_grid=coarse)
     filled = 0
     for b in spec.blocks(512):
-        work = BelowCanopy(name="below", spec=spec, block=b, cells=coarse, **names)
-        filled += below_canopy(store.url, work).filled
+        counts = make_block(store, "below", below_canopy, reads, spec, b, NODATA, sources)
+        filled += counts["filled"]
     heights = store.read_block("below", Block(0, 0, spec.height, spec.width))
     assert filled == (heights != np.float32(NODATA)).sum()
     return heights

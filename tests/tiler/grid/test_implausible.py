@@ -12,7 +12,6 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.terrain_results import VoidsResult
 from tiler.core.units import FOOT, METRE, Units
-from tiler.grid.records import AboveRecord
 from tiler.grid.tasks.implausible import report_implausible
 
 SPEC = RasterSpec(Lattice(Fraction(1000)), 0, 512, 512, 512)
@@ -31,7 +30,6 @@ def warned(
         for r in range(4)
         for c in range(4)
     ]
-    record = AboveRecord(filled=0, sides={}, labels=0, wrong=0, places=[], cells=cells)
     config = SimpleNamespace(
         method="auto", canopy=changes.pop("canopy", "fill"), max_edge=Fraction(100)
     )
@@ -50,7 +48,7 @@ def warned(
         listener=lambda event: None,
     )
     vars(job.results).update(changes)
-    report_implausible(job, SPEC, {"b": ("digest", record.to_json())})
+    report_implausible(job, SPEC, [{"cells": cells}])
     return job.results.implausible
 
 

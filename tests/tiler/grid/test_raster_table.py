@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
 from tiler.config import RunConfig
+from tiler.core.frame import CoordFrame
 from tiler.core.products import PRODUCTS
 from tiler.grid.tasks.gridding import Grid
-from tiler.grid.tasks.raster_table import final_raster, raster_table, required_rasters
+from tiler.grid.tasks.raster_names import final_raster
+from tiler.grid.tasks.raster_table import raster_table, required_rasters
+
+
+def plan_of(settings: dict[str, Any]) -> Any:
+    """Return a plan with these settings, as far as the table needs one."""
+    grid = SimpleNamespace(resolution=Fraction(1), halo_m=Fraction(10))
+    config = RunConfig.from_mapping(settings)
+    return SimpleNamespace(config=config, frame=CoordFrame(), grid=grid)
 
 
 @pytest.mark.parametrize("voids", ["leave", "fill", "mark"])
 def test_each_raster_comes_after_its_inputs_and_only_once(voids: str) -> None:
-    config = RunConfig.from_mapping({"products": list(PRODUCTS), "voids": voids})
-    order = [raster.name for raster in required_rasters(config)]
+    plan = plan_of({"products": list(PRODUCTS), "voids": voids})
+    order = [raster.name for raster in required_rasters(plan)]
     assert order[0] == "dtm"
     assert len(order) == len(set(order))
-    for raster in required_rasters(config):
+    for raster in required_rasters(plan):
         assert all(order.index(source) < order.index(raster.name) for source in raster.inputs)
-    assert {final_raster(product, config) for product in PRODUCTS} <= set(order)
+    assert {final_raster(product, plan.config) for product in PRODUCTS} <= set(order)
 
 
 def test_nothing_is_made_that_no_product_needs() -> None:
@@ -31,7 +44,7 @@ def test_nothing_is_made_that_no_product_needs() -> None:
             "outline": outline,
             "water": "none",
         } | more
-        made = [raster.name for raster in required_rasters(RunConfig.from_mapping(settings))]
+        made = [raster.name for raster in required_rasters(plan_of(settings))]
         assert made.pop() == "dtm-above"  # every run looks for terrain above all returns
         return made
 
@@ -40,7 +53,6 @@ def test_nothing_is_made_that_no_product_needs() -> None:
     terrain = ["dtm", *survey, *canopy, "dtm-outlined"]
     assert names(["slope"]) == [*terrain, "slope"]
     search = [
-        "water-terrain",
         "water-ground",
         "domain-open",
         "domain",
@@ -73,11 +85,11 @@ def test_nothing_is_made_that_no_product_needs() -> None:
 def test_rasters_of_pixels_hold_the_nodata_value_of_their_product_where_nothing_was_written() -> (
     None
 ):
-    table = raster_table(
-        RunConfig.from_mapping({"voids": "fill", "max_edge": "40", "water": "none"})
-    )
+    table = raster_table(plan_of({"voids": "fill", "max_edge": "40", "water": "none"}))
     fills = {name: raster.fill for name, raster in table.items()}
     assert fills["dtm"] == fills["dtm-filled"] == fills["dsm"] == fills["slope"] == -9999
     assert fills["distance"] == 40
+    for name, product in PRODUCTS.items():
+        assert product.nodata in (None, fills[name]), name
     coarse = {name for name, raster in table.items() if raster.grid is Grid.COARSE}
     assert coarse == {"occupancy", "survey-open", "survey", "dtm-voids", "dsm-voids"}

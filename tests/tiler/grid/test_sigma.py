@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from tests.tiler.grid.conftest import FINAL, Scene
+from tests.tiler.grid.conftest import FINAL, Scene, make_block
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import CANOPY, MEASURED
@@ -17,11 +19,15 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.sigma_groups import EDGES_M, GROUPS
 from tiler.core.terrain_results import SigmaGroup
 from tiler.core.units import FOOT, METRE, Units
-from tiler.grid import SigmaBlock
-from tiler.grid.records import SigmaRecord
-from tiler.grid.sigma import sigma_block, sigma_result
+from tiler.grid.coarse import padded
+from tiler.grid.points_near import PointsNear
+from tiler.grid.sigma import sigma as of_heights
+from tiler.grid.sigma import sigma_result
+from tiler.grid.sigma_land import land_margin
 from tiler.grid.sigma_measures import Measures, measures_of
 from tiler.grid.sigma_model import LASER, MATCHED, WEIGHTS, standard_error_m
+from tiler.grid.steps import Read
+from tiler.store import read_cells
 
 PIXEL = Fraction(1000)
 SIDE = 60_000
@@ -46,26 +52,35 @@ def gridded(scene: Scene, size: Fraction = PIXEL) -> RasterSpec:
     return spec
 
 
-def work_of(spec: RasterSpec, block: Block, kind: str | None = LASER) -> SigmaBlock:
-    return SigmaBlock(
-        name="sigma",
-        spec=spec,
-        block=block,
-        rule=FINAL,
-        terrain="dtm",
-        mask="mask",
-        below=None,
-        kind=kind,
-        cap=CAP,
-    )
+def sigma_block(
+    scene: Scene, spec: RasterSpec, block: Block, kind: str | None = LASER, **more: Read
+) -> Mapping[str, Any]:
+    """Make a block of the raster ``sigma``, and return its counts."""
+    margin = margin_of(scene, spec)
+    terrain = Read("raster:dtm", margin)
+    reads = {"points": Read("points"), "terrain": terrain, "mask": Read("raster:mask"), **more}
+    values = {"kind": kind, "cap": CAP, "margin": margin}
+    return make_block(scene.store, "sigma", of_heights, reads, spec, block, NODATA, **values)
+
+
+def margin_of(scene: Scene, spec: RasterSpec) -> int:
+    return land_margin(float(spec.lattice.size * scene.store.meta.frame.metres_xy))
+
+
+def measured(scene: Scene, spec: RasterSpec, block: Block) -> Measures:
+    """Return the measures of a block of the raster ``dtm``."""
+    margin = margin_of(scene, spec)
+    values = read_cells(scene.store, "dtm", spec, padded(block, margin), NODATA)
+    heights = np.where(values == NODATA, np.nan, values.astype(np.float64))
+    return measures_of(PointsNear(scene.store, FINAL, spec, block), heights, margin, CAP)
 
 
 def sigma(
     scene: Scene, size: Fraction = PIXEL, kind: str | None = LASER
-) -> tuple[np.ndarray, list[SigmaRecord]]:
-    """Sigma of the whole raster, NaN without a height, and the records."""
+) -> tuple[np.ndarray, list[Mapping[str, Any]]]:
+    """Sigma of the whole raster, NaN without a height, and the counts of the blocks."""
     spec = gridded(scene, size)
-    records = [sigma_block(scene.store.url, work_of(spec, b, kind)) for b in spec.blocks(512)]
+    records = [sigma_block(scene, spec, b, kind) for b in spec.blocks(512)]
     found = scene.store.read_block("sigma", Block(0, 0, spec.height, spec.width)).astype(
         np.float64
     )
@@ -116,8 +131,8 @@ def test_far_from_ground_only_crowns_that_give_a_height_make_it_surer(make_scene
     scene.store.create_raster("below", spec.height, spec.width, NODATA)
     scene.store.write_block("below", block, crowns)
     found = []
-    for below in (None, "below"):
-        sigma_block(scene.store.url, replace(work_of(spec, block, MATCHED), below=below))
+    for more in ({}, {"below": Read("raster:below")}):
+        sigma_block(scene, spec, block, MATCHED, **more)
         found.append(scene.store.read_block("sigma", block))
     usual, surer = found
     assert np.array_equal(surer[:, :30], usual[:, :30])
@@ -162,7 +177,7 @@ def test_measures_are_what_they_say(make_scene) -> None:
     scene = make_scene(xyz, labels)
     spec = gridded(scene)
     block = Block(0, 0, spec.height, spec.width)
-    found = measures_of(scene.store, FINAL, spec, block, "dtm", CAP)
+    found = measured(scene, spec, block)
     ground, things = xyz[labels == 2] / 1000, xyz[labels == 1] / 1000
     tree = KDTree(ground[:, :2])
     for row, col in ((30, 30), (20, 20), (50, 45), (12, 50), (45, 12)):
@@ -187,7 +202,7 @@ def test_a_plane_without_noise_has_its_slope_and_no_deviation(make_scene) -> Non
     scene = make_scene(plane(8000))
     spec = gridded(scene, Fraction(700))
     block = Block(10, 10, spec.height - 20, spec.width - 20)
-    found = measures_of(scene.store, FINAL, spec, block, "dtm", CAP)
+    found = measured(scene, spec, block)
     assert found.slope == pytest.approx(0.2, abs=2e-3)
     inner = (slice(5, -5),) * 2
     assert found.off_trend[inner].max() < 0.01
@@ -199,15 +214,13 @@ def test_blocks_do_not_show(make_scene, size: Fraction) -> None:
     xyz, labels = scattered_town()
     scene = make_scene(xyz, labels)
     spec = gridded(scene, size)
-    whole = measures_of(
-        scene.store, FINAL, spec, Block(0, 0, spec.height, spec.width), "dtm", CAP
-    )
+    whole = measured(scene, spec, Block(0, 0, spec.height, spec.width))
     for b in (
         Block(3, 5, 9, 11),
         Block(spec.height - 8, 0, 8, spec.width),
         Block(7, spec.width - 3, 13, 3),
     ):
-        part = measures_of(scene.store, FINAL, spec, b, "dtm", CAP)
+        part = measured(scene, spec, b)
         for name in Measures._fields:
             mine = getattr(whole, name)[b.row : b.row + b.height, b.col : b.col + b.width]
             assert mine.tobytes() == getattr(part, name).tobytes(), name
@@ -253,14 +266,12 @@ def test_heights_in_feet_have_errors_in_feet(make_scene) -> None:
 def test_few_points_and_none_are_no_error(make_scene) -> None:
     scene = make_scene(np.int64([[500, 500, 0], [9_500, 700, 100], [4_000, 9_000, 50]]))
     found, (record,) = sigma(scene)
-    assert record.filled == np.isfinite(found).sum() > 20
+    assert record["filled"] == np.isfinite(found).sum() > 20
     assert (found[np.isfinite(found)] > 0).all()
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
     scene.store.create_raster("dtm", spec.height + 1, spec.width)
     taller = replace(spec, height=spec.height + 1)
     for name in ("mask", "sigma"):
         scene.store.create_raster(name, taller.height, taller.width)
-    record = sigma_block(
-        scene.store.url, work_of(taller, Block(0, 0, taller.height, taller.width))
-    )
-    assert record.filled == 0
+    record = sigma_block(scene, taller, Block(0, 0, taller.height, taller.width))
+    assert record["filled"] == 0

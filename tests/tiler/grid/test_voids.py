@@ -4,34 +4,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.scenes.ground_points import plane_points
-from tests.tiler.grid.conftest import FINAL, Scene
+from tests.tiler.grid.conftest import Scene, make_block, sources_of
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid import (
-    NO_PIECE,
-    CloseBlock,
     FillBlock,
     FindVoids,
-    MaskBlock,
-    PointsBlock,
-    SurveyBlock,
     Void,
     VoidRasters,
-    close_block,
     fill_block,
     find_voids,
-    mask_block,
-    occupancy_block,
-    survey_block,
 )
 from tiler.grid.coarse import coarse_raster
+from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
+from tiler.grid.derived import mask as mask_of
 from tiler.grid.pieces import Piece
+from tiler.grid.steps import Read
 from tiler.grid.tasks.survey import outside_of
 from tiler.grid.voids import PART_PIXELS
 
@@ -62,24 +57,22 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
         scene.store.create_raster(name, coarse.height, coarse.width, 0)
     scene.store.create_raster("open", coarse.height, coarse.width, NO_PIECE)
     (b,) = coarse.blocks(512)
-    common = {"spec": coarse, "block": b}
-    occupancy_block(url, PointsBlock(name="occupancy", rule=FINAL, **common))
-    closing = CloseBlock(name="open", occupancy="occupancy", gap=gap, max_gap=gap, **common)
-    outside, empty = outside_of({(0, 0): close_block(url, closing).sides})
+    sources = sources_of(spec, coarse=coarse)
+
+    def make(name: str, work: Any, reads: dict[str, Read], **values: Any) -> Any:
+        return make_block(
+            scene.store, name, work, reads, coarse, b, NO_PIECE, sources, **values
+        )
+
+    make("occupancy", occupancy, {"points": Read("points")})
+    reads = {"occupancy": Read("numbers:occupancy", margin_of(gap))}
+    closed = make("open", open_areas, reads, gap=gap, max_gap=gap, marks_bare=False)
+    outside, empty = outside_of({(0, 0): closed["sides"]})
     assert not empty
-    survey_block(
-        url,
-        SurveyBlock(
-            name="survey",
-            opened="open",
-            outside=tuple(outside[0, 0]),
-            empty=(),
-            pixels=spec,
-            **common,
-        ),
-    )
+    reads = {"opened": Read("raster:open", 1), "place": Read("place")}
+    make("survey", survey, reads, outside=outside[0, 0], empty=())
     rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
-    record = find_voids(url, FindVoids(name="voids", rasters=rasters, **common))
+    record = find_voids(url, FindVoids(name="voids", rasters=rasters, spec=coarse, block=b))
     voids = tuple(Void((Piece(0, 0, n + 1),)) for n in range(record.labels))
     work = FillBlock("filled", Block(0, 0, spec.height, spec.width), rasters, voids)
     for name in ("filled", "mask"):
@@ -111,20 +104,26 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     in_notch = (x[None] > 160) & (y[:, None] > 140)
     assert has[in_lake].all()
     assert not has[in_notch].any()
-    sources = {
-        "dtm": "dtm",
-        "filled": "filled",
-        "survey": "survey",
-        "coarse": work.rasters.coarse,
-    }
-    mask_work = MaskBlock(name="mask", spec=spec, block=work.block, rule=FINAL, **sources)
-    mask_block(scene.store.url, mask_work)
+
+    def make_mask(delivered: str) -> None:
+        scene.store.create_raster("canopy", spec.height, spec.width, NODATA)
+        reads = {
+            "terrain": Read("raster:dtm"),
+            "delivered": Read(f"raster:{delivered}"),
+            "canopy": Read("raster:canopy"),
+            "survey": Read("cells:survey"),
+            **{name: Read(name) for name in ("points", "waters", "failed", "area")},
+        }
+        sources = sources_of(spec, coarse=work.rasters.coarse)
+        make_block(scene.store, "mask", mask_of, reads, spec, work.block, sources=sources)
+
+    make_mask("filled")
     mask = whole(scene, spec, "mask")
     assert (mask[in_lake & ~had] == FILLED).all()
     assert (mask[in_notch] == OUTSIDE).all()
     assert (np.isin(mask, (MEASURED, INTERPOLATED)) == had).all()
     assert (mask != HOLE).all()
-    mask_block(scene.store.url, replace(mask_work, filled="dtm"))
+    make_mask("dtm")
     assert np.array_equal(whole(scene, spec, "mask") == HOLE, mask == FILLED)
 
 

@@ -13,7 +13,6 @@ from affine import Affine
 from tests.tiler.report import results
 from tiler.core.records import to_json
 from tiler.core.sigma_groups import EDGES_M
-from tiler.grid.records import SigmaRecord
 from tiler.grid.sigma import sigma_result
 from tiler.report.expected import AtCheckpoints, at_checkpoints, expected
 
@@ -29,15 +28,14 @@ def text_of(run: dict, checked: AtCheckpoints | None = None) -> str:
 
 def run_with(kind: str | None, vertical: float = 1.0) -> dict:
     empty = [0] * (len(EDGES_M) - 1)
-    one = SigmaRecord(
-        filled=400,
-        groups={"open": [300, 300 * 100**2], "covered": [100, 100 * 500**2]},
-        histogram={
+    one = {
+        "groups": {"open": [300, 300 * 100**2], "covered": [100, 100 * 500**2]},
+        "histogram": {
             "open": [0] * 5 + [300] + empty[6:],
             "covered": [0] * 9 + [100] + empty[10:],
         },
-    )
-    none = SigmaRecord(filled=0, groups={}, histogram={})
+    }
+    none = {"groups": {}, "histogram": {}}
     units = {"horizontal": 1.0, "vertical": vertical}
     return {
         "plan": {"metres_per_unit": units},

@@ -22,7 +22,7 @@ from tiler.export import (
 )
 from tiler.export.work import VectorFile
 from tiler.grid.tasks.gridding import GridContext
-from tiler.grid.tasks.raster_table import final_raster
+from tiler.grid.tasks.raster_names import final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.plan import water_is_given
 from tiler.schedule import Task, Work

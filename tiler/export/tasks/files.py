@@ -35,7 +35,8 @@ from tiler.export.tasks.sheets import key_of, name_of
 from tiler.export.work import SheetFile
 from tiler.filter import LABELS
 from tiler.grid.tasks.gridding import GridContext
-from tiler.grid.tasks.raster_table import MODELS, final_raster, raster_table
+from tiler.grid.tasks.raster_names import MODELS, final_raster
+from tiler.grid.tasks.raster_table import raster_table
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import SourceInfo, header_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
@@ -76,7 +77,7 @@ def cog_tasks(
     its task also on its blocks. So another input changes only the sheets where it has points.
     """
     sheet_inputs = [(sheet, _digest(inputs, sheet.cells)) for sheet in context.sheets]
-    rasters = raster_table(context.plan.config)
+    rasters = raster_table(context.plan)
     names = product_names(context.plan.config.product_name)
     for name in context.plan.config.exported:
         raster = final_raster(name, context.plan.config)

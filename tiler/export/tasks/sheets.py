@@ -18,7 +18,7 @@ from tiler.export import FindSheets, find_sheets
 from tiler.export.records import SheetsRecord
 from tiler.grid.records import BlockRecord
 from tiler.grid.tasks.gridding import GridContext, Sheet
-from tiler.grid.tasks.raster_table import MODELS, final_raster
+from tiler.grid.tasks.raster_names import MODELS, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task

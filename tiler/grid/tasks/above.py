@@ -2,57 +2,52 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from fractions import Fraction
 
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.raster import Block, RasterSpec
 from tiler.core.terrain_results import AbovePlace, AboveResult
 from tiler.core.units_text import length_text, small_area_text
 from tiler.core.words import counted
-from tiler.grid import ABOVE_M, MIN_PLACE_M2
+from tiler.grid.above import ABOVE_M, MIN_PLACE_M2, min_pixels
 from tiler.grid.pieces import join_pieces
-from tiler.grid.records import AboveRecord
+from tiler.grid.steps import Counts
 from tiler.runs.job import Job
-from tiler.store import Commits
 
 MAX_LISTED = 1000
 """run.json lists at most this many places, the worst ones."""
 
 
-def report_above(job: Job, spec: RasterSpec, made: Commits) -> None:
+def report_above(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
     """Add to run.json the places where the terrain lies above all returns, and note them."""
-    records = {}
-    for name, (_, stored) in made.items():
-        block = spec.block_named(name, BLOCK_PIXELS)
-        records[block.row, block.col] = AboveRecord.of(stored)
-    places = places_of(records, spec, job.plan.grid.resolution**2)
-    pixels = sum(record.wrong for record in records.values())
+    places = places_of(of_blocks, spec, job.plan.grid.resolution**2)
+    pixels = sum(counts["wrong"] for counts in of_blocks.values())
     job.results.above_returns = AboveResult(pixels, len(places), places[:MAX_LISTED])
     if places:
         job.note(_note(job, places))
 
 
 def places_of(
-    records: Mapping[tuple[int, int], AboveRecord], spec: RasterSpec, pixel_m2: Fraction
+    of_blocks: Mapping[Block, Counts], spec: RasterSpec, pixel_m2: Fraction
 ) -> list[AbovePlace]:
     """Join the places of blocks across their sides, leave out small places, and sort by height.
 
     Parameters
     ----------
-    records : mapping
-        First row and column of each block -> its record.
+    of_blocks : mapping
+        Block -> counts of `tiler.grid.above.above`.
     spec : RasterSpec
     pixel_m2 : Fraction
         Area of a pixel.
     """
-    sides = {at: record.sides for at, record in records.items()}
-    numbers = {at: record.labels for at, record in records.items()}
+    found = {(block.row, block.col): counts for block, counts in of_blocks.items()}
+    sides = {at: counts["sides"] for at, counts in found.items()}
+    numbers = {at: counts["labels"] for at, counts in found.items()}
     joined = join_pieces(sides, numbers, corners=True)
-    least, places = math.ceil(MIN_PLACE_M2 / pixel_m2), []
+    least, places = min_pixels(pixel_m2), []
     for pieces in joined.areas.values():
-        parts = [records[piece.row, piece.col].places[piece.label - 1] for piece in pieces]
+        parts = [found[piece.row, piece.col]["places"][piece.label - 1] for piece in pieces]
         n_pixels, top, left, bottom, right, heights = zip(*parts, strict=True)
         pixels = int(sum(n_pixels))
         if pixels < least:

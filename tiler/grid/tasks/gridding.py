@@ -19,10 +19,11 @@ from tiler.filter import LABELS
 from tiler.grid import FillBlock, GroundSelection
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
-from tiler.grid.records import BlockRecord, LabelsRecord, OccupancyRecord
+from tiler.grid.records import BlockRecord, LabelsRecord
+from tiler.grid.steps import Counts, Sources
 from tiler.grid.tasks.canopy import CanopyCells
 from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.work import BlockWork
+from tiler.grid.work import BlockWork, Facets
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
 from tiler.schedule import Task, Work
@@ -76,6 +77,24 @@ def ground_rule(plan: Plan) -> GroundSelection:
     )
 
 
+def coarse_cell_m(plan: Plan) -> Fraction:
+    """Return the side of a coarse cell in metres."""
+    usual = min(Fraction(COARSE_CELL_M), plan.config.max_edge / 4)
+    if plan.grid.resolution <= MAX_USUAL_PIXEL_M:
+        return usual
+    return max(usual, plan.grid.resolution)
+
+
+def has_large_pixels(plan: Plan) -> bool:
+    """Return whether a pixel is larger than a coarse cell."""
+    return plan.grid.resolution > coarse_cell_m(plan)
+
+
+def canopy_cell_m(plan: Plan) -> Fraction:
+    """Return the side in metres of the cells in which canopies are compared with the terrain around them."""
+    return max(Fraction(CANOPY_CELL_M), plan.grid.resolution)
+
+
 class Grid(Enum):
     """Lattice of a raster."""
 
@@ -93,12 +112,12 @@ class RasterStep:
     name : str
         Name in the store. The stage that makes the raster is ``grid-<name>``.
     inputs : tuple of str
-        Names of the rasters from which it is made, in the order that ``tasks`` expects.
+        Names of the rasters from which it is made, in the order that ``make_tasks`` expects.
     function : Work
         Function that makes a block.
     grid : Grid
-    tasks : callable
-        Function ``tasks(raster, context)`` that yields the tasks of the raster, with the digests of their inputs.
+    make_tasks : callable
+        Function ``make_tasks(raster, context)`` that yields the tasks of the raster, with the digests of their inputs.
     fill : float
         Value of pixels in blocks that were not written.
     edits : tuple of str
@@ -111,7 +130,7 @@ class RasterStep:
     inputs: tuple[str, ...]
     function: Work
     grid: Grid
-    tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
+    make_tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
     fill: float = 0.0
     edits: tuple[str, ...] = ()
     follows_lines: bool = False
@@ -120,6 +139,10 @@ class RasterStep:
     def stage(self) -> str:
         """Name of the stage that makes the raster."""
         return f"grid-{self.name}"
+
+    def tasks(self, context: GridContext) -> Iterator[Task]:
+        """Yield the tasks of the raster."""
+        return self.make_tasks(self, context)
 
 
 @dataclass(frozen=True)
@@ -190,6 +213,37 @@ class GridContext:
         """Name of the bodies of water in the store, or None if there are none."""
         return self.waters.key if self.waters.bodies else None
 
+    @property
+    def sources(self) -> Sources:
+        """What the reads of all steps have in common."""
+        return Sources(
+            rule=self.rule,
+            pixels=self.spec,
+            coarse=self.coarse,
+            canopy_grid=self.canopy_cells,
+            waters=self.water_key,
+            area=self.plan.inputs.area_key,
+            failed=tuple(self.holes),
+            facets=self.facets,
+            kind=self.kind,
+            canopy=None if self.canopy is None else (self.canopy.elected, self.canopy.labels),
+        )
+
+    @property
+    def facets(self) -> Facets:
+        """Facets of a TIN that fill pixels."""
+        plan = self.plan
+        return Facets(
+            data=self.assembled.bounds,
+            max_edge=plan.frame.counts(plan.config.max_edge),
+            halo=math.ceil(plan.frame.counts(plan.grid.halo_m)),
+        )
+
+    def near(self, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
+        """Return the blocks with buckets within ``margin`` counts (plus ``--erode``), each with these buckets."""
+        margin += math.ceil(self.plan.frame.counts(self.plan.config.erosion))
+        return spec.blocks_near(self.plan.buckets, self.labels, BLOCK_PIXELS, margin)
+
     def label_digests(self, cells: Iterable[Cell]) -> list[list[Any]]:
         """Return column, row and label digest of some buckets, for digests of tasks that read them."""
         return [[cell.ix, cell.iy, self.labels[cell]] for cell in cells]
@@ -211,6 +265,11 @@ class GridContext:
             block = self.coarse.block_named(name, BLOCK_PIXELS)
             records[block.row, block.col] = kind.of(stored)
         return records
+
+    def counts(self, raster: str, grid: Grid = Grid.COARSE) -> dict[Block, Counts]:
+        """Return the counts of each finished block of a raster that is made by a step."""
+        spec, made = self.spec_of(grid), self.made[raster].items()
+        return {spec.block_named(name, BLOCK_PIXELS): stored for name, (_, stored) in made}
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
         """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""
@@ -266,7 +325,7 @@ class GridContext:
     def water_is_sought(self) -> bool:
         """Whether water can be found, because few returns show it or because the input has the class of water."""
         return self.returns_show_water or any(
-            record.water for record in self.records("occupancy", OccupancyRecord).values()
+            counts["water"] for counts in self.counts("occupancy").values()
         )
 
     @property
@@ -284,24 +343,16 @@ class GridContext:
     @property
     def coarse_m(self) -> Fraction:
         """Side of a coarse cell in metres."""
-        usual = min(Fraction(COARSE_CELL_M), self.plan.config.max_edge / 4)
-        if self.plan.grid.resolution <= MAX_USUAL_PIXEL_M:
-            return usual
-        return max(usual, self.plan.grid.resolution)
-
-    @property
-    def has_large_pixels(self) -> bool:
-        """Whether a pixel is larger than a coarse cell."""
-        return self.plan.grid.resolution > self.coarse_m
+        return coarse_cell_m(self.plan)
 
     @property
     def canopy_cells(self) -> RasterSpec:
         """Raster of the cells of canopies, in blocks whose positions do not depend on the run."""
-        side_m = max(Fraction(CANOPY_CELL_M), self.plan.grid.resolution)
-        return coarse_raster(Lattice(self.plan.frame.counts(side_m)), self.assembled.bounds)
+        side = self.plan.frame.counts(canopy_cell_m(self.plan))
+        return coarse_raster(Lattice(side), self.assembled.bounds)
 
-    def spec_of(self, raster: RasterStep) -> RasterSpec:
-        """Return the grid of a raster."""
-        if raster.grid is Grid.CANOPY:
+    def spec_of(self, grid: Grid) -> RasterSpec:
+        """Return the lattice of a raster, and its extent."""
+        if grid is Grid.CANOPY:
             return self.canopy_cells
-        return self.coarse if raster.grid is Grid.COARSE else self.spec
+        return self.coarse if grid is Grid.COARSE else self.spec

@@ -9,15 +9,13 @@ from collections.abc import Iterable, Iterator
 from tiler.config import VOID_CANOPY
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
-from tiler.core.records import records_of
 from tiler.core.terrain_results import Implausible
 from tiler.core.units_text import length_text
-from tiler.grid import BELOW_M, CELLS_PER_BLOCK
-from tiler.grid.records import AboveRecord
+from tiler.grid.above import BELOW_M, CELLS_PER_BLOCK
+from tiler.grid.steps import Counts
 from tiler.observe.events import Warned
 from tiler.plan import KEEP
 from tiler.runs.job import Job
-from tiler.store import Commits
 
 MIN_GROUND = 0.01
 """Minimum share of ground among the points, and of pixels with a return near the terrain."""
@@ -36,7 +34,7 @@ MIN_SEEN = 1 / 3
 Square = tuple[int, int]
 
 
-def report_implausible(job: Job, spec: RasterSpec, above: Commits) -> None:
+def report_implausible(job: Job, spec: RasterSpec, above: Iterable[Counts]) -> None:
     """Warn about results that cannot be true, and add them to run.json."""
     if vars(job.results).get("implausible"):  # An empty terrain explains all else.
         return
@@ -44,22 +42,21 @@ def report_implausible(job: Job, spec: RasterSpec, above: Commits) -> None:
     # A canopy or a failed tile explains them, and has its own warning.
     if job.record.failed or "canopy_doubts" in vars(job.results):
         return
-    records = list(records_of(AboveRecord, above))
     pixel_m = float(job.plan.grid.resolution)
-    job.results.implausible = [*_low_terrain(job, spec, records, pixel_m), *_void(job)]
+    job.results.implausible = [*_low_terrain(job, spec, above, pixel_m), *_void(job)]
     for result in job.results.implausible:
         job.listener(Warned(f"{result.why}: {result.remedy}"))
 
 
 def _low_terrain(
-    job: Job, spec: RasterSpec, records: Iterable[AboveRecord], pixel_m: float
+    job: Job, spec: RasterSpec, above: Iterable[Counts], pixel_m: float
 ) -> Iterator[Implausible]:
     """Yield terrain far below the returns: of the whole survey, or of the squares in which it is."""
     cell_pixels = BLOCK_PIXELS // CELLS_PER_BLOCK
     side = max(math.ceil(SQUARE_M / (cell_pixels * pixel_m)), 1) * cell_pixels
     seen, below = Counter[Square](), Counter[Square]()
-    for record in records:
-        for row, col, n_seen, n_below in record.cells or ():
+    for counts in above:
+        for row, col, n_seen, n_below in counts["cells"]:
             seen[row // side, col // side] += n_seen
             below[row // side, col // side] += n_below
     near, share = 1 - below.total() / max(seen.total(), 1), _ground_share(job)

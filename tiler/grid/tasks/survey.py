@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, pairwise, product
@@ -11,17 +10,15 @@ from typing import Any, NamedTuple
 from tiler.core.digests import digest_of
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.grid import (
-    CloseBlock,
     FillBlock,
     FindVoids,
-    SurveyBlock,
     Void,
     VoidRasters,
     blocks_of,
 )
 from tiler.grid.pieces import Piece, Side, components, touching
-from tiler.grid.records import BlockRecord, HolesRecord, OpenAreasRecord, SurveyRecord
-from tiler.grid.tasks.gridding import GAP_M, GridContext, Place, RasterStep
+from tiler.grid.records import HolesRecord
+from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
 from tiler.schedule import Task
 
 
@@ -50,42 +47,6 @@ SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 """Offset of the neighbour at each side of a block: blocks down, and blocks to the right."""
 
 
-def survey_gaps(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block that gaps of the survey can extend into."""
-    return _close_tasks(raster, context, float(GAP_M / context.coarse_m), marks_bare=True)
-
-
-def domain_gaps(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield the tasks for gaps up to ``--max-edge``, which may be water."""
-    if not context.water_is_sought:
-        return iter(())
-    return _close_tasks(raster, context, float(context.plan.config.max_edge / context.coarse_m))
-
-
-def _close_tasks(
-    raster: RasterStep, context: GridContext, gap: float, marks_bare: bool = False
-) -> Iterator[Task]:
-    """Yield the tasks that close gaps up to ``gap`` cells, or up to ``--max-edge`` where points are sparse."""
-    coarse = context.coarse
-    (occupancy,) = raster.inputs
-    max_gap = float(context.plan.config.max_edge / context.coarse_m)
-    reach_blocks = math.ceil((max_gap + 2) / BLOCK_PIXELS)
-    occupied = [
-        place
-        for place, record in context.records(occupancy, BlockRecord).items()
-        if record.filled
-    ]
-    for place in near_places(coarse, occupied, reach_blocks):
-        work = CloseBlock(
-            name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), occupancy=occupancy,
-            gap=min(gap, max_gap), max_gap=max_gap, marks_bare=marks_bare,
-        )  # fmt: skip
-        inputs = context.checksums(
-            occupancy, block_names(near_places(coarse, [place], reach_blocks))
-        )
-        yield context.block_task(raster, work, [inputs])
-
-
 def near_places(coarse: RasterSpec, places: Iterable[Place], n_blocks: int = 1) -> list[Place]:
     """Return the places of blocks, and of other blocks up to ``n_blocks`` away, from the north-west.
 
@@ -105,19 +66,32 @@ def block_names(places: Iterable[Place]) -> list[str]:
     return [Block(*place, 0, 0).name for place in places]
 
 
-def survey_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of the raster of open areas, and for each missing block that the survey encloses."""
-    coarse, (opened,) = context.coarse, raster.inputs
-    records = context.records(opened, OpenAreasRecord)
-    outside, empty = outside_of({place: record.sides for place, record in records.items()})
-    for place in sorted({*records, *empty}):
+def near_points(context: GridContext, occupancy: str, n_blocks: int) -> Iterator[Block]:
+    """Yield the blocks of coarse cells up to ``n_blocks`` away from one with points."""
+    coarse = context.coarse
+    occupied = [
+        (block.row, block.col)
+        for block, counts in context.counts(occupancy).items()
+        if counts["filled"]
+    ]
+    for place in near_places(coarse, occupied, n_blocks):
+        yield coarse.block_at(*place, BLOCK_PIXELS)
+
+
+def enclosed_by(context: GridContext, opened: str) -> dict[Block, dict[str, Any]]:
+    """Return the blocks of open areas, and the missing blocks that the survey encloses, with the values of `survey`."""
+    coarse = context.coarse
+    found = context.counts(opened)
+    sides = {(block.row, block.col): counts["sides"] for block, counts in found.items()}
+    outside, empty = outside_of(sides)
+    values = {}
+    for place in {*sides, *empty}:
         near = near_places(coarse, [place])
-        work = SurveyBlock(
-            name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), opened=opened,
-            outside=tuple(chain.from_iterable(outside.get(other, ()) for other in near)),
-            empty=tuple(other for other in near if other in empty), pixels=context.spec,
-        )  # fmt: skip
-        yield context.block_task(raster, work, [context.checksums(opened, block_names(near))])
+        values[coarse.block_at(*place, BLOCK_PIXELS)] = {
+            "outside": list(chain.from_iterable(outside.get(other, ()) for other in near)),
+            "empty": [other for other in near if other in empty],
+        }
+    return values
 
 
 def outside_of(
@@ -211,10 +185,9 @@ def voids_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     spec, coarse = context.spec, context.coarse
     model, survey = raster.inputs
     rasters = VoidRasters(model, spec, survey, coarse, raster.name)
-    for place, record in context.records(survey, SurveyRecord).items():
-        if not record.inside:
+    for block, counts in context.counts(survey).items():
+        if not counts["inside"]:
             continue
-        block = coarse.block_at(*place, BLOCK_PIXELS)
         work = FindVoids(name=raster.name, spec=coarse, block=block, rasters=rasters)
         under = [
             other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)
@@ -264,6 +237,6 @@ def fill_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
 
 def surveyed_blocks(context: GridContext, survey: str) -> list[Block]:
     """Return the blocks of the products that overlap the inside of the survey, from the north-west."""
-    records = context.records(survey, SurveyRecord).values()
-    runs = list(chain.from_iterable(record.blocks for record in records))
+    found = context.counts(survey).values()
+    runs = list(chain.from_iterable(counts["blocks"] for counts in found))
     return sorted(set(blocks_of(runs, context.spec, BLOCK_PIXELS)), key=north_west)

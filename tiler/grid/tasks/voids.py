@@ -14,10 +14,8 @@ import scipy
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block, RasterSpec
-from tiler.core.records import records_of
 from tiler.core.terrain_results import VoidResult, VoidsResult
 from tiler.grid import CELL_PIXELS
-from tiler.grid.records import OutlineRecord
 from tiler.grid.tasks.gridding import GridContext
 from tiler.runs.job import Job
 from tiler.store import Commits
@@ -33,26 +31,26 @@ too."""
 
 def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
     """Add to run.json the voids of the delivered terrain, places without returns, and the holes inside each edit."""
-    records, spec = records_of(OutlineRecord, outlined), gridding.spec
+    of_blocks, spec = [counts for _, counts in outlined.values()], gridding.spec
     hole_pixels: Counter[int] = Counter()
-    for record in records:
-        for edit, n_pixels in record.edit_holes:
+    for counts in of_blocks:
+        for edit, n_pixels in counts["edit_holes"]:
             hole_pixels[edit] += n_pixels
     if job.results.edits:
         job.results.edits = [
             replace(edit, holes=hole_pixels[edit.number]) for edit in job.results.edits
         ]
-    cells = chain.from_iterable(record.holes for record in records)
+    cells = chain.from_iterable(counts["holes"] for counts in of_blocks)
     pixel_m2 = float(job.plan.grid.resolution) ** 2
     voids = voids_of(cells, spec, pixel_m2)
     job.results.voids = VoidsResult(
-        surveyed_pixels=sum(record.surveyed for record in records),
+        surveyed_pixels=sum(counts["surveyed"] for counts in of_blocks),
         pixels=sum(void.pixels for void in voids),
-        asked_pixels=sum(record.voided for record in records),
+        asked_pixels=sum(counts["voided"] for counts in of_blocks),
         number=len(voids),
         largest=voids[:MAX_LISTED],
     )
-    bare = chain.from_iterable(record.bare for record in records)
+    bare = chain.from_iterable(counts["bare"] for counts in of_blocks)
     # What water or the border leaves of a place may be smaller.
     min_m2 = (MIN_BARE_CELLS * float(gridding.coarse_m)) ** 2
     places = [p for p in voids_of(bare, spec, pixel_m2) if p.area_m2 >= min_m2]

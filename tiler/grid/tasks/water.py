@@ -14,9 +14,9 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.records import records_of
 from tiler.core.water import LAKE, Water, Waters, lengths_along
 from tiler.core.words import counted
-from tiler.grid import DescribeBody, LevelWater, Sources, describe_body, level_water
+from tiler.grid import DescribeBody, LevelWater, describe_body, level_water
 from tiler.grid.coarse import padded
-from tiler.grid.records import BodyRecord, LevelRecord, SizesRecord
+from tiler.grid.records import BodyRecord, LevelRecord
 from tiler.grid.tasks.gridding import GridContext, Place
 from tiler.grid.tasks.survey import block_names, near_places
 from tiler.grid.tasks.water_facts import report_levels
@@ -24,6 +24,7 @@ from tiler.grid.tasks.water_search import area_sums
 from tiler.grid.water_banks import BANK_MARGIN
 from tiler.grid.water_find import MIN_LENGTH
 from tiler.grid.water_pockets import POCKET_PIXELS
+from tiler.grid.water_search import Sources
 from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -102,13 +103,11 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
     """Yield a task for each connected area of water that is large enough."""
     config, coarse = context.plan.config, context.coarse
     min_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
-    joined = context.areas(CELLS)
-    for name, (n_cells, n_known, hundredths) in area_sums(
-        joined, context.records(CELLS, SizesRecord)
-    ).items():
+    areas = context.areas(CELLS).areas
+    for name, (n_cells, n_known, hundredths) in area_sums(context, CELLS).items():
         if n_cells * context.coarse_m**2 < min_m2:
             continue
-        pieces = joined.areas[name]
+        pieces = areas[name]
         places = sorted({(piece.row, piece.col) for piece in pieces})
         # `finish_water` adds up the confidences of the cells in hundredths. Not all cells have
         # a confidence.

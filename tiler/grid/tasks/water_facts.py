@@ -8,12 +8,11 @@ from fractions import Fraction
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.map_lines import rings_of_areas
-from tiler.core.records import records_of
 from tiler.core.terrain_results import Doubt, StationResult, WaterResult
 from tiler.core.units_text import length_text
 from tiler.core.water import RIVER, Station, Water, Waters, lengths_along
 from tiler.core.words import listed
-from tiler.grid.records import LevelRecord, OutlineRecord
+from tiler.grid.records import LevelRecord
 from tiler.grid.water_level import NOISE_M
 from tiler.observe.events import Warned
 from tiler.runs.job import Job
@@ -94,8 +93,8 @@ def _named(body: Water) -> str:
 def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
     """Add the bodies of water to run.json, each with its number of pixels of the terrain."""
     pixels: dict[str, int] = {}
-    for record in records_of(OutlineRecord, terrain):
-        for area, count in record.water:
+    for _, counts in terrain.values():
+        for area, count in counts["water"]:
             pixels[area] = pixels.get(area, 0) + count
     pixel_m2 = float(job.plan.grid.resolution) ** 2
     rings = rings_of_areas([body.area for body in waters.bodies])

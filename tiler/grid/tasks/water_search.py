@@ -9,257 +9,260 @@ land around it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 from tiler.core.lattice import Bounds
-from tiler.core.raster import BLOCK_PIXELS
-from tiler.grid import (
-    CountPlaneRims,
-    CountRims,
-    CrownsBlock,
-    FindAreas,
-    FinishWater,
-    GroundCells,
-    KeepAreas,
-    KeepPlanes,
-    Sources,
-)
+from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid.coarse import padded
 from tiler.grid.pieces import Joined, Piece, around
-from tiler.grid.records import BlockRecord, OccupancyRecord, RimsRecord, SizesRecord
 from tiler.grid.returns import usual_returns
-from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
-from tiler.grid.tasks.survey import block_names, near_places
+from tiler.grid.steps import Counts, Read
+from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
+from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values
+from tiler.grid.tasks.survey import near_places
 from tiler.grid.water_cells import ENOUGH_RETURNS, CellCounts, Rim, water_confidence
+from tiler.grid.water_crowns import crowns_margin, plants_near_water
 from tiler.grid.water_find import MIN_LENGTH
-from tiler.grid.water_ground import NEAR_CELLS
-from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
-from tiler.schedule import Task
+from tiler.grid.water_finish import finish_margin, finish_water
+from tiler.grid.water_ground import NEAR_CELLS, ground_cells
+from tiler.grid.water_planes import (
+    DAM_M,
+    SHORE_CELLS,
+    Plane,
+    count_plane_rims,
+    find_planes,
+    keep_planes,
+)
+from tiler.grid.water_search import MARGIN, count_rims, find_areas, keep_areas
+from tiler.plan import Plan
 
-AnyWork = TypeVar("AnyWork")
+Reads = Mapping[str, Read]
 
 
-def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of coarse cells that overlaps a block of the terrain with heights."""
-    if not context.water_is_sought:
-        return
-    terrain, coarse_terrain, occupancy = raster.inputs
-    coarse, spec = context.coarse, context.spec
-    if context.has_large_pixels:
-        spec, terrain = coarse, coarse_terrain
-    records = context.records(occupancy, OccupancyRecord)
-    places: set[Place] = set()
-    for key, (_, stored) in context.made[terrain].items():
-        if BlockRecord.of(stored).filled:
-            bounds = spec.block_bounds(spec.block_named(key, BLOCK_PIXELS))
-            places.update(
-                (block.row, block.col) for block in coarse.blocks_within(bounds, BLOCK_PIXELS)
-            )
-    for place in sorted(places):
-        block = coarse.block_at(*place, BLOCK_PIXELS)
-        has_water_class = any(
-            records[other].water for other in around(*place) if other in records
+def counts_at(context: GridContext, raster: str) -> dict[Place, Counts]:
+    """Return the counts of each finished block of a raster of coarse cells, by place."""
+    return {(block.row, block.col): counts for block, counts in context.counts(raster).items()}
+
+
+def water_steps(plan: Plan) -> list[Step]:
+    """Return the steps of the search for water in coarse cells."""
+    config, cell_m = plan.config, float(coarse_cell_m(plan))
+    width_m, island_m2 = float(config.water_min_river_width), float(config.water_min_island)
+    margin = finish_margin(cell_m, width_m, island_m2)
+    crowns = crowns_margin(cell_m)
+    finish = {"margin": margin, "river_width_m": width_m, "island_m2": island_m2}
+    found = {"sure": "water-sure", "planes": "water-plane-sure"}
+
+    def step(
+        name: str,
+        work: Callable[..., Any],
+        reads: Reads,
+        over: Over,
+        *after: str,
+        **values: Any,
+    ) -> Step:
+        grid = Grid.COARSE
+        return Step(
+            f"water-{name}", work, reads, over, values, fill=0.0, grid=grid, after=after
         )
-        work = GroundCells(
-            name=raster.name, spec=coarse, block=block, heights=terrain, pixels=spec,
-            occupancy=occupancy if has_water_class else None, rule=context.rule,
-        )  # fmt: skip
-        blocks = [
-            other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)
-        ]
-        inputs: list[Any] = [context.checksums(terrain, blocks)]
-        if has_water_class:
-            margin = int(NEAR_CELLS * coarse.lattice.size) + 1
-            near = context.plan.buckets.among(
-                coarse.block_bounds(block).pad(margin), context.labels
-            )
-            inputs.append(
-                context.checksums(occupancy, block_names(near_places(coarse, [place])))
-            )
-            inputs.append(context.label_digests(near))
-        yield context.block_task(raster, work, inputs)
+
+    def near(margin: int, **names: str) -> dict[str, Read]:
+        return {key: Read(f"numbers:{name}", margin) for key, name in names.items()}
+
+    heights = "same-cells:water-terrain" if has_large_pixels(plan) else "pixels:dtm"
+    cell = plan.frame.counts(coarse_cell_m(plan))
+    search = _search(MARGIN)
+    areas = {**near(MARGIN, areas="water-areas"), **search}
+    planes = {**near(MARGIN, areas="water-planes"), **search}
+    return [
+        Step(
+            "water-ground",
+            ground_cells,
+            {
+                "heights": Read(heights),
+                **near(NEAR_CELLS, occupancy="occupancy"),
+                "points": Read("points", int(NEAR_CELLS * cell) + 1),
+                "place": Read("place"),
+            },
+            _with_heights,
+            grid=Grid.COARSE,
+        ),
+        step("areas", find_areas, search, _may_have_water),
+        step("rims", count_rims, areas, _near_candidates),
+        step(
+            "sure",
+            keep_areas,
+            {**near(0, areas="water-areas"), "place": Read("place")},
+            _kept_areas,
+            "water-rims",
+        ),
+        step("planes", find_planes, search, _may_have_water),
+        step("plane-rims", count_plane_rims, planes, _near_planes),
+        step("plane-sure", keep_planes, planes, _kept_planes, "water-plane-rims"),
+        step(
+            "crowns",
+            plants_near_water,
+            {
+                **near(crowns, **found),
+                **near(1, occupancy="occupancy"),
+                "ground": Read("raster:water-ground", 1),
+                "points": Read("points", int(cell) + 1),
+                "place": Read("place"),
+            },
+            _near_water_of_pulses,
+            margin=crowns,
+        ),
+        step(
+            "cells",
+            finish_water,
+            {**near(margin, **found, crowns="water-crowns"), **_search(margin)},
+            _near_water,
+            **finish,
+        ),
+    ]
 
 
-def areas_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of the survey that may have water.
+def _search(margin: int) -> dict[str, Read]:
+    """Return the reads of `SearchRead`."""
+    return {
+        "occupancy": Read("numbers:occupancy", margin),
+        "ground": Read("raster:water-ground", margin),
+        "domain": Read("numbers:domain", margin),
+        "place": Read("place"),
+    }
+
+
+def _with_heights(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
+    """Return the blocks that overlap a block of the terrain with heights, if water is sought."""
+    if not context.water_is_sought:
+        return {}
+    coarse, counts = context.coarse, counts_at(context, "occupancy")
+    read = step.reads["heights"]
+    spec = context.spec if read.kind == "pixels" else coarse
+    blocks: set[Block] = set()
+    for key, (_digest, terrain) in context.made[read.raster].items():
+        if terrain["filled"]:
+            bounds = spec.block_bounds(spec.block_named(key, BLOCK_PIXELS))
+            blocks.update(coarse.blocks_within(bounds, BLOCK_PIXELS))
+    wet = {at for at, of_block in counts.items() if of_block["water"]}
+    return {
+        block: {"is_wet": not wet.isdisjoint(around(block.row, block.col))} for block in blocks
+    }
+
+
+def _may_have_water(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    """Return the blocks of the survey that may have water.
 
     A block may have water if the usual number of returns per cell is known in the block and its
     neighbours, or if the input has the class of water there.
     """
-    occupancy, ground, domain = raster.inputs
-    records = context.records(occupancy, OccupancyRecord)
-    for place, record in context.records(domain, BlockRecord).items():
-        near = [other for other in around(*place) if other in records]
+    counts, values = counts_at(context, "occupancy"), {}
+    for block, domain in context.counts("domain").items():
+        near = [counts[at] for at in around(block.row, block.col) if at in counts]
         usual = None
         if context.returns_show_water:
-            usual = usual_returns((records[other].returns for other in near), ENOUGH_RETURNS)
-        has_water_class = any(records[other].water for other in near)
-        if not record.filled or (usual is None and not has_water_class):
-            continue
-        n_merged, median = usual or (1, None)
-        work = FindAreas(
-            name=raster.name, spec=context.coarse, block=context.coarse.block_at(*place, BLOCK_PIXELS),
-            sources=Sources(occupancy, ground, domain), n_merged=n_merged, usual=median,
-        )  # fmt: skip
-        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
+            usual = usual_returns((other["returns"] for other in near), ENOUGH_RETURNS)
+        has_water_class = any(other["water"] for other in near)
+        if domain["filled"] and (usual is not None or has_water_class):
+            n_merged, median = usual or (1, None)
+            values[block] = {"n_merged": n_merged, "usual": median}
+    return values
 
 
-def rims_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with a candidate and for its neighbours. The task counts the rims of candidates."""
-    areas = raster.inputs[0]
-    for place in _near_labels(context, areas):
-        work = _on_areas(CountRims, raster, context, place)
-        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
+def _near_candidates(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    """Return the blocks with a candidate and their neighbours."""
+    areas = "water-areas"
+    labelled = [at for at, counts in counts_at(context, areas).items() if counts["labels"]]
+    return _on_areas(context, areas, near_places(context.coarse, labelled))
 
 
-def plane_rims_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with a plane that may be water, and for its neighbours."""
-    planes = raster.inputs[0]
-    evident, others = _likely_planes(context, planes)
-    evident_at = _by_place(context.areas(planes), evident)
-    others_at = _by_place(context.areas(planes), others)
-    for place in near_places(context.coarse, {*evident_at, *others_at}):
-        work = _on_areas(
-            CountPlaneRims,
-            raster,
-            context,
-            place,
-            evident=_names_near(evident_at, place),
-            others=_names_near(others_at, place),
-        )
-        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
+def _kept_areas(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    """Return the blocks with a candidate that is water."""
+    areas = "water-areas"
+    kept = _confident_areas(context, areas, "water-rims")
+    at = _by_place(context.areas(areas), kept)
+    values = _on_areas(context, areas, at, kept=lambda place: [(n, kept[n]) for n in at[place]])
+    return {block: {n: v[n] for n in ("joins", "kept")} for block, v in values.items()}
 
 
-def plane_sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with a plane that is water, and for its neighbours."""
-    rims, *inputs = raster.inputs
-    kept = _kept_planes(context, inputs[0], rims)
-    names_by_place = _by_place(context.areas(inputs[0]), kept)
-    for place in near_places(context.coarse, names_by_place):
-        names = _names_near(names_by_place, place)
-        work = _on_areas(
-            KeepPlanes, raster, context, place, kept=tuple((name, kept[name]) for name in names)
-        )
-        yield context.block_task(raster, work, _near_checksums(context, inputs, place))
+def _near_planes(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    """Return the blocks with a plane that may be water, and their neighbours."""
+    planes = "water-planes"
+    evident, others = (
+        _by_place(context.areas(planes), names) for names in _likely_planes(context, planes)
+    )
+    return _on_areas(
+        context,
+        planes,
+        near_places(context.coarse, {*evident, *others}),
+        evident=lambda place: _names_near(evident, place),
+        others=lambda place: _names_near(others, place),
+    )
 
 
-def sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with a candidate that is water."""
-    rims, *inputs = raster.inputs
-    areas = inputs[0]
-    kept = _kept_areas(context, areas, rims)
-    for place, names in _by_place(context.areas(areas), kept).items():
-        work = _on_areas(
-            KeepAreas, raster, context, place, kept=tuple((name, kept[name]) for name in names)
-        )
-        yield context.block_task(raster, work, [context.checksums(areas, block_names([place]))])
+def _kept_planes(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    """Return the blocks with a plane that is water, and their neighbours."""
+    planes = "water-planes"
+    kept = _confident_planes(context, planes, "water-plane-rims")
+    at = _by_place(context.areas(planes), kept)
+    return _on_areas(
+        context,
+        planes,
+        near_places(context.coarse, at),
+        kept=lambda place: [(name, kept[name]) for name in _names_near(at, place)],
+    )
 
 
-def crowns_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with water, and for its neighbours, if the pulses pass through crowns (LiDAR)."""
+def _on_areas(
+    context: GridContext,
+    areas: str,
+    places: Iterable[Place],
+    **more: Callable[[Place], Any],
+) -> dict[Block, Values]:
+    """Return the values of steps on candidates or planes at some places."""
+    counts, joined = counts_at(context, areas), context.areas(areas)
+    values: dict[Block, Values] = {}
+    for place in places:
+        values[context.coarse.block_at(*place, BLOCK_PIXELS)] = {
+            "n_merged": counts[place]["n_merged"] if place in counts else 1,
+            "joins": joined.joins(around(*place)),
+            **{name: of_place(place) for name, of_place in more.items()},
+        }
+    return values
+
+
+def _near_water_of_pulses(_: Step, context: GridContext, near: Near) -> Mapping[Block, Values]:
+    """Return the blocks with water and their neighbours, if the pulses pass through crowns (LiDAR)."""
     if not context.returns_show_water:
-        return
-    sure, planes, occupancy, ground = raster.inputs
-    for place in _near_water(context, sure, planes):
-        block = context.coarse.block_at(*place, BLOCK_PIXELS)
-        work = CrownsBlock(
-            name=raster.name,
-            spec=context.coarse,
-            block=block,
-            confidences=(sure, planes),
-            occupancy=occupancy,
-            ground=ground,
-            rule=context.rule,
-        )
-        margin = int(context.coarse.lattice.size) + 1
-        near = context.plan.buckets.among(
-            context.coarse.block_bounds(block).pad(margin), context.labels
-        )
-        yield context.block_task(
-            raster,
-            work,
-            [*_near_checksums(context, raster.inputs, place), context.label_digests(near)],
-        )
+        return {}
+    return dict.fromkeys(_blocks_near_water(context), NONE)
 
 
-def _near_water(context: GridContext, *confidences: str) -> list[Place]:
-    """Return the places of blocks with water and of their neighbours.
+def _near_water(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    """Return the blocks with water and their neighbours."""
+    return {
+        block: {"decks": _decks_near(context, block)} for block in _blocks_near_water(context)
+    }
 
-    ``confidences`` are rasters of the confidence that cells are water.
-    """
+
+def _blocks_near_water(context: GridContext) -> list[Block]:
+    coarse = context.coarse
     places: set[Place] = set()
-    for name in confidences:
-        records = context.records(name, BlockRecord)
-        places.update(place for place, record in records.items() if record.filled)
-    return near_places(context.coarse, places)
+    for name in ("water-sure", "water-plane-sure"):
+        places.update(at for at, counts in counts_at(context, name).items() if counts["filled"])
+    return [coarse.block_at(*at, BLOCK_PIXELS) for at in near_places(coarse, places)]
 
 
-def cells_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with water, and for its neighbours."""
-    sure, planes, crowns, *sources = raster.inputs
-    config = context.plan.config
-    for place in _near_water(context, sure, planes):
-        work = FinishWater(
-            name=raster.name,
-            spec=context.coarse,
-            block=context.coarse.block_at(*place, BLOCK_PIXELS),
-            confidences=(sure, planes),
-            crowns=crowns,
-            sources=Sources(*sources),
-            river_width_m=float(config.water_min_river_width),
-            island_m2=float(config.water_min_island),
-            decks=_decks_near(context, place),
-        )
-        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
-
-
-def _decks_near(context: GridContext, place: Place) -> tuple[tuple[int, ...], ...]:
+def _decks_near(context: GridContext, block: Block) -> list[tuple[int, ...]]:
     """Return the outlines of the removed bridges in a block and its neighbours."""
-    block = context.coarse.block_at(*place, BLOCK_PIXELS)
     bounds = context.coarse.block_bounds(padded(block, BLOCK_PIXELS))
     rings = []
     for ring, *_ in context.corrections.decks:
         x, y = ring[::2], ring[1::2]
         if bounds.overlaps(Bounds(min(x), min(y), max(x), max(y))):
             rings.append(ring)
-    return tuple(rings)
-
-
-def _on_areas(
-    make: Callable[..., AnyWork],
-    raster: RasterStep,
-    context: GridContext,
-    place: Place,
-    **more: Any,
-) -> AnyWork:
-    """Make the arguments of a task on candidates or planes."""
-    areas, occupancy, ground, domain = raster.inputs[-4:]
-    record = context.records(areas, SizesRecord).get(place)
-    return make(
-        name=raster.name,
-        spec=context.coarse,
-        block=context.coarse.block_at(*place, BLOCK_PIXELS),
-        sources=Sources(occupancy, ground, domain),
-        n_merged=1 if record is None else record.n_merged,
-        areas=areas,
-        joins=context.areas(areas).joins(around(*place)),
-        **more,
-    )
-
-
-def _near_checksums(context: GridContext, rasters: Sequence[str], place: Place) -> list[Any]:
-    """Return the checksums of a block and its neighbours for some rasters."""
-    near = block_names(near_places(context.coarse, [place]))
-    return [context.checksums(name, near) for name in rasters]
-
-
-def _near_labels(context: GridContext, areas: str) -> list[Place]:
-    """Return the places of blocks with labels in a raster of areas, and of their neighbours."""
-    labelled = [
-        place for place, record in context.records(areas, SizesRecord).items() if record.labels
-    ]
-    return near_places(context.coarse, labelled)
+    return rings
 
 
 def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]]:
@@ -281,27 +284,20 @@ def _names_near(
     return tuple(sorted(names))
 
 
-def _sizes(context: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
-    """Return `area_sums` for the areas of a raster."""
-    return area_sums(context.areas(areas), context.records(areas, SizesRecord))
-
-
-def area_sums(
-    joined: Joined, records: Mapping[Place, SizesRecord]
-) -> dict[Piece, tuple[int, ...]]:
-    """Return the sums of ``sizes`` of the records (see `SizesRecord`) over the pieces of each area, by its name."""
-    sums = {}
-    for name, pieces in joined.areas.items():
-        sizes = [records[p.row, p.col].sizes[p.label - 1] for p in pieces]
+def area_sums(context: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
+    """Return the sums of ``sizes`` of the counts over the pieces of each area of a raster, by its name."""
+    counts, sums = counts_at(context, areas), {}
+    for name, pieces in context.areas(areas).areas.items():
+        sizes = [counts[p.row, p.col]["sizes"][p.label - 1] for p in pieces]
         sums[name] = tuple(map(sum, zip(*sizes, strict=True)))
     return sums
 
 
-def _kept_areas(context: GridContext, areas: str, rims: str) -> dict[Piece, float]:
+def _confident_areas(context: GridContext, areas: str, rims: str) -> dict[Piece, float]:
     """Return the candidates that are water, each with its confidence."""
     rim_by_area = _rims(context, rims)
     kept = {}
-    for name, size in _sizes(context, areas).items():
+    for name, size in area_sums(context, areas).items():
         confidence = water_confidence(CellCounts(*size), rim_by_area.get(name, Rim()))
         if confidence is not None:
             kept[name] = confidence
@@ -315,8 +311,8 @@ def _rims(context: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
     count as land.
     """
     rim_by_area: dict[Piece, Rim] = {}
-    for record in context.records(rims, RimsRecord).values():
-        for name, *counts in record.rims:
+    for found in context.counts(rims).values():
+        for name, *counts in found["rims"]:
             rim = Rim(*counts[min(number, len(counts) - 1)])
             rim_by_area[Piece(*name)] = rim_by_area.get(Piece(*name), Rim()).plus(rim)
     return rim_by_area
@@ -328,15 +324,15 @@ def _likely_planes(context: GridContext, planes: str) -> tuple[list[Piece], list
     The rims of the planes are not used.
     """
     config = context.plan.config
-    joined, records = context.areas(planes), context.records(planes, SizesRecord)
+    joined, counts = context.areas(planes), counts_at(context, planes)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
     # The cells along the shore are not part of a plane, so half of the area is enough.
     min_cells = min_m2 / float(context.coarse_m) ** 2 / 2
     sizes = {}
-    for name, size in area_sums(joined, records).items():
+    for name, size in area_sums(context, planes).items():
         if size[0] >= min_cells:
             sizes[name] = Plane(*size)
-    boxes = {name: _box(joined.areas[name], records) for name in sizes}
+    boxes = {name: _box(joined.areas[name], counts) for name in sizes}
     evident = [name for name, plane in sizes.items() if plane.is_evident]
     max_gap = DAM_M / float(context.coarse_m) + SHORE_CELLS
     others = []
@@ -346,11 +342,9 @@ def _likely_planes(context: GridContext, planes: str) -> tuple[list[Piece], list
     return sorted(evident), sorted(others)
 
 
-def _box(
-    pieces: Iterable[Piece], records: Mapping[Place, SizesRecord]
-) -> tuple[int, int, int, int]:
+def _box(pieces: Iterable[Piece], counts: Mapping[Place, Counts]) -> tuple[int, int, int, int]:
     """Return the first row and column, and the last row and column plus 1, of an area."""
-    boxes = [(records[p.row, p.col].boxes or [])[p.label - 1] for p in pieces]
+    boxes = [counts[p.row, p.col]["boxes"][p.label - 1] for p in pieces]
     top, left, bottom, right = zip(*boxes, strict=True)
     return min(top), min(left), max(bottom), max(right)
 
@@ -360,14 +354,14 @@ def _are_near(box: Sequence[int], other: Sequence[int], max_gap: float) -> bool:
     return all(gap <= max_gap for gap in gaps)
 
 
-def _kept_planes(context: GridContext, planes: str, rims: str) -> dict[Piece, float]:
+def _confident_planes(context: GridContext, planes: str, rims: str) -> dict[Piece, float]:
     """Return the planes that are water, each with its confidence: evident planes, and other planes next to these."""
     evident, others = _likely_planes(context, planes)
     confidences = _plane_confidences(context, rims, 0)
     confidences_without_others = _plane_confidences(context, rims, 1)
     neighbours: dict[Piece, set[Piece]] = defaultdict(set)
-    for record in context.records(rims, RimsRecord).values():
-        for name, other in record.beside or ():
+    for counts in context.counts(rims).values():
+        for name, other in counts["beside"]:
             neighbours[Piece(*name)].add(Piece(*other))
     kept = {name: confidences[name] for name in evident if name in confidences}
     other_water = {name: confidences[name] for name in others if name in confidences}

@@ -1,0 +1,279 @@
+"""Steps: a block of a raster is a function of what it reads. `run_block` is the only runner."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Bounds
+from tiler.core.points import PointBlock
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.checksum import checksum
+from tiler.grid.coarse import padded
+from tiler.grid.drawn_near import EditsNear, WatersNear
+from tiler.grid.ground import GroundSelection
+from tiler.grid.points_near import PointsNear
+from tiler.grid.work import BlockWork, Facets
+from tiler.store import TileStore, coarse_values, coarse_window, open_store, read_cells
+
+Bools = npt.NDArray[np.bool_]
+Float64 = npt.NDArray[np.float64]
+Counts = Mapping[str, Any]
+"""What a block adds to the summary of its raster, as JSON can hold it. It is the record of the block."""
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a step reads for a block.
+
+    Attributes
+    ----------
+    of : str
+        Key of `READERS`, and after a colon the name of a raster.
+    margin : int
+        Width of what is read around the block: in pixels of a raster, in counts of points.
+    """
+
+    of: str
+    margin: int = 0
+
+    @property
+    def kind(self) -> str:
+        """Key of `READERS`."""
+        return self.of.partition(":")[0]
+
+    @property
+    def raster(self) -> str:
+        """Name of the raster, or empty text."""
+        return self.of.partition(":")[2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sources:
+    """What the reads of all blocks of a run have in common.
+
+    Attributes
+    ----------
+    rule : GroundSelection
+        Rule for the points that are ground, with the key in the store of the edits.
+    pixels, coarse, canopy_grid : RasterSpec
+        Rasters of the products, of the coarse cells, and of the cells in which canopies are compared with the terrain.
+    waters, area : str or None
+        Keys in the store of bodies of water, and of the area of the run.
+    failed : tuple of Bounds
+        Bounds of tiles that failed.
+    facets : Facets
+    kind : str or None
+        Source of the clouds as methods name it (`ptd.passes.RunHints`); None if it is not known.
+    canopy : (str, str) or None
+        Names in the store of the cells in which the filter found a canopy, as elected points, and of their labels.
+    """
+
+    rule: GroundSelection
+    pixels: RasterSpec
+    coarse: RasterSpec
+    canopy_grid: RasterSpec
+    facets: Facets
+    waters: str | None = None
+    area: str | None = None
+    failed: tuple[Bounds, ...] = ()
+    kind: str | None = None
+    canopy: tuple[str, str] | None = None
+
+
+class Place(NamedTuple):
+    """Position of a block: the frame of the store, the raster, the block, and what all blocks have in common."""
+
+    frame: CoordFrame
+    spec: RasterSpec
+    block: Block
+    sources: Sources
+
+    @property
+    def pixel_m(self) -> float:
+        """Side of a pixel or cell in metres."""
+        return float(self.spec.lattice.size * self.frame.metres_xy)
+
+    @property
+    def unit_m(self) -> float:
+        """Metres in a vertical unit of the CRS."""
+        return float(self.frame.units.vertical)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeBlock(BlockWork):
+    """Arguments of `run_block`.
+
+    Attributes
+    ----------
+    work : callable
+        Function of a module, ``work(**reads, **values) -> (values of pixels, counts)``. The values are NaN where a
+        pixel has none. They are None if the step has no raster.
+    reads : mapping of str to Read
+        Arguments of ``work`` that are read for the block.
+    values : mapping
+        Other arguments of ``work``.
+    sources : Sources
+    fill : float
+        Value to store for pixels without one.
+    """
+
+    work: Callable[..., tuple[npt.NDArray[np.floating] | None, Counts]]
+    reads: Mapping[str, Read]
+    values: Mapping[str, Any]
+    sources: Sources
+    fill: float
+
+
+def run_block(store_url: str, task: MakeBlock) -> Counts:
+    """Make one block of a raster. This is a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        Counts of the function. For a raster also ``pixels``, ``filled`` (pixels with a value, unless the function
+        counts them) and ``checksum``.
+    """
+    store = open_store(store_url)
+    reads = {name: READERS[read.kind](store, task, read) for name, read in task.reads.items()}
+    values, counts = task.work(**reads, **task.values)
+    if values is None:
+        return counts
+    fill = np.float32(task.fill)
+    pixels = np.where(np.isnan(values), fill, values.astype(np.float32))
+    store.write_block(task.name, task.block, pixels)
+    filled = int(np.count_nonzero(pixels != fill))
+    return {"pixels": pixels.size, "filled": filled, "checksum": checksum(pixels), **counts}
+
+
+def _raster(store: TileStore, task: MakeBlock, read: Read) -> Float64:
+    """Return a raster around a block, float64, NaN without a value and beyond the raster."""
+    window = padded(task.block, read.margin)
+    values = read_cells(store, read.raster, task.spec, window, NODATA)
+    return np.where(values == np.float32(NODATA), np.nan, values.astype(np.float64))
+
+
+def _numbers(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
+    """Return a raster of numbers that has no nodata around a block, float32, 0 beyond the raster."""
+    return read_cells(store, read.raster, task.spec, padded(task.block, read.margin))
+
+
+def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
+    """Return a raster of coarse cells at the pixels around a block, float32, 0 beyond the raster."""
+    window = padded(task.block, read.margin)
+    return coarse_values(store, read.raster, task.sources.coarse, task.spec, window)
+
+
+@dataclass(frozen=True)
+class PixelsUnder:
+    """Raster of which a block of larger cells reads one part at a time, as the whole may not fit into memory."""
+
+    store: TileStore
+    name: str
+    spec: RasterSpec
+
+    def read(self, block: Block) -> npt.NDArray[np.float32]:
+        """Return the pixels of a block, float32 (height, width)."""
+        return self.store.read_block(self.name, block)
+
+
+def _pixels(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
+    return PixelsUnder(store, read.raster, task.sources.pixels)
+
+
+def _same_cells(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
+    return PixelsUnder(store, read.raster, task.spec)
+
+
+def _points(store: TileStore, task: MakeBlock, read: Read) -> PointsNear:
+    return PointsNear(store, task.sources.rule, task.spec, task.block, read.raster)
+
+
+def _waters(store: TileStore, task: MakeBlock, _: Read) -> WatersNear:
+    waters = store.waters(task.sources.waters, task.spec.block_bounds(task.block))
+    return WatersNear(waters, task.spec, task.block)
+
+
+def _edits(store: TileStore, task: MakeBlock, _: Read) -> EditsNear:
+    return EditsNear(store, task.sources.rule.edits, task.spec, task.block)
+
+
+def _canopy(store: TileStore, task: MakeBlock, read: Read) -> PointBlock:
+    """Return the cells of a canopy around a block."""
+    assert task.sources.canopy is not None  # else there is no task
+    elected, labels = task.sources.canopy
+    return store.elected(elected, task.spec.block_bounds(task.block).pad(read.margin), labels)
+
+
+def _canopy_grid(store: TileStore, task: MakeBlock, read: Read) -> Float64:
+    """Return a raster of cells of canopies around a block (see `canopy_window`), float64, NaN without a value."""
+    cells = task.sources.canopy_grid
+    window = canopy_window(
+        Place(store.meta.frame, task.spec, task.block, task.sources), read.margin
+    )
+    values = read_cells(store, read.raster, cells, window, NODATA).astype(np.float64)
+    return np.where(values == NODATA, np.nan, values)
+
+
+def canopy_window(place: Place, margin: int) -> Block:
+    """Return the cells of canopies at a block and ``margin`` cells around it."""
+    return padded(coarse_window(place.sources.canopy_grid, place.spec, place.block), margin)
+
+
+def _place(store: TileStore, task: MakeBlock, _: Read) -> Place:
+    return Place(store.meta.frame, task.spec, task.block, task.sources)
+
+
+def _area(store: TileStore, task: MakeBlock, read: Read) -> Bools:
+    """Return a mask of the pixels around a block in the area of the run."""
+    return task.spec.inside(padded(task.block, read.margin), store.area(task.sources.area))
+
+
+def _failed(_: TileStore, task: MakeBlock, __: Read) -> Bools:
+    """Return a mask of the pixels whose centres lie in a tile that failed."""
+    mask = np.zeros((task.block.height, task.block.width), np.bool_)
+    for bounds in task.sources.failed:
+        mask[_within(bounds, task.spec, task.block)] = True
+    return mask
+
+
+def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slice]:
+    """Return the rows and columns of a block's pixels whose centres lie within bounds."""
+
+    def first(edge: int) -> int:
+        """Return the index of the first pixel whose centre is at an edge or beyond it."""
+        return math.ceil(edge / spec.lattice.size - Fraction(1, 2))
+
+    def clipped(start: int, stop: int, count: int) -> slice:
+        return slice(min(max(start, 0), count), min(max(stop, 0), count))
+
+    top, left = spec.north - block.row, spec.west + block.col
+    rows = clipped(top - first(bounds.y1), top - first(bounds.y0), block.height)
+    return rows, clipped(first(bounds.x0) - left, first(bounds.x1) - left, block.width)
+
+
+READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
+    "raster": _raster,
+    "numbers": _numbers,
+    "cells": _cells,
+    "pixels": _pixels,
+    "same-cells": _same_cells,
+    "points": _points,
+    "waters": _waters,
+    "edits": _edits,
+    "canopy": _canopy,
+    "canopy-grid": _canopy_grid,
+    "place": _place,
+    "area": _area,
+    "failed": _failed,
+    "facets": lambda _, task, __: task.sources.facets,
+    "kind": lambda _, task, __: task.sources.kind,
+}
+"""Functions that read the arguments of a step."""

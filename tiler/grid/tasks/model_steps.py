@@ -1,0 +1,141 @@
+"""Steps between the terrain and its delivered model: the survey, canopies, and the outline."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from fractions import Fraction
+
+from ptd.matched.cells import CELL_M
+from tiler.config import AUTO_WATER, VOID_CANOPY
+from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.grid.below_canopy import below_canopy, crowns_margin
+from tiler.grid.canopy import canopy, canopy_reach
+from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
+from tiler.grid.outline import outline
+from tiler.grid.steps import Read
+from tiler.grid.tasks.gridding import (
+    GAP_M,
+    Grid,
+    GridContext,
+    canopy_cell_m,
+    coarse_cell_m,
+)
+from tiler.grid.tasks.raster_names import (
+    BELOW_CANOPY,
+    CANOPY,
+    CANOPY_CELLS,
+    CANOPY_TERRAIN,
+    filled_raster,
+    final_raster,
+    outlined_models,
+)
+from tiler.grid.tasks.steps import NONE, Near, Step, Values, all_of, any_of
+from tiler.grid.tasks.survey import enclosed_by, near_points
+from tiler.plan import Plan
+
+SEARCHED = "domain"
+"""Name of the survey with gaps as wide as ``--max-edge``, which may be water."""
+
+
+def survey_steps(plan: Plan) -> list[Step]:
+    """Return the steps that find the extent of the survey, and of the domain in which water is searched."""
+    max_gap = float(plan.config.max_edge / coarse_cell_m(plan))
+    usual = min(float(GAP_M / coarse_cell_m(plan)), max_gap)
+    steps = [
+        Step(
+            "occupancy",
+            occupancy,
+            {"points": Read("points")},
+            all_of("points"),
+            fill=0.0,
+            grid=Grid.COARSE,
+        )
+    ]
+    names = ("survey", SEARCHED) if plan.config.water == AUTO_WATER else ("survey",)
+    for name in names:
+        gap = usual if name == "survey" else max_gap
+        steps += [
+            Step(
+                f"{name}-open",
+                open_areas,
+                {"occupancy": Read("numbers:occupancy", margin_of(max_gap))},
+                _near_points,
+                {"gap": gap, "max_gap": max_gap, "marks_bare": name == "survey"},
+                fill=NO_PIECE,
+                grid=Grid.COARSE,
+            ),
+            Step(
+                name,
+                survey,
+                {"opened": Read(f"raster:{name}-open", 1), "place": Read("place")},
+                _enclosed,
+                fill=0.0,
+                grid=Grid.COARSE,
+            ),
+        ]
+    return steps
+
+
+def _near_points(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
+    """Return the blocks that gaps can extend into. Without a search for water the domain has none."""
+    if step.name.startswith(SEARCHED) and not context.water_is_sought:
+        return {}
+    reach_blocks = math.ceil((step.values["max_gap"] + 2) / BLOCK_PIXELS)
+    return dict.fromkeys(near_points(context, "occupancy", reach_blocks), NONE)
+
+
+def _enclosed(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
+    return enclosed_by(context, step.inputs[0])
+
+
+def canopy_steps(plan: Plan) -> list[Step]:
+    """Return the steps that find crowns that hide the ground, and the terrain below them."""
+    frame, side = plan.frame, plan.frame.counts(Fraction(repr(CELL_M)))
+    reads = {
+        "cells": Read("canopy", canopy_reach(side, frame.metres_xy)),
+        "points": Read("points"),
+        "place": Read("place"),
+    }
+    margin = crowns_margin(float(canopy_cell_m(plan)))
+    return [
+        Step(CANOPY, canopy, reads, all_of("cells"), {"side": side}),
+        Step(CANOPY_CELLS, canopy, reads, all_of("cells"), {"side": side}, grid=Grid.CANOPY),
+        Step(
+            BELOW_CANOPY,
+            below_canopy,
+            {
+                "terrain": Read("raster:dtm"),
+                "canopy": Read(f"raster:{CANOPY}"),
+                "crowns": Read(f"canopy-grid:{CANOPY_CELLS}", margin),
+                "bridge": Read(f"canopy-grid:{CANOPY_TERRAIN}", margin),
+                "place": Read("place"),
+            },
+            _with_canopy,
+        ),
+    ]
+
+
+def _with_canopy(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    """Return the blocks with a canopy."""
+    found = context.counts(CANOPY, Grid.PIXELS).items()
+    return {block: NONE for block, counts in found if counts["filled"]}
+
+
+def outline_steps(plan: Plan) -> list[Step]:
+    """Return the steps that end models at the outline of the survey. The terrain gets level water and canopies."""
+    config, steps = plan.config, []
+    values = {"cut": config.outline == "survey", "finds_water": config.water == AUTO_WATER}
+    usual = {"survey": Read("cells:survey", 1), "area": Read("area", 1), "edits": Read("edits")}
+    for model in outlined_models(config):
+        reads = {"heights": Read(f"raster:{filled_raster(model, config)}"), **usual}
+        over = all_of("heights")
+        if model == "dtm":
+            cells = ":water-cells" if config.water == AUTO_WATER else ""
+            reads |= {"waters": Read(f"waters{cells}"), "canopy": Read(f"raster:{CANOPY}")}
+            if config.canopy != VOID_CANOPY:
+                reads["below"] = Read(f"raster:{BELOW_CANOPY}")
+            # Blocks inside the survey without heights are voids.
+            over = any_of("heights", "survey", *reads.keys() & {"below"})
+        steps.append(Step(final_raster(model, config), outline, reads, over, values))
+    return steps
