@@ -23,7 +23,7 @@ def test_it_says_what_run_json_says(finished_run: Finished) -> None:
     run = json.loads((out / "run.json").read_text())
     assert run["report"] == "report.html"
     assert f"read {run['counts']['read']:,}" in page.texts["counts"]
-    assert f"ground {run['filter']['ground']:,}" in page.texts["counts"]
+    assert f"ground, before edits and water {run['filter']['ground']:,}" in page.texts["counts"]
     assert run["crs_code"] in page.texts["specification"]
     assert run["dates"]["first"] in page.texts["specification"]
     for note in [*run["plan"]["notes"], *run["notes"]]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
-from tiler.core.raster import BLOCK_PIXELS
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.grid.coarse import Bools, block_runs, padded
 from tiler.grid.pieces import Piece, cells_in, label_block, part_of
 from tiler.grid.points_near import PointsNear
@@ -236,7 +236,12 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
 
 
 def survey(
-    opened: Float64, place: Place, *, outside: list[Piece], empty: list[tuple[int, int]]
+    opened: Float64,
+    place: Place,
+    products: RasterSpec,
+    *,
+    outside: list[Piece],
+    empty: list[tuple[int, int]],
 ) -> tuple[Float64, Counts]:
     """Return the survey (see `tiler.core.products.BEYOND`).
 
@@ -245,6 +250,8 @@ def survey(
     opened : float64 (height + 2, width + 2)
         Result of `open_areas` for the block and one cell on each side.
     place : Place
+    products : RasterSpec
+        Raster of the products.
     outside : list of Piece
         Open areas of this block and of its neighbours that are not enclosed by the survey.
     empty : list of (row, column)
@@ -264,11 +271,11 @@ def survey(
     bare = opened == BARE_GAP
     values = survey_values((opened == 0) | bare, enclosed, bare)[1:-1, 1:-1]
     inside = values >= SURVEYED
-    pixels, cells = place.sources.pixels, place.spec.window(place.block)
+    cells = place.spec.window(place.block)
     return values.astype(np.float64), {
         "inside": int(inside.sum()),
         "cells": values.size,
-        "blocks": block_runs(inside, cells, pixels, BLOCK_PIXELS),
+        "blocks": block_runs(inside, cells, products, BLOCK_PIXELS),
     }
 
 

@@ -275,5 +275,6 @@ READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "failed": _failed,
     "facets": lambda _, task, __: task.sources.facets,
     "kind": lambda _, task, __: task.sources.kind,
+    "products": lambda _, task, __: task.sources.pixels,
 }
 """Functions that read the arguments of a step."""

@@ -69,7 +69,11 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     closed = make("open", open_areas, reads, gap=gap, max_gap=gap, marks_bare=False)
     outside, empty = outside_of({(0, 0): closed["sides"]})
     assert not empty
-    reads = {"opened": Read("raster:open", 1), "place": Read("place")}
+    reads = {
+        "opened": Read("raster:open", 1),
+        "place": Read("place"),
+        "products": Read("products"),
+    }
     make("survey", survey, reads, outside=outside[0, 0], empty=())
     rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
     record = find_voids(url, FindVoids(name="voids", rasters=rasters, spec=coarse, block=b))

@@ -68,7 +68,11 @@ def survey_steps(plan: Plan) -> list[Step]:
             Step(
                 name,
                 survey,
-                {"opened": Read(f"raster:{name}-open", 1), "place": Read("place")},
+                {
+                    "opened": Read(f"raster:{name}-open", 1),
+                    "place": Read("place"),
+                    "products": Read("products"),
+                },
                 _enclosed,
                 fill=0.0,
                 grid=Grid.COARSE,

@@ -168,7 +168,8 @@ def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> An
         terrain = _checksums(context, read.raster, spec, bounds.pad(read.margin))
         return [sources.rule, context.label_digests(buckets), terrain]
     alike = {
-        "area": sources.area, "facets": sources.facets, "kind": sources.kind, "place": sources.pixels,
+        "area": sources.area, "facets": sources.facets, "kind": sources.kind, "products": sources.pixels,
+        "place": None,  # The digest of a task includes the block.
     }  # fmt: skip
     return alike[read.kind]
 
