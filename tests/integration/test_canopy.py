@@ -30,7 +30,9 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def ran(cloud: Path, out: Path, *options: object) -> tuple[dict, np.ndarray, np.ndarray]:
+def ran(
+    cloud: Path, out: Path, *options: object, pixel_m: int = 1
+) -> tuple[dict, np.ndarray, np.ndarray]:
     """run.json, the heights (NaN where there are none), and the mask."""
     given = (
         "--crs",
@@ -49,7 +51,7 @@ def ran(cloud: Path, out: Path, *options: object) -> tuple[dict, np.ndarray, np.
         out,
         *given,
         "--resolution",
-        1,
+        pixel_m,
         "--in-process",
         "-q",
         *options,
@@ -93,6 +95,13 @@ def test_a_canopy_has_heights_where_facets_are_too_long(cloud: Path, tmp_path: P
     _, heights, mask = ran(cloud, tmp_path / "short", "--max-edge", 10)
     assert (mask == 6).sum() > 0.8 * (usual == 6).sum()
     assert np.abs(heights - truth(heights.shape))[mask == 6].mean() < 1.2
+
+
+def test_terrain_stays_where_crowns_give_no_height(cloud: Path, tmp_path: Path) -> None:
+    """Pixels of 20 m are wider than the edge of a wood in which trees are measured."""
+    _, heights, mask = ran(cloud, tmp_path / "out", pixel_m=20)
+    assert (mask == 6).sum() >= 15
+    assert np.isfinite(heights[mask == 6]).all()
 
 
 def test_a_canopy_may_be_left_without_heights(cloud: Path, tmp_path: Path) -> None:

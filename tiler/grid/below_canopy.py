@@ -21,7 +21,7 @@ import scipy
 from tiler.grid.canopy import OPEN, SIGHT_M
 from tiler.grid.pixel_cells import linear
 from tiler.grid.reach import distances, opened
-from tiler.grid.steps import Counts, Place, canopy_window
+from tiler.grid.steps import Counts, Position, canopy_window
 from tiler.store import Steps, between_centres
 
 TREES_MEAN_M, GROUND_MEAN_M = 8.0, 2.0
@@ -66,7 +66,7 @@ class _Trees(NamedTuple):
 
 
 def below_canopy(
-    terrain: Float64, canopy: Float64, crowns: Float64, bridge: Float64, place: Place
+    terrain: Float64, canopy: Float64, crowns: Float64, bridge: Float64, place: Position
 ) -> tuple[Float64, Counts]:
     """Return the terrain below a canopy, NaN where the terrain stays as it is.
 
@@ -77,7 +77,7 @@ def below_canopy(
     crowns, bridge : float64
         Canopy and interpolated terrain in cells: those at the block and `crowns_margin` more on each side. They go on
         beyond the area of the run.
-    place : Place
+    place : Position
     """
     cells = place.sources.canopy_grid
     cell_m, unit_m = (

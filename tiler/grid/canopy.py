@@ -20,7 +20,7 @@ from tiler.core.nodata import NODATA
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.points_near import PointsNear
-from tiler.grid.steps import Counts, Place
+from tiler.grid.steps import Counts, Position
 
 Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ OPEN = NODATA + 1
 
 
 def canopy(
-    cells: PointBlock, points: PointsNear, place: Place, *, side: Fraction
+    cells: PointBlock, points: PointsNear, place: Position, *, side: Fraction
 ) -> tuple[Float64, Counts]:
     """Return the heights of crowns where they hide the ground, and `OPEN` where ground is seen.
 
@@ -46,7 +46,7 @@ def canopy(
     cells : PointBlock
         Cells on which the filter worked, within `canopy_reach` of the block, with their codes as labels.
     points : PointsNear
-    place : Place
+    place : Position
     side : Fraction
         Side of the smaller cells in counts. Larger cells are twice as wide.
 
@@ -75,7 +75,7 @@ def canopy_reach(side: Fraction, metres: Fraction) -> int:
     return math.ceil(cells * side)
 
 
-def _crowns(cells: PointBlock, hidden: Bools, place: Place, side: Fraction) -> Float64:
+def _crowns(cells: PointBlock, hidden: Bools, place: Position, side: Fraction) -> Float64:
     """Return the heights of crowns at the pixels' centres, NaN where there are none."""
     lattice, frame, spec, block = Lattice(side), place.frame, place.spec, place.block
     bounds = spec.block_bounds(block).pad(canopy_reach(side, frame.metres_xy))

@@ -23,7 +23,7 @@ from tiler.grid.pieces import Piece, cells_in, label_block, part_of
 from tiler.grid.points_near import PointsNear
 from tiler.grid.reach import box_around, within
 from tiler.grid.returns import histograms
-from tiler.grid.steps import Counts, Place
+from tiler.grid.steps import Counts, Position
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -237,7 +237,7 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
 
 def survey(
     opened: Float64,
-    place: Place,
+    place: Position,
     products: RasterSpec,
     *,
     outside: list[Piece],
@@ -249,7 +249,7 @@ def survey(
     ----------
     opened : float64 (height + 2, width + 2)
         Result of `open_areas` for the block and one cell on each side.
-    place : Place
+    place : Position
     products : RasterSpec
         Raster of the products.
     outside : list of Piece

@@ -46,7 +46,7 @@ def outline(
     canopy : float64 (height, width), optional
         Canopy. Where it hides the ground, pixels get no height.
     below : float64 (height, width), optional
-        Heights below a canopy, which replace those of the model.
+        Heights below a canopy, which replace those of the model, NaN where the model stays as it is.
     cut : bool
         Whether heights beyond the survey are removed.
     finds_water : bool
@@ -62,16 +62,18 @@ def outline(
     """
     nodata = np.float32(NODATA)
     had = ~np.isnan(heights)
-    values = np.where(had, heights, nodata).astype(np.float32)
+    before = np.where(had, heights, nodata).astype(np.float32)
+    values = before.copy()
     if canopy is not None:
         values[canopy > OPEN] = nodata
-        if below is not None:
-            values = np.where(np.isnan(below), values, below).astype(np.float32)
+    if below is not None:
+        values = np.where(np.isnan(below), values, below).astype(np.float32)
+    if not np.array_equal(values, before):
         edits.set_heights(values)
     hidden = int(np.count_nonzero(had & (values == nodata)))
-    beyond = survey[1:-1, 1:-1] == BEYOND
-    bare, water = survey[1:-1, 1:-1] >= VOID, []
-    if waters is not None:
+    beyond, bare = survey[1:-1, 1:-1] == BEYOND, survey[1:-1, 1:-1] >= VOID
+    water: list[tuple[str, int]] = []
+    if waters is not None and waters.waters is not None:
         wet = waters.inside
         water = waters.set_heights(values, had | ~beyond | finds_water)
         edits.set_heights(values)

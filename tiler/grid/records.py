@@ -21,7 +21,7 @@ class BlockRecord(Record):
     checksum : str
         Checksum of the pixels, empty before they are written.
     pixels : int, optional
-        Number of pixels. Rasters of coarse cells do not have it.
+        Number of pixels. Rasters of coarse cells that no step makes do not have it.
     """
 
     filled: int

@@ -94,12 +94,7 @@ def grid(
     report_voids(job, gridding, gridding.made["dtm-outlined"])
     for raster in rasters:
         if isinstance(raster, Step) and raster.finish is not None:
-            made = gridding.made[raster.name].items()
-            spec = gridding.spec
-            of_blocks = {
-                spec.block_named(key, BLOCK_PIXELS): counts for key, (_, counts) in made
-            }
-            raster.finish(job, gridding, of_blocks)
+            raster.finish(job, gridding, gridding.counts(raster.name, raster.grid))
     return gridding
 
 

@@ -68,7 +68,7 @@ class Sources:
     waters, area : str or None
         Keys in the store of bodies of water, and of the area of the run.
     failed : tuple of Bounds
-        Bounds of tiles that failed.
+        Bounds of tiles that failed, if the step reads them: those that overlap the block.
     facets : Facets
     kind : str or None
         Source of the clouds as methods name it (`ptd.passes.RunHints`); None if it is not known.
@@ -88,7 +88,7 @@ class Sources:
     canopy: tuple[str, str] | None = None
 
 
-class Place(NamedTuple):
+class Position(NamedTuple):
     """Position of a block: the frame of the store, the raster, the block, and what all blocks have in common."""
 
     frame: CoordFrame
@@ -123,6 +123,8 @@ class MakeBlock(BlockWork):
     sources : Sources
     fill : float
         Value to store for pixels without one.
+    empty : frozenset of str
+        Rasters that have no block, so that none is looked for in the store.
     """
 
     work: Callable[..., tuple[npt.NDArray[np.floating] | None, Counts]]
@@ -130,6 +132,7 @@ class MakeBlock(BlockWork):
     values: Mapping[str, Any]
     sources: Sources
     fill: float
+    empty: frozenset[str] = frozenset()
 
 
 def run_block(store_url: str, task: MakeBlock) -> Counts:
@@ -156,6 +159,8 @@ def run_block(store_url: str, task: MakeBlock) -> Counts:
 def _raster(store: TileStore, task: MakeBlock, read: Read) -> Float64:
     """Return a raster around a block, float64, NaN without a value and beyond the raster."""
     window = padded(task.block, read.margin)
+    if read.raster in task.empty:
+        return np.full((window.height, window.width), np.nan)
     values = read_cells(store, read.raster, task.spec, window, NODATA)
     return np.where(values == np.float32(NODATA), np.nan, values.astype(np.float64))
 
@@ -216,19 +221,19 @@ def _canopy_grid(store: TileStore, task: MakeBlock, read: Read) -> Float64:
     """Return a raster of cells of canopies around a block (see `canopy_window`), float64, NaN without a value."""
     cells = task.sources.canopy_grid
     window = canopy_window(
-        Place(store.meta.frame, task.spec, task.block, task.sources), read.margin
+        Position(store.meta.frame, task.spec, task.block, task.sources), read.margin
     )
     values = read_cells(store, read.raster, cells, window, NODATA).astype(np.float64)
     return np.where(values == NODATA, np.nan, values)
 
 
-def canopy_window(place: Place, margin: int) -> Block:
+def canopy_window(place: Position, margin: int) -> Block:
     """Return the cells of canopies at a block and ``margin`` cells around it."""
     return padded(coarse_window(place.sources.canopy_grid, place.spec, place.block), margin)
 
 
-def _place(store: TileStore, task: MakeBlock, _: Read) -> Place:
-    return Place(store.meta.frame, task.spec, task.block, task.sources)
+def _place(store: TileStore, task: MakeBlock, _: Read) -> Position:
+    return Position(store.meta.frame, task.spec, task.block, task.sources)
 
 
 def _area(store: TileStore, task: MakeBlock, read: Read) -> Bools:

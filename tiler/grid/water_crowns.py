@@ -24,7 +24,7 @@ from tiler.grid.continued_bank import continued_bank
 from tiler.grid.ground import read_ground_and_objects
 from tiler.grid.points_near import PointsNear, pixel_indices
 from tiler.grid.reach import Floats, box_around, within, within_square
-from tiler.grid.steps import Counts, Place
+from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 
 Float32 = npt.NDArray[np.float32]
@@ -72,7 +72,7 @@ def plants_near_water(
     occupancy: Float32,
     ground: Floats,
     points: PointsNear,
-    place: Place,
+    place: Position,
     *,
     margin: int,
 ) -> tuple[npt.NDArray[np.float32], Counts]:
@@ -90,7 +90,7 @@ def plants_near_water(
     ground : float64 (height + 2, width + 2)
         Heights of the terrain.
     points : PointsNear
-    place : Place
+    place : Position
     margin : int
         See `crowns_margin`.
     """

@@ -11,7 +11,7 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.reach import Floats, box_around
-from tiler.grid.steps import Counts, Place
+from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import beneath_crowns
 from tiler.grid.water_extent import (
@@ -69,7 +69,7 @@ def finish_water(
     occupancy: Float32,
     ground: Floats,
     domain: Float32,
-    place: Place,
+    place: Position,
     *,
     margin: int,
     river_width_m: float,

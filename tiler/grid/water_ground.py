@@ -12,7 +12,7 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.grid.coarse import blocks_under, padded
 from tiler.grid.ground import surface_points
 from tiler.grid.points_near import PointsNear, pixel_indices
-from tiler.grid.steps import Counts, PixelsUnder, Place
+from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells
 
 Float32 = npt.NDArray[np.float32]
@@ -24,7 +24,12 @@ far away, in cells."""
 
 
 def ground_cells(
-    heights: PixelsUnder, occupancy: Float32, points: PointsNear, place: Place, *, is_wet: bool
+    heights: PixelsUnder,
+    occupancy: Float32,
+    points: PointsNear,
+    place: Position,
+    *,
+    is_wet: bool,
 ) -> tuple[Floats, Counts]:
     """Return the mean height of each cell of a block in units of the CRS, `NODATA` without one.
 
@@ -39,7 +44,7 @@ def ground_cells(
     occupancy : float32 (height + 2 `NEAR_CELLS`, width + 2 `NEAR_CELLS`)
         Number of points in each cell, negative in cells that are water by the input.
     points : PointsNear
-    place : Place
+    place : Position
     is_wet : bool
         Whether the input has points of class water near the block.
     """

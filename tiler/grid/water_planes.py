@@ -21,7 +21,7 @@ import scipy
 from tiler.grid.coarse import Bools
 from tiler.grid.pieces import Piece
 from tiler.grid.reach import Floats, distances, opened
-from tiler.grid.steps import Counts, Place
+from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
     Rim,
@@ -99,7 +99,7 @@ def find_planes(
     occupancy: Float32,
     ground: Floats,
     domain: Float32,
-    place: Place,
+    place: Position,
     *,
     n_merged: int,
     usual: float | None,
@@ -139,7 +139,7 @@ def count_plane_rims(
     occupancy: Float32,
     ground: Floats,
     domain: Float32,
-    place: Place,
+    place: Position,
     *,
     n_merged: int,
     joins: Joins,
@@ -210,7 +210,7 @@ def keep_planes(
     occupancy: Float32,
     ground: Floats,
     domain: Float32,
-    place: Place,
+    place: Position,
     *,
     n_merged: int,
     joins: Joins,

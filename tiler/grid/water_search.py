@@ -21,7 +21,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Labels, Piece, areas_within, label_block
 from tiler.grid.reach import Floats, box_around
-from tiler.grid.steps import Counts, Place
+from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     RING_M,
     WaterCells,
@@ -79,13 +79,13 @@ class SearchRead(NamedTuple):
         Heights of the terrain in units of the CRS, NaN for cells without a height.
     domain : float32
         Cells of the survey, and of the gaps that may be water.
-    place : Place
+    place : Position
     """
 
     occupancy: Float32
     ground: Floats
     domain: Float32
-    place: Place
+    place: Position
 
     def cells(self, n_merged: int, part: Slices = WHOLE) -> WaterCells:
         """Return the cells of a part, with squares of ``n_merged`` by ``n_merged`` cells merged (a power of two)."""
@@ -99,7 +99,7 @@ def find_areas(
     occupancy: Float32,
     ground: Floats,
     domain: Float32,
-    place: Place,
+    place: Position,
     *,
     n_merged: int,
     usual: float | None,
@@ -155,7 +155,7 @@ def count_rims(
     occupancy: Float32,
     ground: Floats,
     domain: Float32,
-    place: Place,
+    place: Position,
     *,
     n_merged: int,
     joins: Joins,
@@ -192,7 +192,7 @@ def count_rims(
 
 
 def keep_areas(
-    areas: Float32, place: Place, *, joins: Joins, kept: Kept
+    areas: Float32, place: Position, *, joins: Joins, kept: Kept
 ) -> tuple[Float32, Counts]:
     """Return the confidence that each cell of a block is water, 0 for land.
 
@@ -200,7 +200,7 @@ def keep_areas(
     ----------
     areas : float32 (height, width)
         Labels of candidates.
-    place : Place
+    place : Position
     joins : sequence of (Piece, Piece)
     kept : sequence of (Piece, float)
         Areas that are water, with confidences.

@@ -223,7 +223,6 @@ class GridContext:
             canopy_grid=self.canopy_cells,
             waters=self.water_key,
             area=self.plan.inputs.area_key,
-            failed=tuple(self.holes),
             facets=self.facets,
             kind=self.kind,
             canopy=None if self.canopy is None else (self.canopy.elected, self.canopy.labels),

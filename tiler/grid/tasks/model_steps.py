@@ -136,8 +136,10 @@ def outline_steps(plan: Plan) -> list[Step]:
         over = all_of("heights")
         if model == "dtm":
             cells = ":water-cells" if config.water == AUTO_WATER else ""
-            reads |= {"waters": Read(f"waters{cells}"), "canopy": Read(f"raster:{CANOPY}")}
-            if config.canopy != VOID_CANOPY:
+            reads["waters"] = Read(f"waters{cells}")
+            if config.canopy == VOID_CANOPY:
+                reads["canopy"] = Read(f"raster:{CANOPY}")
+            else:
                 reads["below"] = Read(f"raster:{BELOW_CANOPY}")
             # Blocks inside the survey without heights are voids.
             over = any_of("heights", "survey", *reads.keys() & {"below"})

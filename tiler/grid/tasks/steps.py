@@ -5,8 +5,9 @@ The digest of a task includes the values of the step and what each of its reads 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tiler.core.digests import digest_of
@@ -14,7 +15,7 @@ from tiler.core.edits import ACTIONS
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.grid.coarse import padded
-from tiler.grid.steps import Counts, MakeBlock, Place, Read, canopy_window, run_block
+from tiler.grid.steps import Counts, MakeBlock, Position, Read, canopy_window, run_block
 from tiler.grid.tasks.gridding import Grid, GridContext
 from tiler.grid.tasks.survey import surveyed_blocks
 from tiler.runs.job import Job
@@ -98,6 +99,9 @@ class Step:
         widest = [read.margin for read in self.reads.values() if read.kind in OF_POINTS]
         near = context.near(spec, max(widest)) if widest else {}
         chosen = self.over(self, context, near)
+        empty = frozenset(raster for raster in self.inputs if not context.made.get(raster))
+        reads_failed = any(read.kind == "failed" for read in self.reads.values())
+        failed = _failed(context, spec) if reads_failed else {}
         for block in sorted(chosen, key=north_west):
             values = {**self.values, **chosen[block]}
             work = MakeBlock(
@@ -107,8 +111,9 @@ class Step:
                 work=self.work,
                 reads=self.reads,
                 values=values,
-                sources=sources,
+                sources=replace(sources, failed=tuple(failed.get(block, ()))),
                 fill=self.fill,
+                empty=empty,
             )
             held = [_digest(read, context, near, work) for read in self.reads.values()]
             yield Task(
@@ -130,12 +135,19 @@ def _blocks(step: Step, name: str, context: GridContext, near: Near) -> Iterable
     if read.kind == "cells":
         return surveyed_blocks(context, read.raster)
     if read.kind == "failed":
-        return [
-            block for hole in context.holes for block in spec.blocks_within(hole, BLOCK_PIXELS)
-        ]
+        return _failed(context, spec)
     if read.kind == "canopy" and context.canopy is None:
         return ()
     return near
+
+
+def _failed(context: GridContext, spec: RasterSpec) -> Mapping[Block, list[Bounds]]:
+    """Return the blocks that overlap tiles that failed, each with the bounds of these tiles."""
+    failed: dict[Block, list[Bounds]] = defaultdict(list)
+    for hole in context.holes:
+        for block in spec.blocks_within(hole, BLOCK_PIXELS):
+            failed[block].append(hole)
+    return failed
 
 
 def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> Any:
@@ -151,7 +163,7 @@ def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> An
     if read.kind == "cells":
         return [sources.coarse, _checksums(context, read.raster, sources.coarse, wider)]
     if read.kind == "canopy-grid":
-        place = Place(context.plan.frame, spec, work.block, sources)
+        place = Position(context.plan.frame, spec, work.block, sources)
         cells = sources.canopy_grid
         window = cells.block_bounds(canopy_window(place, read.margin))
         return [cells, _checksums(context, read.raster, cells, window)]
@@ -163,7 +175,7 @@ def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> An
     if read.kind == "edits":
         return context.corrections.edit_digests(bounds, ACTIONS)
     if read.kind == "failed":
-        return [hole.to_json() for hole in sources.failed if hole.overlaps(bounds)]
+        return [failed.to_json() for failed in sources.failed]
     if read.kind == "points":
         terrain = _checksums(context, read.raster, spec, bounds.pad(read.margin))
         return [sources.rule, context.label_digests(buckets), terrain]
