@@ -97,12 +97,12 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from fractions import Fraction
     from tempfile import TemporaryDirectory
 
-    from tests.scenes.records import bucket_record
+    from tests.scenes.records import bucket_record, spool_record
     from tiler.config import RunConfig
     from tiler.core.lattice import Bounds, Cell
     from tiler.export.tasks.files import cog_tasks, inputs_of, mosaic_tasks
     from tiler.export.tasks.sheets import sheets, with_points
-    from tiler.filter.tasks.passes import filter_tasks, label_digests
+    from tiler.filter.tasks.passes import PassInputs, filter_tasks, label_digests
     from tiler.grid.tasks.gridding import GridContext
     from tiler.grid.tasks.raster_table import required_rasters
     from tiler.ingest.tasks.assembled import IngestResult
@@ -121,7 +121,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     with TemporaryDirectory() as scratch:
         make_files(Path(scratch) / "in", 1)
         config = RunConfig.from_mapping(
-            {"products": ["dtm", "hillshade", "density"], "sheets": "1000"}
+            {"products": ["dtm", "hillshade", "density"], "sheets": "1000", "water": "none"}
         )
         plan = make_plan([str(Path(scratch) / "in")], config)
         side = int(np.ceil(np.sqrt(number)))
@@ -146,21 +146,32 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         timed("allocate_and_publish", publish)
         tasks = timed(
             "filter_tasks",
-            lambda: list(filter_tasks(plan, assembled, 0, {}, assembled.digests)),
+            lambda: list(filter_tasks(plan, assembled, 0, {}, PassInputs(assembled.digests))),
         )
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
         g = GridContext(plan, assembled, labels)
+        sides = {side: [[0, 512]] for side in ("north", "south", "west", "east")}
+        found = {
+            "filled": 1,
+            "water": 0,
+            "sides": sides,
+            "labels": 0,
+            "inside": 1,
+            "blocks": [],
+        }
         for raster in required_rasters(plan):
             made = timed(f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(g)))
             g.made[raster.name] = {
-                t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made
+                t.key: (t.digest, {"checksum": t.digest, **found}) for t in made
             }
         facts["blocks"] = len(g.made["dtm"])
         spooled = {
             f"s{i:06d}-{0:012d}": (
                 "",
-                {"buckets": [[c.ix, c.iy, 1] for c in cells[i * 20 : i * 20 + 20]]},
+                spool_record(
+                    buckets=[[c.ix, c.iy, 1] for c in cells[i * 20 : i * 20 + 20]]
+                ).to_json(),
             )
             for i in range(number // 20)
         }

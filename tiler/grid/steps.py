@@ -72,8 +72,9 @@ class Sources:
     facets : Facets
     kind : str or None
         Source of the clouds as methods name it (`ptd.passes.RunHints`); None if it is not known.
-    canopy : (str, str) or None
-        Names in the store of the cells in which the filter found a canopy, as elected points, and of their labels.
+    canopy : (str, str)
+        Names in the store of the cells in which the filter found a canopy, as elected points, and of their labels;
+        empty if it found none, as then no step reads them.
     """
 
     rule: GroundSelection
@@ -85,7 +86,7 @@ class Sources:
     area: str | None = None
     failed: tuple[Bounds, ...] = ()
     kind: str | None = None
-    canopy: tuple[str, str] | None = None
+    canopy: tuple[str, str] = ("", "")
 
 
 class Position(NamedTuple):
@@ -212,7 +213,6 @@ def _edits(store: TileStore, task: MakeBlock, _: Read) -> EditsNear:
 
 def _canopy(store: TileStore, task: MakeBlock, read: Read) -> PointBlock:
     """Return the cells of a canopy around a block."""
-    assert task.sources.canopy is not None  # else there is no task
     elected, labels = task.sources.canopy
     return store.elected(elected, task.spec.block_bounds(task.block).pad(read.margin), labels)
 
@@ -220,9 +220,7 @@ def _canopy(store: TileStore, task: MakeBlock, read: Read) -> PointBlock:
 def _canopy_grid(store: TileStore, task: MakeBlock, read: Read) -> Float64:
     """Return a raster of cells of canopies around a block (see `canopy_window`), float64, NaN without a value."""
     cells = task.sources.canopy_grid
-    window = canopy_window(
-        Position(store.meta.frame, task.spec, task.block, task.sources), read.margin
-    )
+    window = canopy_window(_place(store, task, read), read.margin)
     values = read_cells(store, read.raster, cells, window, NODATA).astype(np.float64)
     return np.where(values == NODATA, np.nan, values)
 

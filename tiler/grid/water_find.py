@@ -34,7 +34,7 @@ from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_reed import has_no_bank
-from tiler.grid.water_search import Sources, read_search_cells
+from tiler.grid.water_search import SearchRasters, read_search_cells
 from tiler.grid.water_shore import (
     MAX_HEIGHT_M,
     REACH_CELLS,
@@ -76,7 +76,7 @@ class DescribeBody:
         Raster of the labels of water.
     crowns : str
         Raster of the plants near water.
-    sources : Sources
+    sources : SearchRasters
     rule : GroundSelection
     coarse : RasterSpec
         Raster of the coarse cells.
@@ -93,7 +93,7 @@ class DescribeBody:
     pieces: tuple[Piece, ...]
     water: str
     crowns: str
-    sources: Sources
+    sources: SearchRasters
     rule: GroundSelection
     coarse: RasterSpec
     confidence: float

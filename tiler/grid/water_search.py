@@ -50,7 +50,7 @@ Kept = Sequence[tuple[Piece, float]]
 
 
 @dataclass(frozen=True)
-class Sources:
+class SearchRasters:
     """Rasters of coarse cells for the search for water.
 
     Attributes
@@ -225,7 +225,7 @@ def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> F
 
 
 def read_search_cells(
-    store: TileStore, sources: Sources, spec: RasterSpec, window: Block, n_merged: int
+    store: TileStore, sources: SearchRasters, spec: RasterSpec, window: Block, n_merged: int
 ) -> WaterCells:
     """Read returns, classes and ground in a window, and merge squares of ``n_merged`` by ``n_merged`` cells.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from tiler.core.products import PRODUCTS
 from tiler.grid.tasks.gridding import Grid
 from tiler.grid.tasks.raster_names import final_raster
 from tiler.grid.tasks.raster_table import raster_table, required_rasters
+from tiler.grid.tasks.steps import Step
 
 
 def plan_of(settings: dict[str, Any]) -> Any:
@@ -32,6 +34,20 @@ def test_each_raster_comes_after_its_inputs_and_only_once(voids: str) -> None:
     for raster in required_rasters(plan):
         assert all(order.index(source) < order.index(raster.name) for source in raster.inputs)
     assert {final_raster(product, plan.config) for product in PRODUCTS} <= set(order)
+
+
+@pytest.mark.parametrize("canopy", ["void", "fill"])
+@pytest.mark.parametrize("water", ["auto", "none"])
+def test_steps_read_and_are_given_what_their_functions_take(canopy: str, water: str) -> None:
+    plan = plan_of({"products": list(PRODUCTS), "canopy": canopy, "water": water})
+    steps = [raster for raster in raster_table(plan).values() if isinstance(raster, Step)]
+    assert len(steps) > 15
+    for step in steps:
+        parameters = inspect.signature(step.work).parameters.values()
+        read = {p.name: p for p in parameters if p.kind is not p.KEYWORD_ONLY}
+        needed = {name for name, p in read.items() if p.default is p.empty}
+        assert needed <= step.reads.keys() <= read.keys(), step.name
+        assert step.values.keys() <= {p.name for p in parameters} - read.keys(), step.name
 
 
 def test_nothing_is_made_that_no_product_needs() -> None:

@@ -16,7 +16,7 @@ from tiler.grid import GroundSelection
 from tiler.grid.centreline import polygon_of
 from tiler.grid.pieces import Piece
 from tiler.grid.water_find import DescribeBody, describe_body
-from tiler.grid.water_search import Sources
+from tiler.grid.water_search import SearchRasters
 from tiler.store import TileStore
 
 CELL = 2000
@@ -41,7 +41,7 @@ def body(store: TileStore, wet: np.ndarray, surveyed: np.ndarray) -> shapely.Geo
     for name, values in rasters.items():
         store.create_raster(name, *values.shape, 0.0)
         store.write_block(name, block, values.astype(np.float32))
-    sources = Sources("occupancy", "ground", "domain")
+    sources = SearchRasters("occupancy", "ground", "domain")
     rule = GroundSelection("final")
     work = DescribeBody(
         (Piece(0, 0, 1),), "water", "crowns", sources, rule, spec, 0.95, 100.0, 15.0, 1000.0

@@ -225,7 +225,9 @@ class GridContext:
             area=self.plan.inputs.area_key,
             facets=self.facets,
             kind=self.kind,
-            canopy=None if self.canopy is None else (self.canopy.elected, self.canopy.labels),
+            canopy=("", "")
+            if self.canopy is None
+            else (self.canopy.elected, self.canopy.labels),
         )
 
     @property

@@ -24,10 +24,9 @@ from tiler.version import RULES
 
 Near = Mapping[Block, list[Cell]]
 """Blocks near points, each with the buckets that it reads."""
-
-
 Values = Mapping[str, Any]
 NONE: Values = {}
+"""Values of a block that gets only those that all blocks get."""
 OF_POINTS = "points", "canopy"
 """Kinds of reads whose margin is in counts around buckets."""
 Over = Callable[["Step", "GridContext", Near], Mapping[Block, Values]]

@@ -24,7 +24,7 @@ from tiler.grid.tasks.water_search import area_sums
 from tiler.grid.water_banks import BANK_MARGIN
 from tiler.grid.water_find import MIN_LENGTH
 from tiler.grid.water_pockets import POCKET_PIXELS
-from tiler.grid.water_search import Sources
+from tiler.grid.water_search import SearchRasters
 from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -113,7 +113,7 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
         # a confidence.
         confidence = round(hundredths / 100 / max(n_known, 1), 2)
         work = DescribeBody(
-            pieces, CELLS, CROWNS, Sources(*SOURCES), context.rule, coarse, confidence=confidence,
+            pieces, CELLS, CROWNS, SearchRasters(*SOURCES), context.rule, coarse, confidence=confidence,
             lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
             island_m2=float(config.water_min_island),
         )  # fmt: skip
