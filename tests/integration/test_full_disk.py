@@ -65,7 +65,7 @@ import resource, signal, sys
 from pathlib import Path
 import numpy as np
 from tiler.errors import TilerError
-from tiler.io.geotiff import RasterMetadata, plain_geotiff
+from tiler.io.raster_files import RasterMetadata, plain_geotiff
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, resource.RLIM_INFINITY))

@@ -13,9 +13,9 @@ from ptd.matched.evidence import Evidence
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.inputs.patches import IN_CELL, DensityPatch, find_patches
-from tiler.io.las.columns import evidence, returns
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.octree import Octree
+from tiler.io.las.point_formats import evidence, returns
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
 
 _PLACES = 32

@@ -17,10 +17,10 @@ from tiler.inputs.extent import find_extent
 from tiler.inputs.georeference import Georeference, georeference
 from tiler.inputs.patches import DensityPatch
 from tiler.io.cloud_reading import fetched_bytes
-from tiler.io.las.columns import RGB_FORMATS
 from tiler.io.las.headers import LasHeader, read_header
-from tiler.io.las.laz import CorruptLazError, LazLayout
+from tiler.io.las.layout import CorruptLazError, LazLayout
 from tiler.io.las.octree import Octree, read_octree
+from tiler.io.las.point_formats import RGB_FORMATS
 from tiler.io.las.reader import count_decodable, rows_at_once
 from tiler.io.locations import FileState, reading_remedy, stat_location, with_slashes
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError

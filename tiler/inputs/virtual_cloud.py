@@ -11,7 +11,7 @@ from urllib.parse import unquote, urljoin, urlsplit
 from tiler.errors import InputError
 from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
 from tiler.io.cloud_reading import open_location
-from tiler.io.json_text import excerpt, member, parse_json_object
+from tiler.io.foreign_content import excerpt, member, parse_json_object
 from tiler.io.locations import as_path, is_url, reading_remedy
 
 SUFFIX = ".vpc"
