@@ -32,8 +32,8 @@ from tiler.errors import (
     StoreAccessError,
 )
 from tiler.ingest.tasks import points as ingest_tasks
-from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Event, Note, StageStarted
+from tiler.observe.json_lines import EventLog
 from tiler.pipeline import run
 from tiler.store.storage import _write_file as write_file
 
