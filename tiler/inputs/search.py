@@ -13,9 +13,8 @@ from pathlib import Path
 
 from tiler.core import words
 from tiler.errors import ConfigError, InputError
-from tiler.inputs.lists import read_list
+from tiler.inputs.lists import is_virtual, members, read_list
 from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, node_files, read_point_tiles
-from tiler.inputs.virtual_cloud import is_virtual, members
 from tiler.io.atomic_files import SCRATCH_PREFIX
 from tiler.io.locations import as_path, is_url, list_inputs
 from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results

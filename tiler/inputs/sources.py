@@ -13,9 +13,8 @@ from ptd.matched.evidence import Evidence
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.errors import InputError, ProcessingError
-from tiler.inputs.extent import find_extent
+from tiler.inputs.extent import DensityPatch, find_extent
 from tiler.inputs.georeference import Georeference, georeference
-from tiler.inputs.patches import DensityPatch
 from tiler.io.cloud_reading import fetched_bytes
 from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.layout import CorruptLazError, LazLayout
