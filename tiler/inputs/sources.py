@@ -308,7 +308,6 @@ def window_pieces(
 
 
 def _chunks(layout: LazLayout | None) -> int | tuple[int, ...]:
-    """Return the value of `SourceInfo.chunks`."""
     if layout is None:
         return 0
     if layout.chunk_size is None or (layout.rebuilt and layout.counts.size):

@@ -173,11 +173,6 @@ DEFLATE_LEVEL = 4
 percent larger."""
 
 
-def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
-    """Return the bytes of a PNG of a picture, uint8 (height, width, 4): red, green, blue, opacity."""
-    return _encoded(np.moveaxis(rgba, -1, 0), None)
-
-
 def palette_png_bytes(
     values: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int]]
 ) -> bytes:
@@ -215,6 +210,9 @@ def _encoded(
 
 
 def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:
-    """Write a picture as a PNG, which appears when it is complete. Raise ProcessingError if this fails."""
+    """Write a picture as a PNG, which appears when it is complete. Raise ProcessingError if this fails.
+
+    The picture is uint8 (height, width, 4): red, green, blue, opacity.
+    """
     with raster_errors(path), atomic_path(path) as partial:
-        partial.write_bytes(png_bytes(rgba))
+        partial.write_bytes(_encoded(np.moveaxis(rgba, -1, 0), None))

@@ -106,14 +106,14 @@ class BucketStore(ColumnStore):
     ) -> PointBlock:
         """Return the points of a bucket in stored order. Raise StoreError if it is not published or is damaged."""
         bucket = self._bucket(cell)
-        return self._read_points(parts_of(bucket, count_of(bucket, candidates_only)), columns)
+        return self._read_points(parts_of(bucket, _count_of(bucket, candidates_only)), columns)
 
     def representatives(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows]:
         """Return rows of repeated points of a bucket and the row of the point that represents each.
 
         ``block`` is what `read_bucket` returned for all points of the bucket, with their flags.
         """
-        n_candidates = count_of(self._bucket(cell), True)
+        n_candidates = _count_of(self._bucket(cell), True)
         return repeats.representatives(block, n_candidates, self.meta.fine, self.meta.frame)
 
     def buckets(self) -> dict[Cell, BucketInfo]:
@@ -146,7 +146,7 @@ class BucketStore(ColumnStore):
         """
         parts: list[Part] = []
         for bucket in self._overlapping(bounds):
-            parts.extend(parts_of(bucket, count_of(bucket, candidates_only)))
+            parts.extend(parts_of(bucket, _count_of(bucket, candidates_only)))
         keep = inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
         kept: list[int] = []
         given = None if labels is None else self._label_array(labels)
@@ -187,7 +187,7 @@ class BucketStore(ColumnStore):
         return bucket
 
 
-def count_of(bucket: Bucket, candidates_only: bool = False) -> int:
+def _count_of(bucket: Bucket, candidates_only: bool = False) -> int:
     """Return the number of points, or of candidates, in a bucket. Raise StoreError if it is not published."""
     if bucket.info is None:
         raise StoreError(
@@ -211,7 +211,7 @@ class LabelStore(BucketStore):
         Raise StoreError if ``labels`` has another shape or dtype.
         """
         bucket = self._bucket(cell)
-        n = count_of(bucket, candidates_only)
+        n = _count_of(bucket, candidates_only)
         if labels.shape != (n,) or labels.dtype != np.uint8:
             raise StoreError(
                 f"labels {name} of bucket {cell.name}: need {n} uint8, got {labels.shape} {labels.dtype}"
@@ -225,7 +225,7 @@ class LabelStore(BucketStore):
     ) -> npt.NDArray[np.uint8]:
         """Return the labels of a bucket, uint8 (n,). Raise StoreError if they were not written."""
         bucket = self._bucket(cell)
-        parts = parts_of(bucket, count_of(bucket, candidates_only))
+        parts = parts_of(bucket, _count_of(bucket, candidates_only))
         if not parts:
             return np.empty(0, dtype=np.uint8)
         labels: npt.NDArray[np.uint8] = read_rows(self._label_array(name), parts)[0]
@@ -272,7 +272,7 @@ class LabelStore(BucketStore):
         held: list[npt.NDArray[np.int32]] = [np.empty((3, 0), np.int32)]
         labelled: list[npt.NDArray[np.uint8]] = [np.empty(0, np.uint8)]
         places, end = {} if places is None else places, 0
-        buckets = [bucket for bucket in self._overlapping(bounds) if count_of(bucket)]
+        buckets = [bucket for bucket in self._overlapping(bounds) if _count_of(bucket)]
         for bucket, elected in _elected_rows(array, buckets):
             keep = PointBlock(elected).inside(bounds, self.meta.frame.origin)
             held.append(np.compress(keep, elected, axis=1))
@@ -296,7 +296,7 @@ class LabelStore(BucketStore):
         rows = len(_places(bucket))
         if m > rows * ROW_POINTS:
             raise StoreError(
-                f"bucket {cell.name}: {m} elected points do not fit the rows of {count_of(bucket)} points; "
+                f"bucket {cell.name}: {m} elected points do not fit the rows of {_count_of(bucket)} points; "
                 "elect at most as many points as the rows hold"
             )
         room = min(rows, m // ROW_POINTS + 1) * ROW_POINTS
@@ -333,4 +333,4 @@ def _places(bucket: Bucket) -> list[Part]:
 
     The number of elected points is not known before they are read.
     """
-    return [Part(bucket, part.row, ROW_POINTS) for part in parts_of(bucket, count_of(bucket))]
+    return [Part(bucket, part.row, ROW_POINTS) for part in parts_of(bucket, _count_of(bucket))]

@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
-from laspy.copc import CopcInfoVlr, Entry, HierarchyPage, VoxelKey
+from laspy.copc import CopcInfoVlr, Entry, HierarchyPage
 
 from tiler.io.cloud_reading import open_location
 from tiler.io.las.headers import LasHeader
@@ -199,7 +199,10 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
             raise CorruptLazError(f"its octree ends at byte {offset + len(raw)}")
         for entry in HierarchyPage.from_bytes(raw).entries.values():
             key = entry.key
-            if not _can_be(key):
+            place = (key.x, key.y, key.z)
+            if not (
+                0 <= key.level <= _DEEPEST_KEY and all(0 <= at < 1 << key.level for at in place)
+            ):
                 raise CorruptLazError(
                     f"its octree has a node {key.level}-{key.x}-{key.y}-{key.z}"
                 )
@@ -210,12 +213,6 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
             elif entry.point_count < -1:
                 raise CorruptLazError(f"its octree has a node of {entry.point_count} points")
     return entries
-
-
-def _can_be(key: VoxelKey) -> bool:
-    if not 0 <= key.level <= _DEEPEST_KEY:
-        return False
-    return all(0 <= coordinate < 1 << key.level for coordinate in (key.x, key.y, key.z))
 
 
 def _points_of_chunks(header: LasHeader) -> list[int]:

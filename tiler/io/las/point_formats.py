@@ -17,12 +17,12 @@ from tiler.core.classes import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WIT
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records, record_dtype
 
-OVERLAP_CLASS = 12
+_OVERLAP_CLASS = 12
 """Class of overlap points in formats 0 to 5, which do not have a flag for overlap."""
 
-LEGACY_CLASS_MASK = 0x1F
+_LEGACY_CLASS_MASK = 0x1F
 
-SCAN_STEP_DEGREES = 0.006
+_SCAN_STEP_DEGREES = 0.006
 """Step of the scan angles of formats 6 to 10. Older formats have whole degrees."""
 
 RGB_FORMATS = (2, 3, 5, 7, 8, 10)
@@ -47,14 +47,14 @@ def class_and_flags(
     """Return class and flags (bits of `tiler.core.classes`), uint8 of shape (n,) each."""
     if is_legacy(point_format):
         raw = records["raw_classification"].astype(np.uint8)
-        classification = raw & np.uint8(LEGACY_CLASS_MASK)
+        classification = raw & np.uint8(_LEGACY_CLASS_MASK)
         # Bit 5 is synthetic, bit 6 is key point, and bit 7 is withheld.
         flags = (
             _bit(raw, 5, SYNTHETIC_FLAG)
             | _bit(raw, 6, KEY_POINT_FLAG)
             | _bit(raw, 7, WITHHELD_FLAG)
         )
-        flags |= (classification == OVERLAP_CLASS).astype(np.uint8) * np.uint8(OVERLAP_FLAG)
+        flags |= (classification == _OVERLAP_CLASS).astype(np.uint8) * np.uint8(OVERLAP_FLAG)
         return classification, flags
     raw = records["classification_flags"].astype(np.uint8)
     flags = _bit(raw, 0, SYNTHETIC_FLAG) | _bit(raw, 1, KEY_POINT_FLAG)
@@ -74,7 +74,7 @@ def scan_angles(records: Records, point_format: int) -> npt.NDArray[np.float32]:
     """Return scan angles in degrees, negative to the left of the flight, float32 of shape (n,)."""
     if is_legacy(point_format):
         return records["scan_angle_rank"].astype(np.float32)
-    return records["scan_angle"] * np.float32(SCAN_STEP_DEGREES)
+    return records["scan_angle"] * np.float32(_SCAN_STEP_DEGREES)
 
 
 def colours(records: Records, point_format: int) -> npt.NDArray[np.uint16] | None:
@@ -114,7 +114,7 @@ def write_classes(
     """Set the class of the chosen records in place. Flags do not change."""
     if is_legacy(point_format):
         raw = records["raw_classification"]
-        raw[chosen] = (raw[chosen] & ~np.uint8(LEGACY_CLASS_MASK)) | classes[chosen]
+        raw[chosen] = (raw[chosen] & ~np.uint8(_LEGACY_CLASS_MASK)) | classes[chosen]
     else:
         records["classification"][chosen] = classes[chosen]
 
@@ -189,7 +189,7 @@ def upgrade_records(records: Records, point_format: int) -> Records:
     # Bits 0 to 2 are synthetic, key point and withheld, 3 overlap, 6 scan direction, 7 edge of
     # the flight line.
     upgraded["classification_flags"] = (raw >> 5) | (overlap << 3) | (bits & 0xC0)
-    upgraded["scan_angle"] = np.rint(records["scan_angle_rank"] / SCAN_STEP_DEGREES)
+    upgraded["scan_angle"] = np.rint(records["scan_angle_rank"] / _SCAN_STEP_DEGREES)
     return upgraded
 
 

@@ -34,11 +34,11 @@ from tiler.io.las.reader import Records, rows_at_once
 
 def laszip_vlr(header: LasHeader, own_sizes: bool = False) -> bytes:
     """Return the laszip record for points like those of ``header``, in chunks of equal or different sizes."""
-    data = bytes(layout_of(header, own_sizes).record_data())
+    data = bytes(_layout_of(header, own_sizes).record_data())
     return packed_record(LASZIP_USER, LASZIP_RECORD, "lazrs", data)
 
 
-def layout_of(header: LasHeader, own_sizes: bool = False) -> Any:
+def _layout_of(header: LasHeader, own_sizes: bool = False) -> Any:
     """Return lazrs' settings for points like those of ``header``, in chunks of equal or different sizes."""
     bare = lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size()
     return lazrs.LazVlr.new_for_compression(
@@ -65,9 +65,9 @@ class PointWriter:
         if threads > 1:
             # The default of this variable is the number of cores.
             os.environ.setdefault("RAYON_NUM_THREADS", str(threads))
-            self._compressor = lazrs.ParLasZipCompressor(target, layout_of(header))
+            self._compressor = lazrs.ParLasZipCompressor(target, _layout_of(header))
         else:
-            self._compressor = lazrs.LasZipCompressor(target, layout_of(header))
+            self._compressor = lazrs.LasZipCompressor(target, _layout_of(header))
 
     def write(self, records: Records) -> None:
         """Append records. Raise OSError if they cannot be written."""
@@ -112,7 +112,7 @@ _AXES = ("X", "Y", "Z")
 
 
 @dataclass(frozen=True)
-class Cube:
+class _Cube:
     """Cube of an octree.
 
     Attributes
@@ -196,7 +196,7 @@ class CopcWriter:
 
     def close(self) -> None:
         """Write points, chunk table, hierarchy and the info record. Raise OSError if they cannot be written."""
-        layout = layout_of(self._header, own_sizes=True)
+        layout = _layout_of(self._header, own_sizes=True)
         cube = self._cube()
         try:
             compressor = lazrs.LasZipCompressor(self._target, layout)
@@ -213,7 +213,7 @@ class CopcWriter:
             raise OSError(str(error)) from error
         self._write_hierarchy(cube, table)
 
-    def _write_hierarchy(self, cube: Cube, table: list[tuple[int, int]]) -> None:
+    def _write_hierarchy(self, cube: _Cube, table: list[tuple[int, int]]) -> None:
         offset = self._begin + 8
         entries = b""
         # Without points there is one chunk and no entry.
@@ -240,7 +240,7 @@ class CopcWriter:
         self._target.write(packed_record(COPC_USER, _INFO_RECORD, "COPC info VLR", info))
         self._target.seek(0, 2)
 
-    def _cube(self) -> Cube:
+    def _cube(self) -> _Cube:
         """Return the cube around all points, one integer wider so that no point lies on its far side."""
         scales, offsets = self._header.scales, self._header.offsets
         low, high = [0] * 3, [0] * 3
@@ -250,7 +250,7 @@ class CopcWriter:
         corner = [
             a * scale + offset for a, scale, offset in zip(low, scales, offsets, strict=True)
         ]
-        return Cube(
+        return _Cube(
             corner=tuple(low),
             sides=tuple(side / scale for scale in scales),
             centre=tuple(c + side / 2 for c in corner),
@@ -264,7 +264,7 @@ class CopcWriter:
             while raw := self._spool.read(self._step * self._header.record_length):
                 yield np.frombuffer(raw, dtype=self._dtype)
 
-    def _nodes(self, cube: Cube) -> Iterator[tuple[Key, Records]]:
+    def _nodes(self, cube: _Cube) -> Iterator[tuple[Key, Records]]:
         """Yield nodes and their points, sorted by GPS time. A node larger than a brick comes after all its bricks."""
         levels = Levels()
         above: dict[Key, list[Records]] = defaultdict(list)

@@ -28,7 +28,7 @@ from tiler.io.foreign_content import excerpt, member, packing_of, parse_json_obj
 from tiler.io.locations import is_url, no_such_file, sizes_at, states_at
 from tiler.redaction import printable
 
-JOURNAL_SUFFIXES = ("-wal", "-journal")
+_JOURNAL_SUFFIXES = ("-wal", "-journal")
 MAX_LISTED = 5
 
 
@@ -39,7 +39,7 @@ def journals_of(path: Path) -> list[Path]:
     """
     if path.suffix.lower() != ".gpkg":
         return []
-    journals = [f"{os.path.realpath(path)}{suffix}" for suffix in JOURNAL_SUFFIXES]
+    journals = [f"{os.path.realpath(path)}{suffix}" for suffix in _JOURNAL_SUFFIXES]
     sizes = dict(zip(journals, sizes_at(journals), strict=True))
     return [
         Path(journal)
@@ -195,7 +195,7 @@ def _copy_with_journals(path: Path, copy: Path) -> None:
     Raise InputError if a program keeps writing to them.
     """
     source = os.path.realpath(path)
-    suffixes = ("", *JOURNAL_SUFFIXES)
+    suffixes = ("", *_JOURNAL_SUFFIXES)
     states = None
     for _ in range(MAX_COPIES):
         before, states = states, states_at([f"{source}{suffix}" for suffix in suffixes])

@@ -238,12 +238,11 @@ def _features(
             raise InputError(
                 f"{where}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS"
             )
-        yield Feature(where, geometry, {k: _plain(v) for k, v in attributes.items()})
-
-
-def _plain(value: Any) -> Any:
-    """Return None in place of NaN, which represents a missing value, and other values unchanged."""
-    return None if isinstance(value, float) and value != value else value
+        # NaN represents a missing value.
+        present_values = {
+            k: None if isinstance(v, float) and v != v else v for k, v in attributes.items()
+        }
+        yield Feature(where, geometry, present_values)
 
 
 def read_in_crs(
