@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from tiler.core.area import Area, Counts, segmentized
+from tiler.core.area import Area, segmentized
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
@@ -387,15 +387,10 @@ def area_in_counts(place: str, features: Sequence[Feature]) -> Area:
         )
     polygons = []
     for polygon in shapely.get_parts(geometries):
-        polygons.append(
-            tuple(_in_counts(ring) for ring in (polygon.exterior, *polygon.interiors))
-        )
+        rings = (polygon.exterior, *polygon.interiors)
+        corners = [shapely.get_coordinates(ring)[:-1] * COUNTS_PER_UNIT for ring in rings]
+        polygons.append(tuple(segmentized(np.rint(at).astype(np.int64)) for at in corners))
     area = Area(tuple(polygons))
     if area.bounds.empty:
         raise InputError(f"{place}: its polygons have no area; draw them wider")
     return area
-
-
-def _in_counts(ring: shapely.LinearRing) -> Counts:
-    corners = shapely.get_coordinates(ring)[:-1]
-    return segmentized(np.rint(corners * COUNTS_PER_UNIT).astype(np.int64))
