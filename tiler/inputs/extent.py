@@ -1,4 +1,4 @@
-"""Where the points of a file are: bounds from the header, checked against a sample of points, and patches of density.
+"""Extent of a file: bounds from the header, checked against a sample of points, and patches of estimated density.
 
 The mean density over a file's bounds is wrong if flight strips run diagonally, or cross. A run of successive points
 gives the density at its position or, if the order of the file is random, the density of the whole file.

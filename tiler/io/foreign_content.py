@@ -1,4 +1,4 @@
-"""What files of other programs contain: JSON, and what no reader unpacks (gzip, zip and others)."""
+"""Content of files of other programs: JSON, and signatures of packed files (zip, gzip), which no reader unpacks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of a run: a commit per finished task, written after the task's data, and states, which are JSON-able.
+"""Facts about a run: a commit per finished task, written after the task's data, and states, which are JSON-able values.
 
 Areas, edits, breaklines and waters are states, too. A process caches the last ones that it read.
 """
