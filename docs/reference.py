@@ -12,7 +12,7 @@ sys.path.insert(0, str(HERE.parent))
 from cli.commands.methods import parameter_facts, range_text  # noqa: E402
 from cli.options import SETTINGS, default_text  # noqa: E402
 from ptd.methods import METHODS  # noqa: E402
-from tiler.config.presets import preset_names, preset_text  # noqa: E402
+from tiler.config.sources import preset_names, preset_text  # noqa: E402
 
 TARGET = HERE / "parameters.md"
 

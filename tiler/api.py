@@ -26,8 +26,7 @@ from tiler.io.locations import as_path
 from tiler.io.result_folder import CHECK, is_results, local_folder
 from tiler.observe.events import Event, Listener, Note, Warned, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
-from tiler.observe.notebook_bar import NotebookBar, in_notebook
-from tiler.observe.progress import open_progress
+from tiler.observe.progress import NotebookBar, in_notebook, open_progress
 from tiler.pipeline import run as run_job
 from tiler.report.accuracy import write_measured
 from tiler.report.html import write_report_at

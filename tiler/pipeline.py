@@ -34,7 +34,6 @@ from tiler.io.result_folder import (
     local_folder,
     read_run,
 )
-from tiler.observe.eventlog import EventLog
 from tiler.observe.events import (
     ExpectedStage,
     JobStarted,
@@ -46,6 +45,7 @@ from tiler.observe.events import (
     ignore_events,
     redacting,
 )
+from tiler.observe.json_lines import EventLog
 from tiler.plan import (
     Plan,
     make_plan,

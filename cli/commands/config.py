@@ -11,7 +11,7 @@ from cli.options import SETTINGS, config_options, describe_setting, read_config
 from cli.output import write_line
 from cli.session import TilerCommand
 from tiler.config import RunConfig
-from tiler.config.presets import preset_text
+from tiler.config.sources import preset_text
 from tiler.errors import ConfigError
 from tiler.redaction import without_secrets
 

@@ -122,7 +122,7 @@ def _from_setting(key: str) -> dict[str, Any]:
 
         kind, choices = "choice", [*METHODS, "keep"]
     elif key == "preset":
-        from tiler.config.presets import preset_names
+        from tiler.config.sources import preset_names
 
         kind, choices = "choice", list(preset_names())
     elif kind == "pairs":

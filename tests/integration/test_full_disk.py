@@ -32,8 +32,8 @@ from tiler.errors import (
     StoreAccessError,
 )
 from tiler.ingest.tasks import points as ingest_tasks
-from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Event, Note, StageStarted
+from tiler.observe.json_lines import EventLog
 from tiler.pipeline import run
 from tiler.store.storage import _write_file as write_file
 
@@ -65,7 +65,7 @@ import resource, signal, sys
 from pathlib import Path
 import numpy as np
 from tiler.errors import TilerError
-from tiler.io.geotiff import RasterMetadata, plain_geotiff
+from tiler.io.raster_files import RasterMetadata, plain_geotiff
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, resource.RLIM_INFINITY))

@@ -122,7 +122,7 @@ def test_schemes_are_known_in_capitals(tmp_path: Path) -> None:
 def test_no_list_names_more_clouds_than_the_command_has_room_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.inputs.virtual_cloud.MAX_CLOUDS", 2)
+    monkeypatch.setattr("tiler.inputs.lists.MAX_CLOUDS", 2)
     monkeypatch.setattr("tiler.inputs.point_tiles.MAX_CLOUDS", 2)
     path = vpc(tmp_path / "town.vpc", "a.laz", "b.laz", "c.laz")
     with pytest.raises(

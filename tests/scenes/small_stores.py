@@ -17,7 +17,7 @@ def small_stores(
     Neither changes a result. Rows are known to this process alone: workers need the usual.
     """
     patch.setattr("tiler.plan.sizes.BUCKET_POINTS", bucket_points)
-    for module in ("layout", "points", "labels"):
+    for module in ("layout", "points", "buckets"):
         patch.setattr(f"tiler.store.{module}.ROW_POINTS", row_points)
 
     def short(kind: layout.ArrayKind) -> layout.ArrayKind:

@@ -14,8 +14,8 @@ from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units import unit_label
 from tiler.inputs import inspect
 from tiler.inputs.point_tiles import node_counts, read_point_tiles
-from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
+from tiler.io.las.point_formats import class_and_flags, coordinate
 from tiler.io.las.reader import NEEDED, PointReader
 
 _POINTS_PER_CELL = 16

@@ -11,7 +11,7 @@ import numpy as np
 from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreAccessError, StoreError
-from tiler.io.json_text import parse_json_object
+from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import (
     as_path,
     is_url,

@@ -10,7 +10,7 @@ from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units_text import short_unit
 from tiler.errors import InputError
 from tiler.inputs import SourceInfo, find_inputs, inspect_in_child
-from tiler.inputs.virtual_cloud import is_virtual
+from tiler.inputs.lists import is_virtual
 from tiler.io.locations import is_url
 from tiler.io.result_folder import RUN
 from tiler.schedule import ChildPool

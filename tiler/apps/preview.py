@@ -17,9 +17,10 @@ from tiler.config import RunConfig
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import InputError
 from tiler.inputs import SourceInfo, read_in_child
-from tiler.io.las.extract import Box, cut_windows, sample_places
+from tiler.io.las.extract import cut_windows, sample_places
+from tiler.io.las.octree import Box
 from tiler.io.overwrite_check import Target, check_targets
-from tiler.io.picture import write_png
+from tiler.io.raster_files import write_png
 from tiler.io.result_folder import STORE
 from tiler.observe.events import Event, Listener, Note, Warned, ignore_events
 from tiler.pipeline import run

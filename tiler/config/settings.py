@@ -14,8 +14,7 @@ from functools import partial
 from typing import Any
 
 from tiler.config.parsing import parse_value, plain_value
-from tiler.config.presets import load_preset, preset_names
-from tiler.config.sources import over_preset
+from tiler.config.sources import load_preset, over_preset, preset_names
 from tiler.core.products import NODATA, PRODUCTS, VECTOR_PRODUCTS
 from tiler.core.reclass import ALL, ONLY_GROUND
 from tiler.core.selection import DROP_WITHHELD, KEEP_WITHHELD, Selection

@@ -1,15 +1,39 @@
-"""Combination of the sources of settings: a TOML file overrides a preset, the command line overrides both."""
+"""Sources of settings: presets, TOML files, which override a preset, and the command line, which overrides both."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from ptd.params import UNIT_SUFFIXES
 from tiler.config.parsing import parse_pairs
-from tiler.config.presets import load_preset
 from tiler.errors import ConfigError
+
+_PRESETS = files("tiler.config") / "presets"
+"""Folder of presets: settings for a kind of data or for a specification, each in a commented TOML file."""
+
+
+@cache
+def preset_names() -> tuple[str, ...]:
+    """Return the names of all presets, sorted."""
+    found = (item.name for item in _PRESETS.iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
+
+
+def preset_text(name: str) -> str:
+    """Return the text of a preset, whose first line describes its purpose, or raise ConfigError."""
+    if name not in preset_names():
+        raise ConfigError(f"preset {name!r}: choose one of {', '.join(preset_names())}")
+    return _PRESETS.joinpath(f"{name}.toml").read_text("utf-8")
+
+
+def load_preset(name: str) -> dict[str, Any]:
+    """Return the settings of a preset as plain values, or raise ConfigError."""
+    return tomllib.loads(preset_text(name))
 
 
 def over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -53,8 +77,6 @@ def load_config(path: Path) -> dict[str, Any]:
 
     Its table ``[parameters]`` contains the parameters of the method.
     """
-    import tomllib
-
     try:
         with open(path, "rb") as stream:
             content = stream.read(MAX_BYTES + 1)

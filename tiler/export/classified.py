@@ -38,10 +38,14 @@ from tiler.export.records import CloudRecord
 from tiler.export.work import WriteClassified
 from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
-from tiler.io.las.columns import class_and_flags, write_classes
-from tiler.io.las.copc_writer import CopcWriter
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.newer_formats import as_standard_times, upgrade_records, upgraded_header
+from tiler.io.las.point_formats import (
+    as_standard_times,
+    class_and_flags,
+    upgrade_records,
+    upgraded_header,
+    write_classes,
+)
 from tiler.io.las.reader import (
     EVERYTHING,
     PointReader,
@@ -49,9 +53,10 @@ from tiler.io.las.reader import (
     count_decodable,
     record_dtype,
     rows_at_once,
+    unchanged,
+    validate_unchanged,
 )
-from tiler.io.las.unchanged import unchanged, validate_unchanged
-from tiler.io.las.writer import PlainWriter, PointWriter
+from tiler.io.las.writers import CopcWriter, PlainWriter, PointWriter
 from tiler.io.locations import as_path, staging_folder, state_of
 from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
 

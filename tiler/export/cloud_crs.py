@@ -16,7 +16,7 @@ from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit
 from tiler.export.work import WriteClassified
 from tiler.inputs.sources import SourceInfo
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.records import PROJECTION_USER, Vlr, packed_record
+from tiler.io.las.layout import PROJECTION_USER, Vlr, packed_record
 
 WKT_BIT = 0x10
 """Bit of the global encoding that makes the WKT record the source of the CRS."""

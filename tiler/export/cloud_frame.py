@@ -13,11 +13,10 @@ from typing import BinaryIO
 
 from tiler.export.cloud_crs import WKT_BIT, NewCrs, without_crs
 from tiler.export.cloud_statistics import CloudStatistics
-from tiler.io.las.copc_writer import HEADER_BYTES, INFO_BYTES, CopcWriter
 from tiler.io.las.headers import HEADER_SIZES, LasHeader
-from tiler.io.las.newer_formats import changes_of_format, upgraded_header
-from tiler.io.las.records import Vlr
-from tiler.io.las.writer import laszip_vlr
+from tiler.io.las.layout import Vlr
+from tiler.io.las.point_formats import changes_of_format, upgraded_header
+from tiler.io.las.writers import HEADER_BYTES, INFO_BYTES, CopcWriter, laszip_vlr
 
 _COPY = 1 << 20
 _COMPRESSED = 0x80

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.export.records import PointStatistics
-from tiler.io.las.columns import class_and_flags, colours, returns
 from tiler.io.las.headers import LasHeader
+from tiler.io.las.point_formats import class_and_flags, colours, returns
 from tiler.io.las.reader import Records
 
 COORDINATES = ("X", "Y", "Z")

@@ -31,7 +31,7 @@ from tiler.export.output_files import new_file
 from tiler.export.records import RasterFileRecord
 from tiler.export.work import ProductFile, WriteCog
 from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
-from tiler.io.geotiff import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
+from tiler.io.raster_files import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
 from tiler.store import TileStore, open_store
 
 

@@ -19,7 +19,7 @@ from tiler.export.cog import raster_metadata
 from tiler.export.output_files import write_bytes
 from tiler.export.records import FileRecord
 from tiler.export.work import WriteLegend, WriteMosaic
-from tiler.io.geotiff import RasterMetadata
+from tiler.io.raster_files import RasterMetadata
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}

@@ -11,8 +11,8 @@ from tiler.export.records import FileRecord
 from tiler.export.work import WriteText
 from tiler.io.atomic_files import write_atomic
 from tiler.io.cloud_reading import digest_of_file
-from tiler.io.geotiff import raster_errors
 from tiler.io.locations import as_path, joined, staging_folder, state_of
+from tiler.io.raster_files import raster_errors
 
 
 @dataclass

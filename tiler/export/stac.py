@@ -14,7 +14,7 @@ from pyproj.exceptions import ProjError
 from shapely.geometry import polygon
 
 from tiler.core.crs import split
-from tiler.io.las.columns import RGB_FORMATS, is_legacy
+from tiler.io.las.point_formats import RGB_FORMATS, is_legacy
 
 Box = tuple[float, float, float, float]
 """Lowest x and y, highest x and y, in units of the CRS."""

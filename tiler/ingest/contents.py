@@ -8,7 +8,7 @@ from pathlib import Path
 from tiler.core.records import Record
 from tiler.errors import InputError
 from tiler.io.cloud_reading import digest_of_file
-from tiler.io.las.unchanged import validate_unchanged
+from tiler.io.las.reader import validate_unchanged
 from tiler.io.locations import FileState, as_path, reading_remedy
 
 

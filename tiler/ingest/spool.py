@@ -21,10 +21,9 @@ from tiler.core.selection import EVERY_POINT, WITHHELD, Selection
 from tiler.ingest.selecting import unselected
 from tiler.inputs.requantise import fits_int32, to_counts
 from tiler.io.cloud_reading import fetched_bytes
-from tiler.io.las.columns import class_and_flags, colours, returns, scan_angles
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records
-from tiler.io.las.unchanged import unchanged
+from tiler.io.las.point_formats import class_and_flags, colours, returns, scan_angles
+from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records, unchanged
 from tiler.io.locations import as_path
 from tiler.store import (
     MAX_RECORD_BYTES,

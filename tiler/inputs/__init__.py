@@ -5,11 +5,10 @@ The stage ingest divides files into `pieces`.
 """
 
 from tiler.inputs.common_crs import CommonCrs, resolve_common_crs
-from tiler.inputs.extent import FAR
+from tiler.inputs.extent import FAR, DensityPatch
 from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.lists import read_list
-from tiler.inputs.patches import DensityPatch
-from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, key_of, read_point_tiles
+from tiler.inputs.point_tiles import EptDataset, is_ept, key_of, read_point_tiles
 from tiler.inputs.requantise import bounds_in_counts
 from tiler.inputs.search import find_inputs, is_list
 from tiler.inputs.sources import (
@@ -29,7 +28,6 @@ __all__ = [
     "EptDataset",
     "Georeference",
     "SourceInfo",
-    "Touches",
     "bounds_in_counts",
     "describe",
     "find_inputs",

@@ -1,4 +1,7 @@
-"""CRS and units of a run, from its sources and settings."""
+"""CRS and units of a run, from its sources and settings.
+
+Files without a CRS whose coordinates look like degrees are refused, since coordinates are otherwise lengths.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,18 @@ from tiler.core.crs import (
 from tiler.core.units import METRE, Units, unit_named, unit_plural
 from tiler.core.words import name_in_wkt
 from tiler.errors import ConfigError, InputError
-from tiler.inputs.degrees import validate_lengths
 from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.sources import SourceInfo
+
+_MAX_DEGREES = 180.0
+"""Largest absolute coordinate. It is the same for x and y, since some writers swap them."""
+_MAX_SIDE = 2.0
+"""Longest extent of a file in degrees, about 200 km."""
+_MIN_SIDE = 1e-5
+"""Shortest extent for the density, 1 m in degrees: points at almost one position have any density."""
+_MAX_DENSITY = 1e8
+"""Number of points per square unit above which the unit cannot be a length: points that are 0.1 mm
+apart have 1e8 per m2. In degrees, 0.1 point per m2 gives 1e9."""
 
 
 class CommonCrs(NamedTuple):
@@ -60,7 +72,7 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     given = _given(config.crs)
     for info in infos:
         if info.points and info.georeference.kind == "missing" and config.units is None:
-            validate_lengths(info)
+            _validate_lengths(info)
     members = [
         (i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points
     ]
@@ -78,6 +90,21 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     )
     origin = "the files" if any(g is not given for _, g in members) else "--crs"
     return CommonCrs(wkt, units, notes, origin)
+
+
+def _validate_lengths(info: SourceInfo) -> None:
+    """Raise InputError if the coordinates of a file without a CRS are so dense that they must be degrees."""
+    if info.bounds is None:
+        return
+    x0, y0, _, x1, y1, _ = info.bounds
+    sides = x1 - x0, y1 - y0
+    if max(map(abs, (x0, y0, x1, y1))) > _MAX_DEGREES or max(sides) > _MAX_SIDE:
+        return
+    if min(sides) >= _MIN_SIDE and info.points > _MAX_DENSITY * sides[0] * sides[1]:
+        raise InputError(
+            f"{info.path}: has no CRS, and its coordinates look like degrees (x {x0:.7g}, y {y0:.7g}); reproject it "
+            "to a projected CRS, or give --units m if they are metres"
+        )
 
 
 def _wkt_with(vertical_unit: Fraction, crs: Georeference) -> str | None:
@@ -209,7 +236,6 @@ def _check_vertical(members: Sequence[tuple[Path, Georeference]]) -> None:
 
 @lru_cache(maxsize=64)
 def _parts(wkt: str | None) -> tuple[CRS | None, CRS | None]:
-    """Return the horizontal and the vertical part of a CRS (see `tiler.core.crs.split`)."""
     return (None, None) if wkt is None else split(CRS.from_wkt(wkt))
 
 

@@ -17,7 +17,7 @@ from pyproj.exceptions import CRSError
 from tiler.core.crs import crs_in_file, same_vertical_datum, split
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit, unit_label
 from tiler.io.las.headers import LasHeader, read_payload
-from tiler.io.las.records import PROJECTION_USER
+from tiler.io.las.layout import PROJECTION_USER
 
 _WKT_RECORD = 2112
 DIRECTORY = 34735

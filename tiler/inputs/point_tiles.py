@@ -13,7 +13,7 @@ from tiler.core.crs import crs_in_file
 from tiler.errors import InputError
 from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
 from tiler.io.cloud_reading import open_location
-from tiler.io.json_text import excerpt, parse_json_object
+from tiler.io.foreign_content import excerpt, parse_json_object
 from tiler.io.locations import as_path, is_url, reading_remedy
 
 NAME = "ept.json"

@@ -13,9 +13,8 @@ from pathlib import Path
 
 from tiler.core import words
 from tiler.errors import ConfigError, InputError
-from tiler.inputs.lists import read_list
+from tiler.inputs.lists import is_virtual, members, read_list
 from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, node_files, read_point_tiles
-from tiler.inputs.virtual_cloud import is_virtual, members
 from tiler.io.atomic_files import SCRATCH_PREFIX
 from tiler.io.locations import as_path, is_url, list_inputs
 from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results
@@ -94,7 +93,9 @@ def find_inputs(
 
     for text in chain.from_iterable(_globbed_lists(str(path)) for path in paths):
         try:
-            if _is_there_as_list(text):
+            if is_list(text) and (
+                is_url(text) or (os.path.lexists(text) and not Path(text).is_dir())
+            ):
                 for path in _listed(text, wanted, listed, in_process):
                     clouds.setdefault(_identity(path), path)
                 continue
@@ -138,12 +139,6 @@ def _globbed_lists(text: str) -> list[str]:
     if globbed and is_list(text):
         return sorted(glob.glob(text, recursive=True))
     return [text]
-
-
-def _is_there_as_list(text: str) -> bool:
-    return is_list(text) and (
-        is_url(text) or (os.path.lexists(text) and not Path(text).is_dir())
-    )
 
 
 def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list[Path]:

@@ -13,14 +13,13 @@ from ptd.matched.evidence import Evidence
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.errors import InputError, ProcessingError
-from tiler.inputs.extent import find_extent
+from tiler.inputs.extent import DensityPatch, find_extent
 from tiler.inputs.georeference import Georeference, georeference
-from tiler.inputs.patches import DensityPatch
 from tiler.io.cloud_reading import fetched_bytes
-from tiler.io.las.columns import RGB_FORMATS
 from tiler.io.las.headers import LasHeader, read_header
-from tiler.io.las.laz import CorruptLazError, LazLayout
+from tiler.io.las.layout import CorruptLazError, LazLayout
 from tiler.io.las.octree import Octree, read_octree
+from tiler.io.las.point_formats import RGB_FORMATS
 from tiler.io.las.reader import count_decodable, rows_at_once
 from tiler.io.locations import FileState, reading_remedy, stat_location, with_slashes
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
@@ -309,7 +308,6 @@ def window_pieces(
 
 
 def _chunks(layout: LazLayout | None) -> int | tuple[int, ...]:
-    """Return the value of `SourceInfo.chunks`."""
     if layout is None:
         return 0
     if layout.chunk_size is None or (layout.rebuilt and layout.counts.size):

@@ -16,7 +16,7 @@ from typing import Any
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import product_names
 from tiler.errors import ConfigError
-from tiler.io.json_text import parse_json_object
+from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at, with_slashes
 from tiler.redaction import without_secrets
 

@@ -185,7 +185,6 @@ class JobProgress:
                 self._end(self.stage, event.seconds)
 
     def _end(self, stage: StageProgress, seconds: float) -> None:
-        """Handle the end of the running stage."""
         if self._expected_of(stage) > 0:
             self._seen_seconds += seconds
             self._seen_expected += self._expected_of(stage)

@@ -1,13 +1,14 @@
-"""Display of progress: bars with rate and ETA on a terminal, and lines at intervals elsewhere."""
+"""Display of progress: bars with rate and ETA on a terminal or in a notebook, and lines at intervals elsewhere."""
 
 from __future__ import annotations
 
+import html
 import re
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import IO
+from typing import IO, Any
 
 from tiler.observe.events import (
     Detail,
@@ -22,7 +23,7 @@ from tiler.observe.events import (
     Warned,
 )
 from tiler.observe.job_progress import JobProgress, StageProgress
-from tiler.observe.json_lines import JsonLines, message_of
+from tiler.observe.json_lines import JsonLines, Progress, message_of
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
@@ -332,3 +333,61 @@ def _filtered(
             listener(event)
 
     return listen
+
+
+def in_notebook() -> bool:
+    """Return whether this process is the kernel of a notebook, without importing IPython."""
+    if "IPython" not in sys.modules:
+        return False
+    from IPython import get_ipython
+
+    return type(get_ipython()).__name__ == "ZMQInteractiveShell"
+
+
+class NotebookBar:
+    """Bar for progress records (`tiler.observe.json_lines.ProgressRecords`) in the output of a notebook's cell."""
+
+    def __init__(self) -> None:
+        from IPython import display
+
+        jupyter: Any = display  # The functions of IPython have no types.
+        self._html = jupyter.HTML
+        self._warnings: list[str] = []
+        self._shown = jupyter.display(self._html(""), display_id=True)
+
+    def __call__(self, progress: Progress) -> None:
+        """Update the bar with new progress."""
+        if progress["level"] == "warning" and progress["message"]:
+            self._warnings.append(progress["message"])
+        self._shown.update(self._html(bar_markup(progress, self._warnings)))
+
+
+def bar_markup(progress: Progress, warnings: list[str]) -> str:
+    """Return the HTML of a bar, of the running stage with the time left, and of warnings.
+
+    Parameters
+    ----------
+    progress : Progress
+    warnings : list of str
+        All warnings of the job so far.
+    """
+    done = progress["progress"]
+    parts = []
+    if done is not None:
+        parts.append(f"{done:.0%}")
+    if progress["title"]:
+        parts.append(progress["title"])
+    if progress["eta"] is not None:
+        parts.append(f"about {duration_text(progress['eta'])} left")
+    if progress["message"] == "done":
+        done, parts = 1.0, ["done"]
+    bar = "<progress></progress>"
+    if done is not None:
+        bar = f'<progress value="{done:.4f}" max="1"></progress>'
+    lines = [f"{bar} {_text(', '.join(parts))}"]
+    lines += [f"warning: {_text(warning)}" for warning in warnings]
+    return "".join(f"<div>{line}</div>" for line in lines)
+
+
+def _text(text: str) -> str:
+    return html.escape(shown(text))

@@ -16,7 +16,7 @@ from tiler.core.units_text import length_text
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo, bounds_in_counts, header_bounds
 from tiler.io.vector import CUT
-from tiler.io.vector.areas import read_area
+from tiler.io.vector.reading import read_area
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
 from tiler.schedule import call_isolated

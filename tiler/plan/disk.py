@@ -12,7 +12,7 @@ import numpy as np
 
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.io.las.newer_formats import newer_bytes
+from tiler.io.las.point_formats import newer_bytes
 from tiler.plan.model import Plan
 
 SPOOL_BYTES = 13

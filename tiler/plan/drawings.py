@@ -24,7 +24,7 @@ from tiler.io.vector import (
     read_in_crs,
     warn_outside,
 )
-from tiler.io.vector.areas import area_in_counts
+from tiler.io.vector.reading import area_in_counts
 from tiler.plan.model import Plan
 from tiler.plan.waters import DRAWN_WATER, waters_of
 from tiler.schedule import call_isolated

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tiler.core.results import StageResult
 from tiler.io.atomic_files import replace_file
-from tiler.io.json_text import parse_json_object
+from tiler.io.foreign_content import parse_json_object
 from tiler.plan.model import Plan
 from tiler.version import __version__
 

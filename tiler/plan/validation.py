@@ -18,7 +18,6 @@ from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
 from tiler.core.words import listed
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
-from tiler.io.journals import validate_closed
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import (
     Target,
@@ -50,6 +49,7 @@ from tiler.io.result_folder import (
     mosaic_file,
     raster_file,
 )
+from tiler.io.vector.opening import validate_closed
 from tiler.plan.disk import free_bytes, needed_bytes, pixels_of, sparse_raster_remedy
 from tiler.plan.machine import memory_bytes
 from tiler.plan.model import Plan

@@ -15,7 +15,7 @@ from tiler.core.lattice import Bounds
 from tiler.core.water import KINDS, LAKE, RIVER, Water, lengths_along, lifted_line
 from tiler.errors import InputError
 from tiler.io.vector import LINES, LINES_AND_POLYGONS, POINTS, POLYGONS, Feature
-from tiler.io.vector.areas import area_in_counts
+from tiler.io.vector.reading import area_in_counts
 
 DRAWN_WATER = replace(
     LINES_AND_POLYGONS, point_layers=frozenset({"reaches"}), left_out=frozenset({"breaklines"})

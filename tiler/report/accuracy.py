@@ -11,7 +11,7 @@ from typing import Any
 from tiler.core.words import counted
 from tiler.errors import write_error
 from tiler.io.atomic_files import write_atomic
-from tiler.io.json_text import parse_json_object
+from tiler.io.foreign_content import parse_json_object
 from tiler.io.result_folder import CHECK, EVALUATION, raster_places
 from tiler.redaction import shown, stored
 from tiler.report.document import Content, Node, el, facts, table

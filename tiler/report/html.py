@@ -11,7 +11,7 @@ from rasterio.errors import RasterioError
 
 from tiler.errors import InputError, ProcessingError, write_error
 from tiler.io.atomic_files import write_atomic
-from tiler.io.json_text import parse_json_object
+from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import is_url, joined, state_at, upload_file
 from tiler.io.result_folder import (
     AGAIN_WITHOUT_RUN,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from tiler.io.json_text import parse_json_object
+from tiler.io.foreign_content import parse_json_object
 from tiler.io.result_folder import EVENTS
 from tiler.redaction import shown
 from tiler.report.accuracy import checkpoints_on_map

@@ -23,7 +23,7 @@ from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.products import PRODUCTS
 from tiler.core.units_text import short_unit
 from tiler.io.locations import is_url, plain_scheme
-from tiler.io.picture import palette_png_bytes
+from tiler.io.raster_files import palette_png_bytes
 
 LONGER_SIDE = 1600
 """Largest number of pixels of the longer side of a picture."""

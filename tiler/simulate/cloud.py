@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.io.geotiff import RasterMetadata, plain_geotiff
+from tiler.io.raster_files import RasterMetadata, plain_geotiff
 from tiler.simulate.points import SimulatedPoints, UInt8s
 from tiler.simulate.site import Site
 

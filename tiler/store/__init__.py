@@ -6,7 +6,12 @@ No other package depends on zarr, or on the paths, dtypes, chunks and schema ver
 from __future__ import annotations
 
 from tiler.store.arrays import packed_by_one_thread
-from tiler.store.coarse import (
+from tiler.store.commits import Commits
+from tiler.store.layout import SET_SEPARATOR, SPOOL_CHUNK, StoreMeta, chunk_numbers
+from tiler.store.lock import LEASE_SECONDS, Lease, locked_folder
+from tiler.store.pieces import MAX_RECORD_BYTES, KeptPiece, KeptRecords, RecordKeeper
+from tiler.store.points import BucketInfo
+from tiler.store.rasters import (
     Steps,
     between_centres,
     coarse_cells,
@@ -14,15 +19,14 @@ from tiler.store.coarse import (
     coarse_window,
     read_cells,
 )
-from tiler.store.commits import Commits
-from tiler.store.index import BucketInfo
-from tiler.store.layout import SET_SEPARATOR, SPOOL_CHUNK, chunk_numbers
-from tiler.store.lock import LEASE_SECONDS, Lease, locked_folder
-from tiler.store.meta import StoreMeta
-from tiler.store.opening import create_store, held_store, open_store, remove_store, store_exists
-from tiler.store.records import MAX_RECORD_BYTES, KeptPiece, KeptRecords, RecordKeeper
-from tiler.store.storage import StoreSize
-from tiler.store.store import TileStore
+from tiler.store.store import (
+    TileStore,
+    create_store,
+    held_store,
+    open_store,
+    remove_store,
+    store_exists,
+)
 
 __all__ = [
     "LEASE_SECONDS",
@@ -37,7 +41,6 @@ __all__ = [
     "RecordKeeper",
     "Steps",
     "StoreMeta",
-    "StoreSize",
     "TileStore",
     "between_centres",
     "chunk_numbers",

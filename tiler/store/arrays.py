@@ -1,5 +1,6 @@
-"""Arrays of a store. Zarr makes their metadata, and the calling thread reads and writes whole chunks.
+"""Arrays of a store, and the base of its parts, which opens them.
 
+Zarr makes the metadata, and the calling thread reads and writes whole chunks.
 The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them. Between the two is the
 checksum of the chunk's key, which blosc skips: a valid chunk at another place is damage.
 They do not go through zarr itself, whose event loop and thread pool need more than a
@@ -25,7 +26,7 @@ from zarr.storage import MemoryStore
 
 from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
-from tiler.store.layout import ALLOWED_CODECS, ArrayKind
+from tiler.store.layout import ALLOWED_CODECS, ArrayKind, StoreMeta
 from tiler.store.storage import Storage, place_checksum, seal_holds, sealed
 
 _CHECKSUM_BYTES = 4
@@ -271,3 +272,25 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
             f"{where}: codec {strange} is not allowed in a store; run again with --overwrite"
         )
     return metadata
+
+
+class StorePart:
+    """Part of `tiler.store.store.TileStore`, which inherits from all parts.
+
+    Attributes
+    ----------
+    url : str
+    meta : StoreMeta
+    """
+
+    def __init__(self, storage: Storage, meta: StoreMeta) -> None:
+        self.url = storage.url
+        self.meta = meta
+        self._storage = storage
+        self._open: dict[str, StoredArray] = {}
+
+    def _opened(self, path: str, kind: ArrayKind) -> StoredArray:
+        """Return the array at a path, which the first call opens. Raise CorruptStoreError if there is no array."""
+        if path not in self._open:
+            self._open[path] = open_array(self._storage, path, kind)
+        return self._open[path]

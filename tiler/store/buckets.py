@@ -1,21 +1,41 @@
-"""Buckets: each point of the run is stored once, in the rows of its bucket. Tile and halo are a window of buckets."""
+"""Points and results of passes by bucket: each point of the run is stored once, in the rows of its bucket.
+
+Tile and halo are a window of buckets. A pass gives each point a label, and may elect points: new points, such as one
+per cell, for later passes, in the first positions of the bucket's rows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
 
 from tiler.core import repeats
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.core.repeats import Rows
 from tiler.errors import StoreError
-from tiler.store import arrays, index, layout, points
-from tiler.store.index import Bucket, BucketIndex, BucketInfo
-from tiler.store.meta import StoreMeta
+from tiler.store import arrays, layout
+from tiler.store.arrays import StoredArray, find_or_make
+from tiler.store.layout import NOWHERE, ROW_POINTS, ArrayKind, StoreMeta
+from tiler.store.points import (
+    ROWS_PER_BATCH,
+    Bucket,
+    BucketIndex,
+    BucketInfo,
+    ColumnStore,
+    Part,
+    current_index,
+    inside,
+    parts_of,
+    read_rows,
+    write_rows,
+)
 from tiler.store.storage import Storage
 
 
-class BucketStore(points.ColumnStore):
+class BucketStore(ColumnStore):
     """Points of a store by bucket, and the index of the buckets."""
 
     def __init__(self, storage: Storage, meta: StoreMeta) -> None:
@@ -34,7 +54,7 @@ class BucketStore(points.ColumnStore):
         counts : mapping of Cell to int
             Upper bound of the number of points in each bucket.
         """
-        previous = index.current_index(self._storage)
+        previous = current_index(self._storage)
         after, moved = previous.allocated(counts, layout.ROW_POINTS)
         self._grow(after.rows)
         for folder, kind in (("labels", layout.LABELS), ("elected", layout.ELECTED)):
@@ -77,7 +97,7 @@ class BucketStore(points.ColumnStore):
 
     def publish_index(self, infos: Mapping[Cell, BucketInfo]) -> None:
         """Make exactly these buckets readable (*coordinator*, once all of them were written)."""
-        published = index.current_index(self._storage).with_infos(infos, layout.ROW_POINTS)
+        published = current_index(self._storage).with_infos(infos, layout.ROW_POINTS)
         published.publish(self._storage)
         self._index = published
 
@@ -86,16 +106,14 @@ class BucketStore(points.ColumnStore):
     ) -> PointBlock:
         """Return the points of a bucket in stored order. Raise StoreError if it is not published or is damaged."""
         bucket = self._bucket(cell)
-        return self._read_points(
-            points.parts_of(bucket, count_of(bucket, candidates_only)), columns
-        )
+        return self._read_points(parts_of(bucket, _count_of(bucket, candidates_only)), columns)
 
     def representatives(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows]:
         """Return rows of repeated points of a bucket and the row of the point that represents each.
 
         ``block`` is what `read_bucket` returned for all points of the bucket, with their flags.
         """
-        n_candidates = count_of(self._bucket(cell), True)
+        n_candidates = _count_of(self._bucket(cell), True)
         return repeats.representatives(block, n_candidates, self.meta.fine, self.meta.frame)
 
     def buckets(self) -> dict[Cell, BucketInfo]:
@@ -126,12 +144,10 @@ class BucketStore(points.ColumnStore):
         memory is the result, a second copy of one column, and eight rows. ``places`` receives
         the slice of each bucket's points in the result.
         """
-        parts: list[points.Part] = []
+        parts: list[Part] = []
         for bucket in self._overlapping(bounds):
-            parts.extend(points.parts_of(bucket, count_of(bucket, candidates_only)))
-        keep = points.inside(
-            bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell)
-        )
+            parts.extend(parts_of(bucket, _count_of(bucket, candidates_only)))
+        keep = inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
         kept: list[int] = []
         given = None if labels is None else self._label_array(labels)
         block = self._read_points(parts, columns, keep, given, kept)
@@ -157,11 +173,11 @@ class BucketStore(points.ColumnStore):
 
     def refresh(self) -> None:
         """Read the index again, since another process may have published a newer one."""
-        self._index = index.current_index(self._storage)
+        self._index = current_index(self._storage)
 
     def _current(self) -> BucketIndex:
         if self._index is None:
-            self._index = index.current_index(self._storage)
+            self._index = current_index(self._storage)
         return self._index
 
     def _bucket(self, cell: Cell) -> Bucket:
@@ -171,10 +187,150 @@ class BucketStore(points.ColumnStore):
         return bucket
 
 
-def count_of(bucket: Bucket, candidates_only: bool = False) -> int:
+def _count_of(bucket: Bucket, candidates_only: bool = False) -> int:
     """Return the number of points, or of candidates, in a bucket. Raise StoreError if it is not published."""
     if bucket.info is None:
         raise StoreError(
             f"bucket {bucket.cell.name}: not published yet; run `tiler ingest` first"
         )
     return bucket.info.n_candidates if candidates_only else bucket.info.n
+
+
+class LabelStore(BucketStore):
+    """Labels and elected points by bucket, under the name of their pass."""
+
+    def write_labels(
+        self,
+        name: str,
+        cell: Cell,
+        labels: npt.NDArray[np.uint8],
+        candidates_only: bool = False,
+    ) -> None:
+        """Write the labels of a bucket, uint8 (n,), in the stored order of its points.
+
+        Raise StoreError if ``labels`` has another shape or dtype.
+        """
+        bucket = self._bucket(cell)
+        n = _count_of(bucket, candidates_only)
+        if labels.shape != (n,) or labels.dtype != np.uint8:
+            raise StoreError(
+                f"labels {name} of bucket {cell.name}: need {n} uint8, got {labels.shape} {labels.dtype}"
+            )
+        write_rows(
+            self._made(layout.labels_path(name), layout.LABELS), bucket, labels[np.newaxis]
+        )
+
+    def read_labels(
+        self, name: str, cell: Cell, candidates_only: bool = False
+    ) -> npt.NDArray[np.uint8]:
+        """Return the labels of a bucket, uint8 (n,). Raise StoreError if they were not written."""
+        bucket = self._bucket(cell)
+        parts = parts_of(bucket, _count_of(bucket, candidates_only))
+        if not parts:
+            return np.empty(0, dtype=np.uint8)
+        labels: npt.NDArray[np.uint8] = read_rows(self._label_array(name), parts)[0]
+        return labels
+
+    def write_elected(self, name: str, cell: Cell, xyz: npt.NDArray[np.int32]) -> None:
+        """Write the points that a pass elected in a bucket, int32 (3, m).
+
+        Raise StoreError if a point lies outside the bucket or the bucket has no room for the
+        points.
+        """
+        if xyz.dtype != np.int32 or xyz.ndim != 2 or xyz.shape[0] != 3:
+            raise StoreError(
+                f"elected points of bucket {cell.name}: need int32 (3, m), got {xyz.dtype} {xyz.shape}"
+            )
+        if (
+            not PointBlock(xyz)
+            .inside(self.meta.bucket.bounds(cell), self.meta.frame.origin)
+            .all()
+        ):
+            raise StoreError(f"bucket {cell.name}: an elected point lies outside the bucket")
+        self._write_first(layout.elected_path(name), layout.ELECTED, cell, xyz)
+
+    def write_elected_labels(
+        self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]
+    ) -> None:
+        """Write the labels of the elected points of a bucket, uint8 (m,) in their stored order."""
+        self._write_first(layout.labels_path(name), layout.LABELS, cell, labels[np.newaxis])
+
+    def elected(
+        self,
+        name: str,
+        bounds: Bounds,
+        labels: str | None = None,
+        places: dict[Cell, slice] | None = None,
+    ) -> PointBlock:
+        """Return the points of ``bounds`` that a pass elected, with the labels named ``labels`` if given.
+
+        Buckets come row by row from the south-west, and their points in stored order. ``places`` receives the slice of
+        each bucket's points in the result.
+        """
+        array = self._opened(layout.elected_path(name), layout.ELECTED)
+        given = None if labels is None else self._label_array(labels)
+        held: list[npt.NDArray[np.int32]] = [np.empty((3, 0), np.int32)]
+        labelled: list[npt.NDArray[np.uint8]] = [np.empty(0, np.uint8)]
+        places, end = {} if places is None else places, 0
+        buckets = [bucket for bucket in self._overlapping(bounds) if _count_of(bucket)]
+        for bucket, elected in _elected_rows(array, buckets):
+            keep = PointBlock(elected).inside(bounds, self.meta.frame.origin)
+            held.append(np.compress(keep, elected, axis=1))
+            if given is not None and keep.size:
+                parts = parts_of(bucket, keep.size)
+                labelled.append(read_rows(given, parts)[0, keep])
+            start, end = end, end + held[-1].shape[1]
+            places[bucket.cell] = slice(start, end)
+        xyz = np.concatenate(held, axis=1)
+        return PointBlock(xyz, labels=None if given is None else np.concatenate(labelled))
+
+    def _write_first(
+        self, path: str, kind: ArrayKind, cell: Cell, values: npt.NDArray[np.generic]
+    ) -> None:
+        """Write values (width, m) of elected points. Raise StoreError if the bucket's rows have no room for them.
+
+        The last row that is written has an unused position, unless it is the bucket's last row.
+        """
+        bucket = self._bucket(cell)
+        m = values.shape[1]
+        rows = len(_places(bucket))
+        if m > rows * ROW_POINTS:
+            raise StoreError(
+                f"bucket {cell.name}: {m} elected points do not fit the rows of {_count_of(bucket)} points; "
+                "elect at most as many points as the rows hold"
+            )
+        room = min(rows, m // ROW_POINTS + 1) * ROW_POINTS
+        full = np.full((values.shape[0], room), kind.fill, values.dtype)
+        full[:, :m] = values
+        write_rows(self._made(path, kind), bucket, full)
+
+    def _made(self, path: str, kind: ArrayKind) -> StoredArray:
+        """Return the array at a path, and make it if no task has written to it yet."""
+        if path not in self._open:
+            self._open[path] = find_or_make(self._storage, path, kind, self._current().rows)
+        return self._open[path]
+
+
+def _elected_rows(
+    array: StoredArray, buckets: Sequence[Bucket]
+) -> Iterator[tuple[Bucket, npt.NDArray[np.int32]]]:
+    """Yield the elected points of each bucket: int32 (3, n). Its rows are read until one has an unused position."""
+    for start in range(0, len(buckets), ROWS_PER_BATCH):
+        batch = buckets[start : start + ROWS_PER_BATCH]
+        first_rows = array.read_rows([bucket.row for bucket in batch])
+        for bucket, first in zip(batch, first_rows, strict=True):
+            rows = [first[0]]
+            for part in _places(bucket)[1:]:
+                if rows[-1][0, -1] == NOWHERE:
+                    break
+                rows.append(array.read_rows([part.row])[0][0])
+            n = (len(rows) - 1) * ROW_POINTS + np.count_nonzero(rows[-1][0] != NOWHERE)
+            yield bucket, np.concatenate(rows, axis=1)[:, :n]
+
+
+def _places(bucket: Bucket) -> list[Part]:
+    """Return the rows that hold a bucket's points, each at full length.
+
+    The number of elected points is not known before they are read.
+    """
+    return [Part(bucket, part.row, ROW_POINTS) for part in parts_of(bucket, _count_of(bucket))]

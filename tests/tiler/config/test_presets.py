@@ -10,7 +10,7 @@ import pytest
 from cli.options import read_config
 from ptd.methods import make_params
 from tiler.config import RunConfig
-from tiler.config.presets import load_preset, preset_names, preset_text
+from tiler.config.sources import load_preset, preset_names, preset_text
 from tiler.errors import ConfigError
 
 NAMES = ("als", "city", "dim", "forest", "mountain", "swiss", "usgs")

@@ -13,9 +13,8 @@ import pytest
 from pyproj import CRS
 
 from tests.tiler.export.test_classified import ALL_FORMATS, decoded, export, label
-from tiler.io.las import copc_writer, octree_batches
+from tiler.io.las import octree, writers
 from tiler.io.las.headers import read_header
-from tiler.io.las.octree import read_octree
 
 NEWER = {0: 6, 1: 6, 2: 7, 3: 7, 4: 6, 5: 7, 6: 6, 7: 7, 8: 8, 9: 6, 10: 8}
 SAME = ("intensity", "return_number", "number_of_returns", "scan_direction_flag", "edge_of_flight_line",
@@ -68,11 +67,11 @@ def test_all_but_what_formats_6_to_8_cannot_hold_is_that_of_the_laz(
 
 @pytest.fixture
 def small_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(copc_writer, "BRICK_POINTS", 3000)
-    monkeypatch.setattr(octree_batches, "LEAF_POINTS", 300)
-    monkeypatch.setattr(octree_batches, "MIN_POINTS", 10)
-    monkeypatch.setattr(octree_batches, "CELLS_OF_NODE", 4)
-    monkeypatch.setattr(copc_writer, "CELLS_OF_NODE", 4)
+    monkeypatch.setattr(writers, "BRICK_POINTS", 3000)
+    monkeypatch.setattr(octree, "LEAF_POINTS", 300)
+    monkeypatch.setattr(octree, "MIN_POINTS", 10)
+    monkeypatch.setattr(octree, "CELLS_OF_NODE", 4)
+    monkeypatch.setattr(writers, "CELLS_OF_NODE", 4)
 
 
 def uneven(cloud: laspy.LasData) -> None:
@@ -96,7 +95,7 @@ def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) 
     assert out.read_bytes() == again.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.copc.laz", "a.laz", "b.copc.laz"]
     header = read_header(out)
-    octree, points = read_octree(header), laspy.read(out)
+    tree, points = octree.read_octree(header), laspy.read(out)
     sizes = np.ptp(points.xyz, axis=0)
     with laspy.CopcReader.open(str(out)) as reader:
         info, hierarchy = reader.copc_info, reader.root_page.entries
@@ -104,7 +103,7 @@ def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) 
         np.testing.assert_allclose(info.spacing, 2 * info.halfsize / 16)
         assert (info.gps_min, info.gps_max) == (0.0, 11_999.0)
         by_level = [
-            reader.query(level=level) for level in range(max(k[0] for k in octree.keys) + 1)
+            reader.query(level=level) for level in range(max(k[0] for k in tree.keys) + 1)
         ]
         box = laspy.copc.Bounds(
             mins=points.header.mins[:2] + 50, maxs=points.header.mins[:2] + 100
@@ -118,7 +117,7 @@ def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) 
     )
     assert sum(entry.point_count for entry in hierarchy.values()) == 12_000
     keys = {(k.level, k.x, k.y, k.z): entry.point_count for k, entry in hierarchy.items()}
-    assert len(keys) == len(octree.keys) > 50
+    assert len(keys) == len(tree.keys) > 50
     low, done = np.asarray(info.center) - info.halfsize, 0
     for (level, *corner), count in zip(
         ((k.level, k.x, k.y, k.z) for k in sorted(hierarchy, key=lambda k: hierarchy[k].offset)),
@@ -135,10 +134,9 @@ def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) 
             for n in range(8)
         )
         cells = len(np.unique(np.floor(place * 16), axis=0))
-        most_few = count - cells < 8 * octree_batches.MIN_POINTS  # beside those of the cells
+        most_few = count - cells < 8 * octree.MIN_POINTS  # beside those of the cells
         assert most_few or (
-            not children
-            and (count <= octree_batches.LEAF_POINTS or level == octree_batches.DEEPEST)
+            not children and (count <= octree.LEAF_POINTS or level == octree.DEEPEST)
         )
         done += count
 

@@ -6,8 +6,8 @@ import json
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Note, RunFinished
+from tiler.observe.json_lines import EventLog
 
 
 def lines(path: Path) -> list[dict[str, object]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tiler.observe.json_lines import progress_record
-from tiler.observe.notebook_bar import bar_markup, in_notebook
+from tiler.observe.progress import bar_markup, in_notebook
 
 
 def test_the_bar_shows_the_progress_of_the_job() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tiler.inputs import DensityPatch
-from tiler.inputs.patches import find_patches, local_density
+from tiler.inputs.extent import find_patches, local_density
 from tiler.plan.density_map import DensityMap
 from tiler.plan.sizes import covered_m2
 

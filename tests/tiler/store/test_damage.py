@@ -166,7 +166,7 @@ def test_zarr_reads_every_chunk(filled: TileStore) -> None:
 
 
 def test_a_damaged_index_is_an_error(filled: TileStore, damage: Callable[[Path], None]) -> None:
-    from tiler.store.index import _loaded
+    from tiler.store.points import _loaded
 
     (path,) = Path(filled.url, "index").glob("*.npy")
     damage(path)

@@ -13,8 +13,8 @@ from tests.tiler.store.conftest import make_points
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.errors import StoreError
 from tiler.store import BucketInfo, TileStore, open_store
-from tiler.store.index import BucketIndex
 from tiler.store.layout import ROW_POINTS
+from tiler.store.points import BucketIndex
 
 cells = st.builds(Cell, st.integers(-5, 5), st.integers(-5, 5))
 requests = st.lists(

@@ -29,7 +29,7 @@ from tiler.core.difference_statistics import spread
 from tiler.core.units import unit_label
 from tiler.core.units_text import short_unit
 from tiler.errors import ConfigError
-from tiler.io.json_text import excerpt
+from tiler.io.foreign_content import excerpt
 
 STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
 MIN_POINTS = 30

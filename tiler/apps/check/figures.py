@@ -21,9 +21,9 @@ from tiler.apps.evaluate.heights import files_of_raster
 from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
-from tiler.io.geotiff import raster_errors
 from tiler.io.locations import as_path
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.raster_files import raster_errors
 from tiler.redaction import shown
 from tiler.report.pictures import small_hillshade
 

@@ -19,9 +19,8 @@ import shapely
 from tiler.core.units import FARTHEST
 from tiler.core.words import counted, listed
 from tiler.errors import InputError
-from tiler.io.json_text import excerpt
+from tiler.io.foreign_content import excerpt, packing_of
 from tiler.io.locations import no_such_file
-from tiler.io.packing import packing_of
 from tiler.io.vector import POINTS, Feature, Kind, read_features
 
 NVA = "NVA"  # non-vegetated vertical accuracy

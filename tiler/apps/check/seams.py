@@ -33,7 +33,7 @@ from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import unit_label, unit_named
 from tiler.errors import ConfigError, InputError
-from tiler.io.json_text import parse_json_object
+from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import as_path
 from tiler.io.result_folder import RUN
 

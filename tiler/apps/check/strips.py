@@ -15,8 +15,8 @@ from tiler.core.difference_statistics import spread
 from tiler.core.units import METRE, unit_label
 from tiler.errors import InputError
 from tiler.inputs import find_inputs, inspect
-from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
+from tiler.io.las.point_formats import class_and_flags, coordinate
 from tiler.io.las.reader import EVERYTHING, PointReader
 from tiler.schedule import call_isolated, half_of_memory
 

@@ -14,8 +14,8 @@ from tiler.apps.evaluate.maps import ErrorGrid
 from tiler.apps.evaluate.results import CloudScores, LabelScores, Pairing
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.errors import InputError
-from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
+from tiler.io.las.point_formats import class_and_flags, coordinate
 from tiler.io.las.reader import NEEDED, PointReader
 
 _STEP = 1_000_000

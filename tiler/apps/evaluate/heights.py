@@ -25,8 +25,8 @@ from tiler.core.raster import NODATA
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
 from tiler.io.atomic_files import atomic_path
-from tiler.io.geotiff import RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.raster_files import RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.result_folder import raster_places, read_run
 
 BLOCK = 1024

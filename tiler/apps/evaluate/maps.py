@@ -19,8 +19,7 @@ from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
-from tiler.io.geotiff import CACHE_MB, any_place, raster_errors, tiled_profile
-from tiler.io.picture import write_png
+from tiler.io.raster_files import CACHE_MB, any_place, raster_errors, tiled_profile, write_png
 
 RIGHT = 0
 """Code of a cell in which all points are right."""

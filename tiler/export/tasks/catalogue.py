@@ -28,7 +28,7 @@ from tiler.export.tasks.files import nodata_of
 from tiler.export.tasks.sheets import key_of, name_of
 from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.ingest.tasks.points import Source
-from tiler.io.las.newer_formats import newer_format
+from tiler.io.las.point_formats import newer_format
 from tiler.io.locations import joined
 from tiler.io.result_folder import (
     BRIDGES,

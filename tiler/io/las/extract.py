@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from tiler.io.cloud_reading import open_location
-from tiler.io.las.columns import coordinate
 from tiler.io.las.headers import LasHeader, read_header
-from tiler.io.las.octree import Octree
+from tiler.io.las.octree import Box, Octree
+from tiler.io.las.point_formats import coordinate
 from tiler.io.las.reader import COORDINATES, EVERYTHING, PointReader, Records, rows_at_once
 
 _STEP = 1_000_000
@@ -20,9 +20,6 @@ _PLACE_STEP = 250
 _OF_PLACE = _PLACE_POINTS // _PLACE_STEP
 _BLOCK_BYTES = 1 << 16
 """Bytes per request to a URL, to read the header and the records before the points."""
-
-Box = tuple[float, float, float, float]
-"""Lowest x, y, highest x, y in units of the CRS, half-open."""
 
 
 def sample_places(
@@ -86,7 +83,7 @@ def cut_windows(
     ----------
     path : Path
     windows : sequence of (x0, y0, x1, y1)
-        Windows in units of the CRS.
+        Windows in units of the CRS, half-open.
     targets : sequence of str
         Path of the file of each window.
     salvage : bool

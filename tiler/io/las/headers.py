@@ -15,17 +15,18 @@ from typing import Any, BinaryIO, NoReturn
 from tiler.core.digests import new_digest
 from tiler.errors import InputError
 from tiler.io.cloud_reading import open_location
-from tiler.io.las.laz import (
+from tiler.io.foreign_content import packing_of
+from tiler.io.las.layout import (
     CorruptLazError,
     LazLayout,
+    Vlr,
     bytes_of_points,
     parse_laszip,
     read_table,
     walk_chunks,
+    walk_records,
 )
-from tiler.io.las.records import Vlr, walk_records
 from tiler.io.locations import FileState, is_url, reading_remedy, state_of
-from tiler.io.packing import packing_of
 
 _BLOCK_BYTES = 1 << 14
 """Bytes per request to a URL. The bytes before the points, the chunk table or a record are
@@ -137,7 +138,7 @@ class LasHeader:
 
     @property
     def stamp(self) -> list[Any]:
-        """State and digest, which change if the file changes (see `tiler.io.las.unchanged`)."""
+        """State and digest, which change if the file changes (see `tiler.io.las.reader`)."""
         return [*self.state.to_json(), self.digest]
 
     @property

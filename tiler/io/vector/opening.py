@@ -1,4 +1,9 @@
-"""Checks of vector files before GDAL opens them, since GDAL ignores suffixes and follows links in a file."""
+"""Checks of vector files before GDAL opens them, since it ignores suffixes, follows links in a file, writes journals.
+
+Journals are files of SQLite with changes that are not in a GeoPackage yet. They lie next to it while a program has it
+open, and after a crash. What a user saved may be only in ``-wal``. If the GeoPackage is replaced or moved, SQLite
+applies them to the wrong file, or they are lost.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ import os
 import shutil
 import sqlite3
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,14 +21,50 @@ from pyproj.exceptions import ProjError
 from shapely.errors import ShapelyError
 
 from tiler.core.crs import crs_in_file
-from tiler.errors import InputError
+from tiler.core.words import listed
+from tiler.errors import ConfigError, InputError
 from tiler.io.atomic_files import SCRATCH_PREFIX
-from tiler.io.journals import SUFFIXES as JOURNAL_SUFFIXES
-from tiler.io.journals import journals_of
-from tiler.io.json_text import excerpt, member, parse_json_object
-from tiler.io.locations import no_such_file, states_at
-from tiler.io.packing import packing_of
+from tiler.io.foreign_content import excerpt, member, packing_of, parse_json_object
+from tiler.io.locations import is_url, no_such_file, sizes_at, states_at
 from tiler.redaction import printable
+
+_JOURNAL_SUFFIXES = ("-wal", "-journal")
+MAX_LISTED = 5
+
+
+def journals_of(path: Path) -> list[Path]:
+    """Return the journals that lie next to a GeoPackage, or next to the file to which a link leads.
+
+    An empty ``-wal`` tells that the file is open. An empty ``-journal`` remains after some programs close the file.
+    """
+    if path.suffix.lower() != ".gpkg":
+        return []
+    journals = [f"{os.path.realpath(path)}{suffix}" for suffix in _JOURNAL_SUFFIXES]
+    sizes = dict(zip(journals, sizes_at(journals), strict=True))
+    return [
+        Path(journal)
+        for journal, size in sizes.items()
+        if size or (size == 0 and journal.endswith("-wal"))
+    ]
+
+
+def open_text(journals: Sequence[Path]) -> str:
+    """Return the error and the remedy for outputs with journals."""
+    names = listed([journal.name for journal in journals], MAX_LISTED)
+    return (
+        f"{names}: its GeoPackage is open in another program, or was when that program crashed, so this journal may "
+        "contain saved edits; close the GeoPackage there (after a crash, open and close it), then run again"
+    )
+
+
+def validate_closed(out: str, paths: Iterable[str]) -> None:
+    """Raise ConfigError if a GeoPackage of OUT has a journal. Objects at a URL have none."""
+    if is_url(out):
+        return
+    journals = [journal for path in sorted(paths) for journal in journals_of(Path(out, path))]
+    if journals:
+        raise ConfigError(f"-o {out}: {open_text(journals)}")
+
 
 SIGNATURES = {
     ".gpkg": b"SQLite format 3\0",
@@ -154,7 +195,7 @@ def _copy_with_journals(path: Path, copy: Path) -> None:
     Raise InputError if a program keeps writing to them.
     """
     source = os.path.realpath(path)
-    suffixes = ("", *JOURNAL_SUFFIXES)
+    suffixes = ("", *_JOURNAL_SUFFIXES)
     states = None
     for _ in range(MAX_COPIES):
         before, states = states, states_at([f"{source}{suffix}" for suffix in suffixes])

@@ -15,6 +15,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from tiler.core.area import Area, segmentized
+from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.io.vector.opening import check_file, reading, unchanged
@@ -236,12 +238,11 @@ def _features(
             raise InputError(
                 f"{where}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS"
             )
-        yield Feature(where, geometry, {k: _plain(v) for k, v in attributes.items()})
-
-
-def _plain(value: Any) -> Any:
-    """Return None in place of NaN, which represents a missing value, and other values unchanged."""
-    return None if isinstance(value, float) and value != value else value
+        # NaN represents a missing value.
+        present_values = {
+            k: None if isinstance(v, float) and v != v else v for k, v in attributes.items()
+        }
+        yield Feature(where, geometry, present_values)
 
 
 def read_in_crs(
@@ -362,3 +363,34 @@ def warn_outside(
         f"{path}: {len(outside)} of {len(features.features)} features lie outside the survey and have no effect, "
         f"the first is {outside[0].place.removeprefix(f'{path}: ')}"
     ]
+
+
+def read_area(path: Path, wkt: str | None) -> tuple[Area, list[str]]:
+    """Return the polygons of a file in absolute counts of a CRS, and notes for the user.
+
+    Raise InputError if the file cannot be read or its polygons have no area.
+    """
+    polygons = read_in_crs(path, POLYGONS, wkt)
+    return area_in_counts(str(path), polygons.features), list(polygons.notes)
+
+
+def area_in_counts(place: str, features: Sequence[Feature]) -> Area:
+    """Return the polygons of features in absolute counts.
+
+    Raise InputError, which names the file ``place``, if they have no area or a coordinate is
+    too large.
+    """
+    geometries = [feature.geometry for feature in features]
+    if np.abs(shapely.bounds(geometries)).max() >= FARTHEST:
+        raise InputError(
+            f"{place}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS"
+        )
+    polygons = []
+    for polygon in shapely.get_parts(geometries):
+        rings = (polygon.exterior, *polygon.interiors)
+        corners = [shapely.get_coordinates(ring)[:-1] * COUNTS_PER_UNIT for ring in rings]
+        polygons.append(tuple(segmentized(np.rint(at).astype(np.int64)) for at in corners))
+    area = Area(tuple(polygons))
+    if area.bounds.empty:
+        raise InputError(f"{place}: its polygons have no area; draw them wider")
+    return area

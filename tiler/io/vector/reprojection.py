@@ -17,7 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tiler.core.crs import crs_in_file, same_horizontal, split
 from tiler.errors import InputError
-from tiler.io.json_text import excerpt
+from tiler.io.foreign_content import excerpt
 
 MAX_HALVINGS = 12
 """Maximum number of times that an edge is halved."""

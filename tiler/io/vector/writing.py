@@ -16,7 +16,7 @@ from pyproj import CRS
 from tiler.core.crs import split
 from tiler.errors import ProcessingError, write_error
 from tiler.io.atomic_files import atomic_path, cause_of
-from tiler.io.journals import journals_of, open_text
+from tiler.io.vector.opening import journals_of, open_text
 
 WHEN = "2000-01-01T00:00:00.000Z"
 """Fixed time in place of the time of writing, which would change the bytes of each layer."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiler.io.geotiff import RasterMetadata, plain_geotiff
+from tiler.io.raster_files import RasterMetadata, plain_geotiff
 
 Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -7,7 +7,7 @@ import pytest
 
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, PointReader
-from tiler.io.las.writer import PointWriter
+from tiler.io.las.writers import PointWriter
 
 
 class Full(io.BytesIO):

@@ -1,4 +1,4 @@
-"""GeoTIFFs: metadata, and plain tiled files that are written block by block."""
+"""Files of rasters: GeoTIFFs (metadata, and plain tiled files written block by block), and PNG pictures from arrays."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ import rasterio
 from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.errors import write_error
-from tiler.io.atomic_files import cause_of
+from tiler.io.atomic_files import atomic_path, cause_of
 
 CACHE_MB = 64
 """Limit of GDAL's block cache in MB. GDAL's default is a share of the machine's memory."""
@@ -165,3 +166,53 @@ def raster_errors(path: Path) -> Iterator[None]:
         raise write_error(str(path), cause_of(path, error), path.parent) from error
     except OSError as error:
         raise write_error(str(path), error, path.parent) from error
+
+
+DEFLATE_LEVEL = 4
+"""Compression level of PNGs, with a third of the time of the usual level 6 and files a few
+percent larger."""
+
+
+def palette_png_bytes(
+    values: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int]]
+) -> bytes:
+    """Return the bytes of a PNG with a palette, for a picture of few colours.
+
+    Parameters
+    ----------
+    values : uint8, shape (height, width)
+        Value of each pixel. 0 is transparent.
+    colours : mapping of int to (red, green, blue)
+        Colour of each value.
+    """
+    table = {value: (*colour, 255) for value, colour in colours.items()}
+    return _encoded(values[None], {**table, 0: (0, 0, 0, 0)})
+
+
+def _encoded(
+    bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int, int]] | None
+) -> bytes:
+    count, height, width = bands.shape
+    profile = {
+        "driver": "PNG",
+        "height": height,
+        "width": width,
+        "count": count,
+        "dtype": "uint8",
+    }
+    profile["ZLEVEL"] = DEFLATE_LEVEL
+    with any_place(), MemoryFile() as memory:
+        with memory.open(**profile) as picture:
+            picture.write(bands)
+            if colours is not None:
+                picture.write_colormap(1, colours)
+        return bytes(memory.read())
+
+
+def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:
+    """Write a picture as a PNG, which appears when it is complete. Raise ProcessingError if this fails.
+
+    The picture is uint8 (height, width, 4): red, green, blue, opacity.
+    """
+    with raster_errors(path), atomic_path(path) as partial:
+        partial.write_bytes(_encoded(np.moveaxis(rgba, -1, 0), None))

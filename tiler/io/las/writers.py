@@ -1,20 +1,25 @@
-"""Writer of clouds as COPC 1.0: LAZ whose chunks are the nodes of an octree (https://copc.io)."""
+"""Writers of points after the header, which the caller writes: as LAZ, LAS, or COPC 1.0. lazrs compresses points.
+
+COPC is LAZ whose chunks are the nodes of an octree (https://copc.io).
+"""
 
 from __future__ import annotations
 
+import os
 import struct
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from tempfile import TemporaryFile
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lazrs
 import numpy as np
 import numpy.typing as npt
 
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.octree_batches import (
+from tiler.io.las.layout import COPC_USER, LASZIP_RECORD, LASZIP_USER, packed_record
+from tiler.io.las.octree import (
     CELLS_OF_NODE,
     DEPTH,
     Key,
@@ -25,8 +30,73 @@ from tiler.io.las.octree_batches import (
     runs,
 )
 from tiler.io.las.reader import Records, rows_at_once
-from tiler.io.las.records import COPC_USER, packed_record
-from tiler.io.las.writer import layout_of
+
+
+def laszip_vlr(header: LasHeader, own_sizes: bool = False) -> bytes:
+    """Return the laszip record for points like those of ``header``, in chunks of equal or different sizes."""
+    data = bytes(_layout_of(header, own_sizes).record_data())
+    return packed_record(LASZIP_USER, LASZIP_RECORD, "lazrs", data)
+
+
+def _layout_of(header: LasHeader, own_sizes: bool = False) -> Any:
+    """Return lazrs' settings for points like those of ``header``, in chunks of equal or different sizes."""
+    bare = lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size()
+    return lazrs.LazVlr.new_for_compression(
+        header.point_format, header.record_length - bare, own_sizes
+    )
+
+
+class PointWriter:
+    """Writer of compressed records from the current position of ``target``. `close` adds the chunk table.
+
+    Parameters
+    ----------
+    target : BinaryIO
+        Seekable file, whose position after `close` is undefined.
+    header : LasHeader
+        Header of a file with the same point format and record length.
+    threads : int
+        Number of threads that compress chunks, which does not change the bytes. The first number above 1 in a process
+        applies to all its writers.
+    """
+
+    def __init__(self, target: BinaryIO, header: LasHeader, threads: int = 1) -> None:
+        self._compressor: Any
+        if threads > 1:
+            # The default of this variable is the number of cores.
+            os.environ.setdefault("RAYON_NUM_THREADS", str(threads))
+            self._compressor = lazrs.ParLasZipCompressor(target, _layout_of(header))
+        else:
+            self._compressor = lazrs.LasZipCompressor(target, _layout_of(header))
+
+    def write(self, records: Records) -> None:
+        """Append records. Raise OSError if they cannot be written."""
+        try:
+            self._compressor.compress_many(np.ascontiguousarray(records).view(np.uint8))
+        except lazrs.LazrsError as error:
+            raise OSError(str(error)) from error
+
+    def close(self) -> None:
+        """Write the remaining points and the chunk table. Raise OSError if they cannot be written."""
+        try:
+            self._compressor.done()
+        except lazrs.LazrsError as error:
+            raise OSError(str(error)) from error
+
+
+class PlainWriter:
+    """Writer of records without compression from the current position of ``target``."""
+
+    def __init__(self, target: BinaryIO) -> None:
+        self._target = target
+
+    def write(self, records: Records) -> None:
+        """Append records. Raise OSError if they cannot be written."""
+        self._target.write(np.ascontiguousarray(records).view(np.uint8).data)
+
+    def close(self) -> None:
+        """Do nothing, since all records are written."""
+
 
 HEADER_BYTES = 375
 INFO_BYTES = 54 + 160
@@ -42,7 +112,7 @@ _AXES = ("X", "Y", "Z")
 
 
 @dataclass(frozen=True)
-class Cube:
+class _Cube:
     """Cube of an octree.
 
     Attributes
@@ -126,7 +196,7 @@ class CopcWriter:
 
     def close(self) -> None:
         """Write points, chunk table, hierarchy and the info record. Raise OSError if they cannot be written."""
-        layout = layout_of(self._header, own_sizes=True)
+        layout = _layout_of(self._header, own_sizes=True)
         cube = self._cube()
         try:
             compressor = lazrs.LasZipCompressor(self._target, layout)
@@ -143,7 +213,7 @@ class CopcWriter:
             raise OSError(str(error)) from error
         self._write_hierarchy(cube, table)
 
-    def _write_hierarchy(self, cube: Cube, table: list[tuple[int, int]]) -> None:
+    def _write_hierarchy(self, cube: _Cube, table: list[tuple[int, int]]) -> None:
         offset = self._begin + 8
         entries = b""
         # Without points there is one chunk and no entry.
@@ -170,7 +240,7 @@ class CopcWriter:
         self._target.write(packed_record(COPC_USER, _INFO_RECORD, "COPC info VLR", info))
         self._target.seek(0, 2)
 
-    def _cube(self) -> Cube:
+    def _cube(self) -> _Cube:
         """Return the cube around all points, one integer wider so that no point lies on its far side."""
         scales, offsets = self._header.scales, self._header.offsets
         low, high = [0] * 3, [0] * 3
@@ -180,7 +250,7 @@ class CopcWriter:
         corner = [
             a * scale + offset for a, scale, offset in zip(low, scales, offsets, strict=True)
         ]
-        return Cube(
+        return _Cube(
             corner=tuple(low),
             sides=tuple(side / scale for scale in scales),
             centre=tuple(c + side / 2 for c in corner),
@@ -194,7 +264,7 @@ class CopcWriter:
             while raw := self._spool.read(self._step * self._header.record_length):
                 yield np.frombuffer(raw, dtype=self._dtype)
 
-    def _nodes(self, cube: Cube) -> Iterator[tuple[Key, Records]]:
+    def _nodes(self, cube: _Cube) -> Iterator[tuple[Key, Records]]:
         """Yield nodes and their points, sorted by GPS time. A node larger than a brick comes after all its bricks."""
         levels = Levels()
         above: dict[Key, list[Records]] = defaultdict(list)
