@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiler.core.records import Record
-from tiler.grid.pieces import Side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,36 +52,6 @@ class TerrainRecord(BlockRecord):
     ground_used: int
     ground_marked: int
     edited: list[tuple[int, int]] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FilledRecord(BlockRecord):
-    """Record of a block with filled holes: number of pixels that got a height."""
-
-    added: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LabelsRecord(BlockRecord):
-    """Record of a block of labelled areas.
-
-    Attributes
-    ----------
-    sides : dict of str to Side
-        Labels along the sides of the block, see `tiler.grid.pieces`.
-    labels : int
-        Number of labels.
-    """
-
-    sides: dict[str, Side]
-    labels: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HolesRecord(LabelsRecord):
-    """Record of a block of holes: for each label, runs of the nearby blocks of the model (`coarse.block_runs`)."""
-
-    blocks: list[list[list[int]]]
 
 
 @dataclass(frozen=True, slots=True)

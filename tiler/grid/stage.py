@@ -33,11 +33,11 @@ from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
 from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
+from tiler.grid.tasks.gridding import GAP_M, GridContext
 from tiler.grid.tasks.raster_names import final_raster
 from tiler.grid.tasks.raster_table import required_rasters
-from tiler.grid.tasks.shared_tins import join_blocks
 from tiler.grid.tasks.steps import Step
+from tiler.grid.tasks.terrain import OnTin, join_blocks
 from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
 from tiler.grid.tasks.water_facts import report_waters
@@ -122,7 +122,7 @@ def _holes(job: Job) -> list[Bounds]:
 
 
 def _make(
-    job: Job, raster: RasterStep | Step, spec: RasterSpec, tasks: list[Task], join: Join | None
+    job: Job, raster: OnTin | Step, spec: RasterSpec, tasks: list[Task], join: Join | None
 ) -> Commits:
     """Make one raster of the store."""
     name, stage = raster.name, raster.stage

@@ -179,19 +179,23 @@ def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.floa
 
 @dataclass(frozen=True)
 class PixelsUnder:
-    """Raster of which a block of larger cells reads one part at a time, as the whole may not fit into memory."""
+    """Raster of which a step reads one part at a time, as the whole may not fit into memory."""
 
     store: TileStore
     name: str
     spec: RasterSpec
 
     def read(self, block: Block) -> npt.NDArray[np.float32]:
-        """Return the pixels of a block, float32 (height, width)."""
-        return self.store.read_block(self.name, block)
+        """Return the pixels of a block, float32 (height, width), 0 beyond the raster."""
+        return read_cells(self.store, self.name, self.spec, block)
 
 
 def _pixels(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
     return PixelsUnder(store, read.raster, task.sources.pixels)
+
+
+def _coarse(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
+    return PixelsUnder(store, read.raster, task.sources.coarse)
 
 
 def _same_cells(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
@@ -268,6 +272,7 @@ READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "cells": _cells,
     "pixels": _pixels,
     "same-cells": _same_cells,
+    "coarse": _coarse,
     "points": _points,
     "waters": _waters,
     "edits": _edits,

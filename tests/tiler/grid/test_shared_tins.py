@@ -13,7 +13,7 @@ from tests.scenes.records import bucket_record
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid import GridBlock, GroundSelection, grid_block
-from tiler.grid.tasks.shared_tins import join_blocks
+from tiler.grid.tasks.terrain import join_blocks
 from tiler.runs.stage_runner import _outcomes
 from tiler.schedule import Outcome, SerialExecutor, Task
 
@@ -85,7 +85,7 @@ def test_blocks_far_apart_and_other_interpolations_stay_alone() -> None:
 def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("tiler.grid.tasks.shared_tins.MAX_PIXELS", 2 * 512 * 512)
+    monkeypatch.setattr("tiler.grid.tasks.terrain.MAX_PIXELS", 2 * 512 * 512)
     assert len(join_blocks(plan(), RECORDS, tasks(), 1)) >= 3
 
 
