@@ -9,7 +9,7 @@ from typing import Any
 
 from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.edits import DrawnDeck
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.lattice import Cell
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.reclass import ONLY_GROUND
 from tiler.store import KeptPiece
@@ -154,10 +154,6 @@ class FindSheets:
     side: int
     area: str | None
 
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the block."""
-        return self.spec.block_bounds(self.block)
-
 
 @dataclass(frozen=True)
 class SheetFile:
@@ -291,7 +287,3 @@ class WriteClassified:
     pieces: tuple[KeptPiece, ...] = field(default=(), metadata=NOT_IN_DIGEST)
     threads: int = field(default=1, metadata=NOT_IN_DIGEST)
     wkt: str | None = None
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the buckets."""
-        return buckets.hull(self.cells) if self.cells else None

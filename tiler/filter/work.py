@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tiler.core.digests import NOT_IN_DIGEST
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.lattice import Cell
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,3 @@ class FilterTile:
     candidates_only: bool
     input_candidates_only: bool
     held_bytes: int = field(metadata=NOT_IN_DIGEST)
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the core."""
-        return buckets.hull(self.cells)

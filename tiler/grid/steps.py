@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -155,6 +155,12 @@ def run_block(store_url: str, task: MakeBlock) -> Counts:
     store.write_block(task.name, task.block, pixels)
     filled = int(np.count_nonzero(pixels != fill))
     return {"pixels": pixels.size, "filled": filled, "checksum": checksum(pixels), **counts}
+
+
+def erase_blocks(store: TileStore, *, name: str, blocks: Sequence[Block]) -> Counts:
+    """Delete the stored pixels of blocks of a raster, which then read as the fill value."""
+    store.erase_blocks(name, blocks)
+    return {}
 
 
 def _raster(store: TileStore, task: MakeBlock, read: Read) -> Float64:

@@ -29,10 +29,6 @@ class BlockWork:
     spec: RasterSpec
     block: Block
 
-    def place(self, buckets: Lattice) -> Bounds:
-        """Return the bounds of the block."""
-        return self.spec.block_bounds(self.block)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Facets:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -77,10 +76,6 @@ class AssembleBuckets:
     buckets: tuple[BucketParts, ...]
     keep_classes: tuple[int, ...] | None = None
     skip_flags: int = WITHHELD_FLAG
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of all buckets. The argument is the lattice of the buckets."""
-        return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
 
 
 def assemble_buckets(store_url: str, work: AssembleBuckets) -> AssembledRecord:

@@ -271,7 +271,15 @@ def classified_tasks(
             RULES, source.identity, work, [[labels[c], wet.get(c)] for c in cells]
         )
         points = sum(count for _, count in work.ranges) or source.info.points
-        yield Task("export", f"c{source.number:06d}", digest, write_classified, work, points)
+        yield Task(
+            "export",
+            f"c{source.number:06d}",
+            digest,
+            write_classified,
+            work,
+            points,
+            bounds=plan.buckets.hull(cells) if cells else None,
+        )
 
 
 def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:

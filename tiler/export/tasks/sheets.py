@@ -69,7 +69,8 @@ def height_tasks(context: GridContext) -> Iterator[Task]:
         seen = [context.checksums(name, [key]) for name in rasters]
         pixels = block.height * block.width
         digest = digest_of(RULES, work, seen)
-        yield Task(STAGE, key, digest, find_sheets, work, pixels=pixels)
+        bounds = context.spec.block_bounds(block)
+        yield Task(STAGE, key, digest, find_sheets, work, pixels=pixels, bounds=bounds)
 
 
 def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:

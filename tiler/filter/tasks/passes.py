@@ -182,7 +182,15 @@ def filter_tasks(
         elected_digests = [inputs.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c].n for c in tile.cells)
         digest = digest_of(RULES, step.name, work, bucket_digests, elected_digests)
-        yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
+        yield Task(
+            f"filter{number}",
+            f"t{tile.name}",
+            digest,
+            filter_tile,
+            work,
+            points,
+            bounds=plan.buckets.hull(tile.cells),
+        )
 
 
 def tile_records(filtered: Commits) -> Iterator[TileRecord]:

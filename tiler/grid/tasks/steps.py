@@ -123,6 +123,7 @@ class Step:
                 work,
                 points=context.n_points(near.get(block, ())),
                 pixels=0 if widest else block.height * block.width,
+                bounds=spec.block_bounds(block),
             )
 
 

@@ -109,8 +109,15 @@ class OnTin:
                 corrections.edit_digests(extent, OF_PIXELS),
                 corrections.line_digests_near(extent, plan),
             )
-            n_points = context.n_points(near)
-            yield Task(self.stage, block.name, digest, grid_block, work, points=n_points)
+            yield Task(
+                self.stage,
+                block.name,
+                digest,
+                grid_block,
+                work,
+                points=context.n_points(near),
+                bounds=extent,
+            )
 
 
 def _thinning(grid: Grid, context: GridContext) -> Lattice | None:

@@ -190,4 +190,7 @@ def assemble_tasks(
         ]
         digest = digest_of(content, keep, flags, parents)
         work = AssembleBuckets(buckets, keep, flags)
-        yield Task("assemble", group.name, digest, assemble_buckets, work, points)
+        bounds = plan.buckets.hull(groups[group])
+        yield Task(
+            "assemble", group.name, digest, assemble_buckets, work, points, bounds=bounds
+        )
