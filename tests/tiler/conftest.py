@@ -62,7 +62,7 @@ class MemoryStore:
 def memory_store(monkeypatch: pytest.MonkeyPatch) -> MemoryStore:
     """A store that the stages open whatever its address."""
     store = MemoryStore()
-    for module in ("tiler.ingest.spool", "tiler.ingest.assemble", "tiler.export.classified"):
+    for module in ("tiler.ingest.spool", "tiler.ingest.assemble"):
         monkeypatch.setattr(f"{module}.open_store", lambda url: store)
     return store
 

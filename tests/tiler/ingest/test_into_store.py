@@ -15,8 +15,8 @@ import pytest
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT
-from tiler.export import WriteClassified
 from tiler.export.classified import write_classified
+from tiler.export.work import CloudCopy
 from tiler.ingest import AssembleBuckets, BucketParts, SpoolPiece, assemble_buckets, spool_piece
 from tiler.inputs import find_inputs, inspect, pieces
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
@@ -116,7 +116,7 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
     cells = tuple(store.buckets())
     for source, path in enumerate(paths):
         out = tmp_path / "out" / f"{source}.laz"
-        work = WriteClassified(
+        cloud = CloudCopy(
             path=str(path),
             source=source,
             out=str(out),
@@ -124,7 +124,7 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
             cells=cells,
             reclass="all",
         )
-        write_classified(url, work)
+        write_classified(store, cloud=cloud)
         before, after = laspy.read(path), laspy.read(out)
         expected = np.asarray(before.classification).copy()
         rows = np.array(sorted(stored[source]))
