@@ -44,7 +44,6 @@ def before_the_first(work: Work, change: Callable[[], object]) -> Work:
     """The work of a task, with something that happens before it is done for the first time."""
     done: list[bool] = []
 
-    @functools.wraps(work)
     def changed(*arguments: Any, **values: Any) -> dict[str, Any]:
         if not done:
             done.append(True)
@@ -122,7 +121,6 @@ def while_it_is_read(work: Work, old: Path, new: Path, monkeypatch: pytest.Monke
             os.replace(new, old)
         return records
 
-    @functools.wraps(work)
     def changed(*arguments: Any, **values: Any) -> dict[str, Any]:
         with monkeypatch.context() as patch:
             patch.setattr(PointReader, "read", replacing)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import shutil
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,6 @@ def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPat
     """Remove a folder before, or after, a task of this kind is done for the first time."""
     work = getattr(WORKS[name], name)
 
-    @functools.wraps(work)
     def removing(*arguments: Any, **values: Any) -> dict[str, Any]:
         if early:
             shutil.rmtree(place, ignore_errors=True)

@@ -58,11 +58,11 @@ def test_each_block_is_one_task_and_none_shows(
     gridding = GridContext(plan, assembled, labels)
     spec = gridding.spec
     tasks = list(raster_table(plan)["dtm"].tasks(gridding))
-    blocks = [task.arguments.block for task in tasks]
+    blocks = [task.arguments["work"].block for task in tasks]
     assert blocks == list(spec.blocks(512))
     assert len({task.key for task in tasks}) == 4
     whole = replace(
-        tasks[0].arguments, block=Block(0, 0, spec.height, spec.width), max_points=10**9
+        tasks[0].arguments["work"], block=Block(0, 0, spec.height, spec.width), max_points=10**9
     )
     heights, _ = block_heights(store, whole)
     pixels, transform = dtm(out)

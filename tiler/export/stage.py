@@ -196,7 +196,7 @@ def _report_files(job: Job, tasks: FileTasks, made: Commits) -> None:
         terrain = [
             task.key
             for task in tasks.cogs
-            if task.arguments.values["info"].product == "dtm" and task.key in made
+            if task.arguments["info"].product == "dtm" and task.key in made
         ]
         filled = sum(RasterFileRecord.of(made[key][1]).valid for key in terrain)
         job.results.dtm = replace(job.results.dtm, filled=filled)
@@ -218,7 +218,7 @@ def _record_files(job: Job, paths: Mapping[str, str], basis: str) -> None:
 
 
 def _make_folders(tasks: list[Task], out: str) -> None:
-    for folder in {task.arguments.values["to"].out for task in tasks if not is_url(out)}:
+    for folder in {task.arguments["to"].out for task in tasks if not is_url(out)}:
         try:
             Path(folder).mkdir(exist_ok=True)
         except OSError as error:
@@ -305,7 +305,7 @@ def _files(tasks: list[Task]) -> dict[str, str]:
 
 
 def _file(task: Task) -> str:
-    values = task.arguments.values
+    values = task.arguments
     return str(values["cloud"].out if "cloud" in values else values["to"].location)
 
 

@@ -1,4 +1,4 @@
-"""Arguments of the task that filters a tile in one pass."""
+"""Tile that a task filters in one pass."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tiler.core.lattice import Cell
 
 @dataclass(frozen=True)
 class FilterTile:
-    """Arguments of `tiler.filter.filter_tile`: one tile of a pass.
+    """Tile of a pass.
 
     Attributes
     ----------

@@ -5,12 +5,11 @@ from tiler.grid.coarse import blocks_of
 from tiler.grid.ground import GroundSelection
 from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.thinning import max_points_in_bucket
-from tiler.grid.work import GridBlock, GridBlocks
+from tiler.grid.work import GridBlock
 
 __all__ = [
     "CELL_PIXELS",
     "GridBlock",
-    "GridBlocks",
     "GroundSelection",
     "blocks_of",
     "full_halo",

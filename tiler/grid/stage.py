@@ -225,7 +225,7 @@ def _report_terrain(
         marked=sum(record.marked for record in records),
         blocks=len(tasks),
         blocks_done_again=sum(record.tries > 1 for record in records),
-        thinned=any(task.arguments.thin for task in tasks),
+        thinned=any(task.arguments["work"].thin for task in tasks),
     )
     if records and job.results.dtm.filled == 0:
         text = f"the terrain model is empty: {_why_empty(job, gridding.assembled)}"

@@ -21,7 +21,7 @@ from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.ground import GroundSelection
 from tiler.grid.points_near import PointsNear
 from tiler.grid.work import BlockWork, Facets
-from tiler.store import TileStore, coarse_values, coarse_window, open_store, read_cells
+from tiler.store import TileStore, coarse_values, coarse_window, read_cells
 
 Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -110,7 +110,7 @@ class Position(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class MakeBlock(BlockWork):
-    """Arguments of `run_block`.
+    """Block that a step makes.
 
     Attributes
     ----------
@@ -136,8 +136,8 @@ class MakeBlock(BlockWork):
     empty: frozenset[str] = frozenset()
 
 
-def run_block(store_url: str, task: MakeBlock) -> Counts:
-    """Make one block of a raster. This is a `tiler.schedule.task.Work`.
+def run_block(store: TileStore, *, task: MakeBlock) -> Counts:
+    """Make one block of a raster.
 
     Returns
     -------
@@ -145,7 +145,6 @@ def run_block(store_url: str, task: MakeBlock) -> Counts:
         Counts of the function. For a raster also ``pixels``, ``filled`` (pixels with a value, unless the function
         counts them) and ``checksum``.
     """
-    store = open_store(store_url)
     reads = {name: READERS[read.kind](store, task, read) for name, read in task.reads.items()}
     values, counts = task.work(**reads, **task.values)
     if values is None:

@@ -54,7 +54,7 @@ class Facets:
 
 @dataclass(frozen=True, kw_only=True)
 class GridBlock(Facets, BlockWork):
-    """Arguments of `tiler.grid.grid_block`: one block of the terrain, interpolated on a TIN.
+    """Block of the terrain, interpolated on a TIN.
 
     Attributes
     ----------
@@ -79,10 +79,3 @@ class GridBlock(Facets, BlockWork):
     percent: int | None = None
     breaklines: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     max_points: int | None = field(default=None, metadata=NOT_IN_DIGEST)
-
-
-@dataclass(frozen=True)
-class GridBlocks:
-    """Blocks of the terrain that differ only in their positions and are made from one TIN."""
-
-    blocks: tuple[GridBlock, ...]

@@ -32,7 +32,6 @@ from tiler.store import (
     RecordKeeper,
     StoreMeta,
     TileStore,
-    open_store,
 )
 
 NOT_FINITE = "not finite"
@@ -48,7 +47,7 @@ _RADIX_KEYS = 1 << 16
 
 @dataclass(frozen=True)
 class SpoolPiece:
-    """Arguments of `spool_piece`: the piece to decode.
+    """Piece of a source to decode.
 
     Attributes
     ----------
@@ -94,13 +93,8 @@ class SpoolPiece:
     selection: Selection = EVERY_POINT
 
 
-def spool_piece(store_url: str, work: SpoolPiece) -> SpoolRecord:
+def spool_piece(store: TileStore, *, work: SpoolPiece) -> SpoolRecord:
     """Decode a piece into the spool.
-
-    Parameters
-    ----------
-    store_url : str
-    work : SpoolPiece
 
     Returns
     -------
@@ -112,7 +106,6 @@ def spool_piece(store_url: str, work: SpoolPiece) -> SpoolRecord:
     InputError
         The points cannot be decoded, or the file has changed since the plan read it.
     """
-    store = open_store(store_url)
     frame = store.meta.frame
     bytes_before = fetched_bytes()
     with unchanged(as_path(work.path), work.stamp, work.salvage) as header:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from tiler.core.raster import Block
 from tiler.core.results import StageResult
 from tiler.errors import CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.observe.events import StageFinished, StageStarted, TaskAgain, TaskDone, TaskFailed
@@ -135,12 +134,7 @@ def _outcomes(
 
 def _pixels(task: Task) -> int:
     """Return the number of pixels that a task makes, or 0 if it does not make a raster."""
-    if task.pixels:
-        return task.pixels
-    block = getattr(task.arguments, "block", None)
-    if isinstance(block, Block):
-        return block.height * block.width
-    return 0
+    return task.pixels or task.makes
 
 
 def _report(job: Job, outcome: Outcome) -> None:

@@ -7,7 +7,7 @@ task writes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, Self
 
 from tiler.core.digests import digest_of
@@ -22,10 +22,7 @@ P = ParamSpec("P")
 Result = Record | Mapping[str, Any]
 """Result of a task, which the store keeps as JSON."""
 Work = Callable[..., Result]
-"""Function of a module, since it is pickled by name: ``work(store_url, arguments)``, or ``work(store, **values)`` with
-the values of a `Call`.
-
-The arguments are a frozen dataclass that defines the data to read and write and the parameters."""
+"""Function ``work(store, **values)`` of a module, since it is pickled by name."""
 
 
 @dataclass(frozen=True)
@@ -49,14 +46,13 @@ class Call:
         return replace(self, aside=frozenset(names))
 
     @property
-    def held(self) -> list[Any]:
+    def held(self) -> dict[str, Any]:
         """Values that are in the digest of the task."""
-        values = {name: v for name, v in self.values.items() if name not in self.aside}
-        return [self.work.__name__, values]
+        return {name: value for name, value in self.values.items() if name not in self.aside}
 
 
 def calling(
-    work: Callable[Concatenate[TileStore, P], Result], *_: P.args, **values: P.kwargs
+    work: Callable[Concatenate[TileStore, P], Result], /, *_: P.args, **values: P.kwargs
 ) -> Call:
     """Return the call of a function with keyword arguments after the store, whose types are checked."""
     return Call(work, values)
@@ -79,11 +75,13 @@ class Task:
     digest : str
         Digest of everything that the result depends on. If a commit has the same digest, the task is done.
     work : Work
-        Function that a worker calls. The worker commits its result with the digest.
-    arguments : dataclass
-        Argument of `work`: frozen, small, with values that `digest_of` supports.
+        Function that a worker calls with its store and the arguments. The worker commits its result with the digest.
+    arguments : mapping of str to object
+        Small values that can be pickled.
     points, pixels : int
         Number of points, and of pixels of whole rasters. Their sum measures the work for progress and ETA.
+    makes : int
+        Number of pixels of the block that the task makes, if points measure the work.
     parts : tuple of Task
         Tasks that this task does together. The item ``parts`` of its record contains their records in the same order,
         and each is committed separately. The task is tried once. If it fails, the parts are done one by one.
@@ -95,9 +93,10 @@ class Task:
     key: str
     digest: str
     work: Work
-    arguments: Any = None
+    arguments: Mapping[str, Any] = field(default_factory=dict)
     points: int = 0
     pixels: int = 0
+    makes: int = 0
     parts: tuple[Task, ...] = ()
     bounds: Bounds | None = None
 
@@ -109,7 +108,7 @@ class Task:
         attributes.
         """
         digest = digest_of(RULES, call.held, *held)
-        return cls(stage, key, digest, call.work, call, **given)
+        return cls(stage, key, digest, call.work, call.values, **given)
 
     @property
     def tries(self) -> int:

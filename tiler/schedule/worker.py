@@ -15,7 +15,7 @@ import psutil
 from ptd.kernel import as_int64
 from tiler.core.records import to_json
 from tiler.errors import CorruptStoreError, DiskFullError, StoreAccessError, TilerError
-from tiler.schedule import Call, Outcome, Task
+from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
 
 KEPT_SHARE = 20
@@ -146,12 +146,9 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
     try:
-        if isinstance(task.arguments, Call):
-            record = to_json(task.work(open_store(store_url), **task.arguments.values))
-        else:
-            record = to_json(task.work(store_url, task.arguments))
+        record = to_json(task.work(open_store(store_url), **task.arguments))
         if commit:
-            store = open_store(store_url)
+            store = open_store(store_url)  # It may have been removed meanwhile.
             for part in Outcome(task, record).of_parts():
                 store.commit(
                     part.task.stage, part.task.key, part.task.digest, part.record or {}

@@ -36,7 +36,10 @@ def tasks(blocks: list[Block] | None = None, **options: Any) -> list[Task]:
         GridBlock(block=block, halo=101_000, **{**given, **options})
         for block in blocks or SPEC.blocks(512)
     ]
-    return [Task("grid-dtm", work.block.name, "d", grid_block, work, 1000) for work in works]
+    return [
+        Task("grid-dtm", work.block.name, "d", grid_block, {"work": work}, 1000)
+        for work in works
+    ]
 
 
 def plan(most: int = 10**7, interpolation: str = "linear") -> Any:

@@ -149,7 +149,7 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
     """
     sheet_files = []
     for task in cogs:
-        values = task.arguments.values
+        values = task.arguments
         part, product = values["part"], values["info"].product
         if part.whole is not None and task.key in written:
             record = RasterFileRecord.of(written[task.key][1])

@@ -106,7 +106,15 @@ def _cell_tasks(context: GridContext) -> Iterator[Task]:
         bounds = spec.block_bounds(block)
         near = context.label_digests(lattice.among(bounds.pad(margin), context.labels))
         n_points = context.n_points(buckets)
-        yield Task.of(CELLS, block.name, call, near, points=n_points, bounds=bounds)
+        yield Task.of(
+            CELLS,
+            block.name,
+            call,
+            near,
+            points=n_points,
+            makes=block.height * block.width,
+            bounds=bounds,
+        )
 
 
 def _deck_tasks(context: GridContext, deck_cells: Commits) -> Iterator[Task]:

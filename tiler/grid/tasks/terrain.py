@@ -14,14 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.digests import digest_of
 from tiler.core.edits import OF_PIXELS
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
 from tiler.core.records import BucketRecord
 from tiler.grid import (
     GridBlock,
-    GridBlocks,
     full_halo,
     grid_block,
     grid_blocks,
@@ -32,8 +30,7 @@ from tiler.grid.tasks.raster_names import CANOPY_CELLS, CANOPY_TERRAIN
 from tiler.grid.tasks.survey import near_places
 from tiler.plan import Plan
 from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
-from tiler.schedule import Task
-from tiler.version import RULES
+from tiler.schedule import Task, calling
 
 MAX_PIXELS = 16 * BLOCK_PIXELS**2
 """A task has at most this many pixels. They take 13 bytes each, little compared to the memory
@@ -102,19 +99,14 @@ class OnTin:
                 max_points=plan.block_points,
             )
             extent = spec.block_bounds(block)
-            digest = digest_of(
-                RULES,
-                work,
+            yield Task.of(
+                self.stage,
+                block.name,
+                calling(grid_block, work=work),
                 context.label_digests(near),
                 corrections.edit_digests(extent, OF_PIXELS),
                 corrections.line_digests_near(extent, plan),
-            )
-            yield Task(
-                self.stage,
-                block.name,
-                digest,
-                grid_block,
-                work,
+                makes=block.height * block.width,
                 points=context.n_points(near),
                 bounds=extent,
             )
@@ -193,7 +185,7 @@ def join_blocks(
     """
     if len(tasks) < 2 or plan.config.interpolation != "linear":
         return list(tasks)
-    layout = _Layout(plan, records, [task.arguments for task in tasks])
+    layout = _Layout(plan, records, [task.arguments["work"] for task in tasks])
     groups = _fitting(layout, min(plan.block_points, TIN_BYTES // GROUND_BYTES))
     groups = _balanced(layout, groups, workers)
     groups.sort(key=lambda group: -group.cost)
@@ -203,10 +195,11 @@ def join_blocks(
 def _joined(parts: Sequence[Task]) -> Task:
     if len(parts) == 1:
         return parts[0]
-    first, blocks = parts[0], GridBlocks(tuple(part.arguments for part in parts))
+    first = parts[0]
+    call = calling(grid_blocks, works=tuple(part.arguments["work"] for part in parts))
     points = sum(part.points for part in parts)
     name = f"{first.key}+{len(parts) - 1}"
-    return Task(first.stage, name, "", grid_blocks, blocks, points, parts=tuple(parts))
+    return Task.of(first.stage, name, call.without("works"), points=points, parts=tuple(parts))
 
 
 def _fitting(layout: _Layout, max_points: int) -> list[_Group]:
