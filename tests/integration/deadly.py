@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from tiler.core.lattice import Cell
+from tiler.core.records import AssembledRecord, TileRecord
 from tiler.filter import FilterTile, filter_tile
-from tiler.ingest import AssembleBuckets, assemble_buckets
+from tiler.ingest import assemble_buckets
+from tiler.store import TileStore
 
 CELL = "TILER_TEST_DEADLY_CELL"
 DEED = "TILER_TEST_DEED"
@@ -19,7 +21,7 @@ HOLD = "hold"
 """Name of a file beside OUT; whose tile removes it is the only one that does not wait."""
 
 
-def deadly_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
+def deadly_tile(store: TileStore, *, work: FilterTile) -> TileRecord:
     """`filter_tile`, but for the tile that holds a bucket named in the environment."""
     cell = [int(v) for v in os.environ[CELL].split(",")]
     if Cell(*cell) in work.cells:
@@ -30,21 +32,21 @@ def deadly_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
             np.ones(1 << 32)
         if deed == "sleep":
             time.sleep(600)
-    return filter_tile(store_url, work)
+    return filter_tile(store, work=work)
 
 
-def held_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
+def held_tile(store: TileStore, *, work: FilterTile) -> TileRecord:
     """`filter_tile`, but of one tile alone: the others wait until they are killed."""
     try:
-        (Path(store_url).parents[1] / HOLD).unlink()
+        (Path(store.url).parents[1] / HOLD).unlink()
     except FileNotFoundError:
         time.sleep(3600)
-    return filter_tile(store_url, work)
+    return filter_tile(store, work=work)
 
 
-def failing_group(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
+def failing_group(store: TileStore, **values: Any) -> AssembledRecord:
     """`assemble_buckets`, but for the group that holds a bucket named in the environment."""
     cell = [int(v) for v in os.environ[CELL].split(",")]
-    if any(bucket.cell == Cell(*cell) for bucket in work.buckets):
+    if any(bucket.cell == Cell(*cell) for bucket in values["buckets"]):
         raise RuntimeError("this group fails")
-    return assemble_buckets(store_url, work)
+    return assemble_buckets(store, **values)

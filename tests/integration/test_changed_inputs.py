@@ -44,11 +44,11 @@ def before_the_first(work: Work, change: Callable[[], object]) -> Work:
     """The work of a task, with something that happens before it is done for the first time."""
     done: list[bool] = []
 
-    def changed(store_url: str, arguments: Any) -> dict[str, Any]:
+    def changed(*arguments: Any, **values: Any) -> dict[str, Any]:
         if not done:
             done.append(True)
             change()
-        return work(store_url, arguments)
+        return work(*arguments, **values)
 
     return changed
 
@@ -121,10 +121,10 @@ def while_it_is_read(work: Work, old: Path, new: Path, monkeypatch: pytest.Monke
             os.replace(new, old)
         return records
 
-    def changed(store_url: str, arguments: Any) -> dict[str, Any]:
+    def changed(*arguments: Any, **values: Any) -> dict[str, Any]:
         with monkeypatch.context() as patch:
             patch.setattr(PointReader, "read", replacing)
-            return work(store_url, arguments)
+            return work(*arguments, **values)
 
     return changed
 

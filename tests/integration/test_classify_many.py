@@ -14,7 +14,10 @@ from tests.invariants import clouds
 from tests.invariants.runs import settings
 from tiler.apps.classify import classify_file, classify_files, is_one_file
 from tiler.errors import ConfigError, ProcessingError
-from tiler.export import WriteClassified, write_classified
+from tiler.export.classified import write_classified
+from tiler.export.records import CloudRecord
+from tiler.export.work import CloudCopy
+from tiler.store import TileStore
 
 
 @pytest.fixture
@@ -97,10 +100,10 @@ def test_a_folder_below_the_inputs_is_refused(halves: Path) -> None:
 def test_a_file_that_cannot_be_written_leaves_the_others(
     halves: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse_east(store_url: str, work: WriteClassified) -> dict[str, object]:
-        if "east" in work.path:
-            raise ProcessingError(f"{work.path}: cannot be written")
-        return write_classified(store_url, work)
+    def refuse_east(store: TileStore, *, cloud: CloudCopy) -> CloudRecord:
+        if "east" in cloud.path:
+            raise ProcessingError(f"{cloud.path}: cannot be written")
+        return write_classified(store, cloud=cloud)
 
     monkeypatch.setattr("tiler.apps.classify.write_classified", refuse_east)
     facts = classify_files([str(halves)], tmp_path / "out", settings())

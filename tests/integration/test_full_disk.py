@@ -35,6 +35,7 @@ from tiler.ingest.tasks import points as ingest_tasks
 from tiler.observe.events import Event, Note, StageStarted
 from tiler.observe.json_lines import EventLog
 from tiler.pipeline import run
+from tiler.store import TileStore
 from tiler.store.storage import _write_file as write_file
 
 SHARES = (0.02, 0.4, 0.6, 0.95)
@@ -64,6 +65,7 @@ GROWING = """
 import resource, signal, sys
 from pathlib import Path
 import numpy as np
+from tiler.store import TileStore
 from tiler.errors import TilerError
 from tiler.io.raster_files import RasterMetadata, plain_geotiff
 
@@ -254,8 +256,8 @@ def test_an_error_of_the_store_while_clouds_are_read_leaves_no_input_out(
 ) -> None:
     """Only what reading the input says is the input's fault."""
 
-    def damaged(store_url: str, work: Any) -> Any:
-        raise CorruptStoreError(f"{store_url}: meta.json is damaged")
+    def damaged(store: TileStore, **_: Any) -> Any:
+        raise CorruptStoreError(f"{store.url}: meta.json is damaged")
 
     monkeypatch.setattr(ingest_tasks, "spool_piece", damaged)
     with pytest.raises(ProcessingError, match="meta.json is damaged") as caught:

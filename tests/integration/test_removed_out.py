@@ -13,14 +13,14 @@ from tests.waiting import wait_until
 from tiler.errors import ProcessingError
 from tiler.export.tasks import files as file_tasks
 from tiler.filter.tasks import passes
-from tiler.grid.tasks import raster_table
+from tiler.grid.tasks import terrain
 from tiler.ingest.tasks import points as ingest_tasks
 
 WORKS = {
     "spool_piece": ingest_tasks,
     "assemble_buckets": ingest_tasks,
     "filter_tile": passes,
-    "grid_block": raster_table,
+    "grid_block": terrain,
     "write_cog": file_tasks,
     "write_classified": file_tasks,
 }
@@ -30,10 +30,10 @@ def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPat
     """Remove a folder before, or after, a task of this kind is done for the first time."""
     work = getattr(WORKS[name], name)
 
-    def removing(store_url: str, arguments: Any) -> dict[str, Any]:
+    def removing(*arguments: Any, **values: Any) -> dict[str, Any]:
         if early:
             shutil.rmtree(place, ignore_errors=True)
-        record: dict[str, Any] = work(store_url, arguments)
+        record: dict[str, Any] = work(*arguments, **values)
         shutil.rmtree(place, ignore_errors=True)
         return record
 

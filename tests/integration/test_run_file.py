@@ -142,7 +142,7 @@ def test_a_task_that_fails_is_warned_of(
 ) -> None:
     cloud, out = clouds.write(tmp_path / "a.laz", clouds.city(40)), tmp_path / "out"
 
-    def fails(*arguments: Any) -> dict[str, Any]:
+    def fails(*_: Any, **__: Any) -> dict[str, Any]:
         raise TilerError("no ink")
 
     monkeypatch.setattr(file_tasks, "write_classified", fails)

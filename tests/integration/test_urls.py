@@ -18,12 +18,14 @@ pytest.importorskip("aiohttp", reason="no http: aiohttp is not installed")
 from tests.invariants import clouds
 from tests.invariants.runs import dtm, settings
 from tests.tiler.servers import ftp_server, http_server
+from tiler.core.records import SpoolRecord
 from tiler.errors import InputError
 from tiler.ingest import SpoolPiece, spool_piece
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.inputs import inspect
 from tiler.io.locations import as_path, list_inputs, location, state_of
 from tiler.pipeline import RunResult, run
+from tiler.store import TileStore
 
 SUFFIXES = (".las", ".laz")
 
@@ -137,9 +139,9 @@ def test_an_object_that_is_replaced_is_left_out(
     path = clouds.write(folder / "b" / "c.las", cloud)
     back = clouds.write(tmp_path / "back.las", clouds.Cloud(cloud.xyz[::-1], cloud.truth[::-1]))
 
-    def changed(store_url: str, work: SpoolPiece) -> dict[str, Any]:
+    def changed(store: TileStore, *, work: SpoolPiece) -> SpoolRecord:
         os.replace(back, path)
-        return spool_piece(store_url, work)
+        return spool_piece(store, work=work)
 
     monkeypatch.setattr(ingest_tasks, "spool_piece", changed)
     with pytest.raises(

@@ -18,7 +18,6 @@ from tiler.filter.tasks.passes import label_digests
 from tiler.grid.block import block_heights
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_table import raster_table
-from tiler.grid.tasks.rasters import terrain_tasks
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import make_plan
 
@@ -58,12 +57,12 @@ def test_each_block_is_one_task_and_none_shows(
     labels = label_digests(assembled, store.committed("filter0"))
     gridding = GridContext(plan, assembled, labels)
     spec = gridding.spec
-    tasks = list(terrain_tasks(raster_table(plan)["dtm"], gridding))
-    blocks = [task.arguments.block for task in tasks]
+    tasks = list(raster_table(plan)["dtm"].tasks(gridding))
+    blocks = [task.arguments["work"].block for task in tasks]
     assert blocks == list(spec.blocks(512))
     assert len({task.key for task in tasks}) == 4
     whole = replace(
-        tasks[0].arguments, block=Block(0, 0, spec.height, spec.width), max_points=10**9
+        tasks[0].arguments["work"], block=Block(0, 0, spec.height, spec.width), max_points=10**9
     )
     heights, _ = block_heights(store, whole)
     pixels, transform = dtm(out)

@@ -59,12 +59,9 @@ class MemoryStore:
 
 
 @pytest.fixture
-def memory_store(monkeypatch: pytest.MonkeyPatch) -> MemoryStore:
-    """A store that the stages open whatever its address."""
-    store = MemoryStore()
-    for module in ("tiler.ingest.spool", "tiler.ingest.assemble", "tiler.export.classified"):
-        monkeypatch.setattr(f"{module}.open_store", lambda url: store)
-    return store
+def memory_store() -> MemoryStore:
+    """A store in memory."""
+    return MemoryStore()
 
 
 @pytest.fixture

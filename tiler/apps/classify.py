@@ -15,11 +15,12 @@ from tiler.config import RunConfig
 from tiler.core.classes import Counts, sum_by_class
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError, TilerError
-from tiler.export import WriteClassified, write_classified
+from tiler.export.classified import write_classified
 from tiler.export.cloud_crs import crs_to_write
 from tiler.export.records import CloudRecord
 from tiler.export.tasks.class_counts import kept_text
 from tiler.export.tasks.files import kept_pieces
+from tiler.export.work import CloudCopy
 from tiler.filter import LABELS
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
@@ -206,7 +207,7 @@ def _validate_not_inputs(sources: Sequence[str], folder: Path) -> None:
 
 
 def _records(
-    works: Sequence[WriteClassified], made: Iterable[Callable[[], CloudRecord]]
+    works: Sequence[CloudCopy], made: Iterable[Callable[[], CloudRecord]]
 ) -> tuple[list[CloudRecord], list[dict[str, str]]]:
     """Return the records of the files that were written, and path and error of the other files."""
     records, failed = [], []
@@ -218,9 +219,7 @@ def _records(
     return records, failed
 
 
-def _works(
-    store: TileStore, plan: Plan, targets: Mapping[Path, Path]
-) -> Iterator[WriteClassified]:
+def _works(store: TileStore, plan: Plan, targets: Mapping[Path, Path]) -> Iterator[CloudCopy]:
     """Yield the arguments of `write_classified` for each source that was decoded."""
     spooled, buckets = store.committed("spool"), store.buckets()
     numbers, pieces, records = (
@@ -236,7 +235,7 @@ def _works(
         if name not in pieces:
             continue
         touched = {Cell(ix, iy) for record in records[name] for ix, iy, _ in record.buckets}
-        yield WriteClassified(
+        yield CloudCopy(
             path=location(info.path),
             source=known["number"],
             out=str(targets[info.path]),
@@ -287,14 +286,14 @@ def _facts(summary: Mapping[str, Any], config: RunConfig) -> FilterSummary:
 
 
 def _written(
-    guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig
+    guard: ChildProcess, store_url: str, work: CloudCopy, config: RunConfig
 ) -> CloudRecord:
     """Write a file, by default in a child process.
 
     Decoding may crash, because writing copies fields that the filter did not decode.
     """
     if config.in_process:
-        return write_classified(store_url, work)
+        return write_classified(open_store(store_url), cloud=work)
     return read_in_child(guard, _write, as_path(work.path), store_url, work)
 
 
@@ -329,5 +328,5 @@ def _classify(
     }
 
 
-def _write(source: Path, store_url: str, work: WriteClassified) -> CloudRecord:
-    return write_classified(store_url, replace(work, path=str(source)))
+def _write(source: Path, store_url: str, work: CloudCopy) -> CloudRecord:
+    return write_classified(open_store(store_url), cloud=replace(work, path=str(source)))

@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from tiler.core.edits import DrawnDeck
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.export.output_files import new_file
 from tiler.export.records import FileRecord
-from tiler.export.work import WriteBridges
+from tiler.export.work import OutFile
 from tiler.io.vector import geopackage
-from tiler.store import open_store
+from tiler.store import TileStore
 
 LAYER = "bridges"
 
 
-def write_bridges(store_url: str, work: WriteBridges) -> FileRecord:
-    """Write ``<out>/bridges.gpkg`` (a `tiler.schedule.task.Work`).
+def write_bridges(store: TileStore, *, to: OutFile, decks: tuple[DrawnDeck, ...]) -> FileRecord:
+    """Write the decks of bridges.
 
     The file has one polygon for the free part of each deck. Columns are ``length_m``,
     ``width_m``, ``clearance_m`` (height above the surface next to it) and ``points_below``.
@@ -25,13 +26,12 @@ def write_bridges(store_url: str, work: WriteBridges) -> FileRecord:
     Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
     shapes = [
-        shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT)
-        for ring, *_ in work.decks
+        shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT) for ring, *_ in decks
     ]
-    sizes = np.array([deck[1:] for deck in work.decks], np.float64).reshape(-1, 4)
+    sizes = np.array([deck[1:] for deck in decks], np.float64).reshape(-1, 4)
     columns = dict(zip(("length_m", "width_m", "clearance_m"), sizes.T, strict=False))
-    crs = open_store(store_url).meta.frame.crs_wkt
-    with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
+    crs = store.meta.frame.crs_wkt
+    with new_file(to) as new, geopackage(new.path, crs) as file:
         file.add(
             LAYER, "Polygon", shapes, {**columns, "points_below": sizes[:, 3].astype(np.int32)}
         )

@@ -35,7 +35,7 @@ from tiler.export.cloud_frame import (
 )
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.records import CloudRecord
-from tiler.export.work import WriteClassified
+from tiler.export.work import CloudCopy
 from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
 from tiler.io.las.headers import LasHeader
@@ -58,7 +58,7 @@ from tiler.io.las.reader import (
 )
 from tiler.io.las.writers import CopcWriter, PlainWriter, PointWriter
 from tiler.io.locations import as_path, staging_folder, state_of
-from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
+from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore
 
 ROWS_PER_BATCH = 1 << 27
 """Maximum number of labels in memory, of one byte each."""
@@ -80,13 +80,13 @@ _WAVE_FORMATS = (9, 10)
 """Point formats with wave packets in layers."""
 
 
-def write_classified(store_url: str, work: WriteClassified) -> CloudRecord:
-    """Write a copy of a source with its new classes (a `tiler.schedule.task.Work`).
+def write_classified(store: TileStore, *, cloud: CloudCopy) -> CloudRecord:
+    """Write a copy of a source with its new classes.
 
     Parameters
     ----------
-    store_url : str
-    work : WriteClassified
+    store : TileStore
+    cloud : CloudCopy
         A point keeps the source's class if its label is 0, the store does not hold it, or it lies outside the area.
         `tiler.core.classes.written_classes` gives the classes of the other points.
 
@@ -102,51 +102,48 @@ def write_classified(store_url: str, work: WriteClassified) -> CloudRecord:
     ProcessingError
         The file cannot be written, or lazrs cannot compress it without loss.
     """
-    store = open_store(store_url)
-    target_folder, name = os.path.split(work.out)
+    target_folder, name = os.path.split(cloud.out)
     with (
-        unchanged(as_path(work.path), work.stamp, work.salvage) as header,
+        unchanged(as_path(cloud.path), cloud.stamp, cloud.salvage) as header,
         staging_folder(target_folder) as folder,
     ):
         bytes_before = fetched_bytes()
         # A salvaged file has fewer points than its header states.
         header = replace(header, point_count=count_decodable(header))
-        record = _write(store, header, work, folder / name)
+        record = _write(store, header, cloud, folder / name)
         n_fetched = fetched_bytes() - bytes_before
-    state = state_of(as_path(work.out)).to_json()
+    state = state_of(as_path(cloud.out)).to_json()
     return replace(record, fetched=n_fetched, state=state)
 
 
-def _write(
-    store: TileStore, header: LasHeader, work: WriteClassified, out: Path
-) -> CloudRecord:
+def _write(store: TileStore, header: LasHeader, cloud: CloudCopy, out: Path) -> CloudRecord:
     """Write a cloud on this machine and return its record without ``fetched`` and ``state``."""
     partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
-    form = upgraded_header(header) if work.copc else header
-    crs = new_crs(header, work, store.meta.frame.crs_wkt)
+    form = upgraded_header(header) if cloud.copc else header
+    crs = new_crs(header, cloud, store.meta.frame.crs_wkt)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         clear_partial(partial)
         block_bytes = BLOCK_BYTES
-        if work.ranges:  # Only a part of the file is read.
+        if cloud.ranges:  # Only a part of the file is read.
             block_bytes = _FEW_BYTES
         with open_location(header.path, block_bytes) as source, open(partial, "x+b") as target:
-            if work.copc:
+            if cloud.copc:
                 notes = write_copc_front(header, source, target, crs)
                 with CopcWriter(target, form, str(out.parent)) as copc:
-                    counts, statistics = _write_points(header, form, copc, store, work)
+                    counts, statistics = _write_points(header, form, copc, store, cloud)
                     copc.close()
                 write_copc_back(header, source, target, crs, copc, statistics)
             else:
                 notes = write_front(header, source, target, compressed, crs)
                 writer = (
-                    PointWriter(target, header, work.threads)
+                    PointWriter(target, header, cloud.threads)
                     if compressed
                     else PlainWriter(target)
                 )
-                counts, statistics = _write_points(header, form, writer, store, work)
+                counts, statistics = _write_points(header, form, writer, store, cloud)
                 writer.close()
-                if work.ranges:
+                if cloud.ranges:
                     patch_counts_and_bounds(target, statistics)
                 write_back(header, source, target, crs)
             target.flush()
@@ -177,21 +174,21 @@ def _write_points(
     form: LasHeader,
     writer: PointWriter | PlainWriter | CopcWriter,
     store: TileStore,
-    work: WriteClassified,
+    cloud: CloudCopy,
 ) -> tuple[_WrittenClasses, CloudStatistics]:
     """Write all records in their order, with new classes and in the format of the header ``form``."""
-    table = written_classes(work.reclass)
+    table = written_classes(cloud.reclass)
     # number of points for each label and class of the source
     pairs = np.zeros(table.size, dtype=np.int64)
     channels: set[int] = set()
     statistics = CloudStatistics(form)
-    at_once = _STEP if work.threads == 1 else _STEP * _CHUNKS_A_THREAD * work.threads
+    at_once = _STEP if cloud.threads == 1 else _STEP * _CHUNKS_A_THREAD * cloud.threads
     step = rows_at_once(max(header.record_length, form.record_length), at_once)
-    with _reader(store, header, work) as reader:
-        for ranges in _spans(work.ranges or [(0, header.point_count)]):
+    with _reader(store, header, cloud) as reader:
+        for ranges in _spans(cloud.ranges or [(0, header.point_count)]):
             first, last = ranges[0][0], ranges[-1][1]
-            span_labels = collect_labels(store, work, first, last)
-            in_area = _inside_area(store, work, first, last) if work.ranges else None
+            span_labels = collect_labels(store, cloud, first, last)
+            in_area = _inside_area(store, cloud, first, last) if cloud.ranges else None
             for start, stop in _steps(ranges, step):
                 records = reader.read(start, stop - start)
                 if isinstance(writer, PointWriter):
@@ -201,7 +198,7 @@ def _write_points(
                         f"{header.path}: wave packets of scanner channels {sorted(channels)} in one LAZ file "
                         "would be damaged by the compressor; split the file by channel"
                     )
-                if work.copc:
+                if cloud.copc:
                     records = upgrade_records(
                         as_standard_times(records, header), header.point_format
                     )
@@ -260,15 +257,15 @@ def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:
 
 
 def _reader(
-    store: TileStore, header: LasHeader, work: WriteClassified
+    store: TileStore, header: LasHeader, cloud: CloudCopy
 ) -> AbstractContextManager[KeptRecords | PointReader]:
     """Return the decoded records that the store kept, or a reader of the source if it kept none."""
-    if work.pieces and not work.ranges:
+    if cloud.pieces and not cloud.ranges:
         dtype = record_dtype(header.point_format, header.record_length)
-        kept = store.records(work.pieces, header.point_count, dtype)
+        kept = store.records(cloud.pieces, header.point_count, dtype)
         if kept is not None:
             return nullcontext(kept)
-    return PointReader(header, EVERYTHING, ranges=work.ranges or None)
+    return PointReader(header, EVERYTHING, ranges=cloud.ranges or None)
 
 
 def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
@@ -301,7 +298,7 @@ def _channels(header: LasHeader, records: Records) -> set[int]:
 
 
 def collect_labels(
-    store: TileStore, work: WriteClassified, first: int, last: int
+    store: TileStore, cloud: CloudCopy, first: int, last: int
 ) -> npt.NDArray[np.uint8]:
     """Return the final labels of the rows ``first`` to ``last`` of a source, uint8.
 
@@ -309,43 +306,43 @@ def collect_labels(
     outside the area.
     """
     final_labels = np.zeros(last - first, dtype=np.uint8)
-    for cell, rows, row_mask in _rows_inside(store, work, first, last):
-        final = store.read_labels(work.labels, cell)
-        if work.edits is not None:
-            final = _corrected(store, work.edits, cell, final)
+    for cell, rows, row_mask in _rows_inside(store, cloud, first, last):
+        final = store.read_labels(cloud.labels, cell)
+        if cloud.edits is not None:
+            final = _corrected(store, cloud.edits, cell, final)
         final = final & ~np.uint8(UNCERTIFIED_BIT)
-        if work.waters is not None:
-            final = _with_water(store, work, cell, final)
+        if cloud.waters is not None:
+            final = _with_water(store, cloud, cell, final)
         final_labels[rows[row_mask] - first] = final[row_mask]
     return final_labels
 
 
 def _inside_area(
-    store: TileStore, work: WriteClassified, first: int, last: int
+    store: TileStore, cloud: CloudCopy, first: int, last: int
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the rows ``first`` to ``last`` of a source: True for points of the store inside the area."""
     in_area = np.zeros(last - first, dtype=np.bool_)
-    for _, rows, row_mask in _rows_inside(store, work, first, last):
+    for _, rows, row_mask in _rows_inside(store, cloud, first, last):
         in_area[rows[row_mask] - first] = True
     return in_area
 
 
 def _rows_inside(
-    store: TileStore, work: WriteClassified, first: int, last: int
+    store: TileStore, cloud: CloudCopy, first: int, last: int
 ) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
     """Yield the buckets that contain any of the rows ``first`` to ``last`` of a source inside the area.
 
     Yield the cell of each bucket, the rows of all of its points, and a mask of the requested
     ones.
     """
-    area = store.area(work.area)
-    for cell in work.cells:
+    area = store.area(cloud.area)
+    for cell in cloud.cells:
         whole = area is None or area.covers(store.meta.bucket.bounds(cell))
         block = store.read_bucket(cell, columns=("origin",) if whole else ("origin", "xyz"))
         if block.origin is None:
             continue
         sources, rows = unpack_origin(block.origin)
-        row_mask = (sources == work.source) & (rows >= first) & (rows < last)
+        row_mask = (sources == cloud.source) & (rows >= first) & (rows < last)
         if area is not None and not whole:
             east, north = store.meta.frame.origin[:2]
             x = block.xyz[0].astype(np.int64) + east
@@ -371,21 +368,21 @@ def _corrected(
 
 
 def _with_water(
-    store: TileStore, work: WriteClassified, cell: Cell, labels: npt.NDArray[np.uint8]
+    store: TileStore, cloud: CloudCopy, cell: Cell, labels: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.uint8]:
     """Return the labels of a bucket, with `WATER_BIT` for points in a body of water.
 
-    Objects above the water, such as trees and boats, do not get it. If ``work.low_is_noise``, returns from more than
+    Objects above the water, such as trees and boats, do not get it. If ``cloud.low_is_noise``, returns from more than
     `WATER_LOW_M` below the level become low noise.
     """
-    waters = store.waters(work.waters, store.meta.bucket.bounds(cell))
+    waters = store.waters(cloud.waters, store.meta.bucket.bounds(cell))
     if waters is None:
         return labels
     frame = store.meta.frame
     xyz = store.read_bucket(cell).xyz.astype(np.int64) + np.array([[*frame.origin, 0]]).T
     wet = waters.holds(xyz[0], xyz[1])
     objects = np.flatnonzero(wet & (labels == UNCLASSIFIED))
-    if work.low_is_noise:
+    if cloud.low_is_noise:
         inside = np.flatnonzero(wet & (labels != 0))
         low = inside[waters.reaches(xyz[:, inside], -WATER_LOW_M / float(frame.metres_z))]
         labels = labels.copy()

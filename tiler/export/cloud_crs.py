@@ -13,7 +13,7 @@ from pyproj.exceptions import CRSError
 
 from tiler.core.crs import split, vertical_name
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit
-from tiler.export.work import WriteClassified
+from tiler.export.work import CloudCopy
 from tiler.inputs.sources import SourceInfo
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.layout import PROJECTION_USER, Vlr, packed_record
@@ -47,7 +47,7 @@ class NewCrs:
     note: str = ""
 
 
-def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> NewCrs | None:
+def new_crs(header: LasHeader, cloud: CloudCopy, run_wkt: str | None) -> NewCrs | None:
     """Return the CRS to write into a classified cloud, or None if the records of the source stay.
 
     LAS 1.4 and COPC get WKT. Earlier versions of LAS get GeoTIFF keys if the CRS parts have
@@ -57,27 +57,27 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
     ----------
     header : LasHeader
         Header of the source.
-    work : WriteClassified
+    cloud : CloudCopy
     run_wkt : str or None
         CRS of the run.
     """
     records = (*header.vlrs, *header.evlrs)
-    if work.copc and run_wkt is not None:
+    if cloud.copc and run_wkt is not None:
         has = any(r.user_id == PROJECTION_USER and r.record_id == _WKT for r in records)
-        if work.wkt is not None or not (has and header.prefers_wkt):
+        if cloud.wkt is not None or not (has and header.prefers_wkt):
             return NewCrs(_wkt_record(run_wkt), True, "CRS written as WKT, which COPC requires")
-    if work.wkt is None or work.copc:
+    if cloud.wkt is None or cloud.copc:
         return None
     note = ""
     if any(map(_is_crs, records)):
         note = "CRS of the run written in place of CRS records that cannot be read or have no vertical CRS"
     if header.version >= (1, 4):
-        return NewCrs(_wkt_record(work.wkt), True, note)
-    keys = geotiff_keys(CRS.from_wkt(work.wkt))
+        return NewCrs(_wkt_record(cloud.wkt), True, note)
+    keys = geotiff_keys(CRS.from_wkt(cloud.wkt))
     if keys is not None:
         return NewCrs(packed_record(PROJECTION_USER, _KEYS, "", keys), False, note)
     told = "CRS written as WKT, although the LAS version is before 1.4: GeoTIFF keys have no code for this CRS"
-    return NewCrs(_wkt_record(work.wkt), True, told)
+    return NewCrs(_wkt_record(cloud.wkt), True, told)
 
 
 def crs_to_write(info: SourceInfo, run_wkt: str | None, given: str | None) -> str | None:

@@ -29,10 +29,10 @@ from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.output_files import new_file
 from tiler.export.records import RasterFileRecord
-from tiler.export.work import ProductFile, WriteCog
+from tiler.export.work import OutFile, ProductInfo, RasterPart
 from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
 from tiler.io.raster_files import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
-from tiler.store import TileStore, open_store
+from tiler.store import TileStore
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,10 @@ class Statistics:
         return tags
 
 
-def write_cog(store_url: str, work: WriteCog) -> RasterFileRecord:
-    """Write a raster of the store as ``<out>/<name>.tif`` (a `tiler.schedule.task.Work`).
+def write_cog(
+    store: TileStore, *, to: OutFile, info: ProductInfo, part: RasterPart, compress: str
+) -> RasterFileRecord:
+    """Write a raster of the store, or a sheet of it, as one file, compressed by ``deflate`` or ``zstd``.
 
     The same content gives the same bytes, since the file does not contain time, path, workers
     or tiles.
@@ -94,12 +96,12 @@ def write_cog(store_url: str, work: WriteCog) -> RasterFileRecord:
     ProcessingError
         The disk is full or the file cannot be written.
     """
-    with new_file(work.out, f"{work.name}.tif") as file:
-        statistics = _write(open_store(store_url), work, file.path)
+    with new_file(to) as file:
+        statistics = _write(store, info, part, compress, file.path)
     is_empty = statistics.n == 0
     return RasterFileRecord(
         **file.record.to_json(),
-        pixels=work.spec.height * work.spec.width,
+        pixels=part.spec.height * part.spec.width,
         valid=statistics.n,
         min=None if is_empty else statistics.low,
         max=None if is_empty else statistics.high,
@@ -107,7 +109,9 @@ def write_cog(store_url: str, work: WriteCog) -> RasterFileRecord:
     )
 
 
-def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
+def _write(
+    store: TileStore, info: ProductInfo, part: RasterPart, compress: str, target: Path
+) -> Statistics:
     """Write a raster to a file on this machine."""
     plain = partial_path(target, "plain")
     partial = partial_path(target, "cog")
@@ -115,9 +119,9 @@ def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
         clear_partial(plain)
         clear_partial(partial)
     try:
-        statistics = _write_plain(store, work, plain)
-        _copy_as_cog(plain, partial, work.compress, _product(work))
-        _check(partial, work.spec)
+        statistics = _write_plain(store, info, part, plain)
+        _copy_as_cog(plain, partial, compress, _product(info))
+        _check(partial, part.spec)
         _publish(partial, target)
         return statistics
     finally:
@@ -126,28 +130,30 @@ def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
                 scratch.unlink()
 
 
-def _product(work: ProductFile) -> Product:
+def _product(info: ProductInfo) -> Product:
     """Return the product with the nodata value of its file."""
-    product = PRODUCTS[work.product]
-    if work.nodata is None:
+    product = PRODUCTS[info.product]
+    if info.nodata is None:
         return product
-    return replace(product, nodata=work.nodata)
+    return replace(product, nodata=info.nodata)
 
 
-def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
+def _write_plain(
+    store: TileStore, info: ProductInfo, part: RasterPart, path: Path
+) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
-    spec = work.spec
+    spec = part.spec
     statistics = Statistics()
-    nodata = PRODUCTS[work.product].nodata
-    look = raster_metadata(store.meta.frame, work)
-    area = store.area(work.area)
+    nodata = PRODUCTS[info.product].nodata
+    look = raster_metadata(store.meta.frame, info)
+    area = store.area(part.area)
     with plain_geotiff(
         path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look
     ) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
-            values = _read(store, work, block)
+            values = _read(store, part, block)
             if area is not None:
-                values = np.where(spec.inside(block, area), values, np.float32(work.fill))
+                values = np.where(spec.inside(block, area), values, np.float32(part.fill))
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 if look.nodata != nodata:
@@ -159,24 +165,24 @@ def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
     return statistics
 
 
-def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.float32]:
+def _read(store: TileStore, part: RasterPart, block: Block) -> npt.NDArray[np.float32]:
     """Return a block of the file. Pixels beyond the raster of the store have the value ``fill``."""
-    spec, whole = work.spec, work.whole
+    spec, whole = part.spec, part.whole
     if whole is None:
-        return store.read_block(work.raster, block)
+        return store.read_block(part.raster, block)
     row, col = block.row + whole.north - spec.north, block.col + spec.west - whole.west
     top, left = max(row, 0), max(col, 0)
     bottom, right = min(row + block.height, whole.height), min(col + block.width, whole.width)
-    values = np.full((block.height, block.width), work.fill, np.float32)
+    values = np.full((block.height, block.width), part.fill, np.float32)
     if top < bottom and left < right:
-        there = store.read_block(work.raster, Block(top, left, bottom - top, right - left))
+        there = store.read_block(part.raster, Block(top, left, bottom - top, right - left))
         values[top - row : bottom - row, left - col : right - col] = there
     return values
 
 
-def raster_metadata(frame: CoordFrame, work: ProductFile) -> RasterMetadata:
+def raster_metadata(frame: CoordFrame, info: ProductInfo) -> RasterMetadata:
     """Return the metadata of the file of a product."""
-    product = _product(work)
+    product = _product(info)
     unit = product.unit
     if unit == HEIGHT:
         unit = unit_label(frame.units.vertical)
@@ -184,7 +190,7 @@ def raster_metadata(frame: CoordFrame, work: ProductFile) -> RasterMetadata:
         crs=raster_crs(frame.crs_wkt),
         unit=unit,
         description=product.description,
-        tags=work.tags,
+        tags=info.tags,
         dtype=product.dtype,
         nodata=product.nodata,
         colours=product.colours,

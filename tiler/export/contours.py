@@ -28,9 +28,9 @@ from tiler.export.contour_lines import (
 from tiler.export.output_files import new_file
 from tiler.export.records import ContoursRecord, SpotsRecord
 from tiler.export.spots import HIGH, LOW, spots_of_block
-from tiler.export.work import VectorFile, WriteContours, WriteSpots
+from tiler.export.work import OutFile
 from tiler.io.vector import GeoPackage, geopackage
-from tiler.store import TileStore, open_store
+from tiler.store import TileStore
 
 Floats = npt.NDArray[np.float64]
 
@@ -52,18 +52,31 @@ BATCH = 500_000
 
 
 @dataclass(frozen=True)
+class Heights:
+    """Raster of heights in the store, its pixels, and the keys of the requested area and of bodies of water."""
+
+    raster: str
+    spec: RasterSpec
+    area: str | None
+    waters: str | None
+
+
+@dataclass(frozen=True)
 class _Terrain:
     """Heights of a raster of the store inside the area."""
 
     store: TileStore
-    raster: str
-    spec: RasterSpec
+    source: Heights
     area: Area | None
-    waters: str | None = None
+
+    @property
+    def spec(self) -> RasterSpec:
+        """Pixels of the raster."""
+        return self.source.spec
 
     def heights(self, block: Block) -> Floats:
         """Return the heights of a block in units of the CRS, NaN outside the area and for pixels without one."""
-        values = self.store.read_block(self.raster, block)
+        values = self.store.read_block(self.source.raster, block)
         is_valid = (values != np.float32(NODATA)) & self.spec.inside(block, self.area)
         return np.where(is_valid, values.astype(np.float64), np.nan)
 
@@ -90,7 +103,7 @@ class _Terrain:
         margin = max(smoothing_reach(sigma), 1)
         heights, top, left = self.around(block, margin)
         wide = Block(block.row - top, block.col - left, *heights.shape)
-        waters = self.store.waters(self.waters, self.spec.block_bounds(wide))
+        waters = self.store.waters(self.source.waters, self.spec.block_bounds(wide))
         if waters is None:
             smooth_heights = smoothed(heights, sigma)
         else:
@@ -134,7 +147,7 @@ class _Terrain:
             block.row + block.height + reach - top,
             block.col + block.width + reach - left,
         )
-        waters = self.store.waters(self.waters, self.spec.block_bounds(wide))
+        waters = self.store.waters(self.source.waters, self.spec.block_bounds(wide))
         if waters is None:
             return np.zeros((block.height, block.width), np.bool_)
         size = 2 * reach + 1
@@ -157,23 +170,43 @@ class _Terrain:
         return np.stack(((self.spec.west + x) * size, (self.spec.north - y) * size), axis=1)
 
 
-def write_contours(store_url: str, work: WriteContours) -> ContoursRecord:
-    """Write contour lines as ``<out>/contours.gpkg`` (a `tiler.schedule.task.Work`).
+def write_contours(
+    store: TileStore,
+    *,
+    to: OutFile,
+    heights: Heights,
+    interval: Fraction | None,
+    noise: float,
+    sigma: float,
+) -> ContoursRecord:
+    """Write contour lines of the terrain.
+
+    Parameters
+    ----------
+    store : TileStore
+    to : OutFile
+    heights : Heights
+    interval : Fraction or None
+        Interval in vertical units of the CRS, or None for a default by relief and noise.
+    noise : float
+        Standard deviation of the heights in these units, or 0 if it is not known.
+    sigma : float
+        Heights are smoothed by a Gaussian with this standard deviation, in pixels.
 
     Returns
     -------
     ContoursRecord
         Record of the file.
     """
-    terrain = _terrain(store_url, work)
+    terrain = _Terrain(store, heights, store.area(heights.area))
     low, high = terrain.relief()
-    interval = _interval(work, terrain, low, high)
+    interval = interval or _interval(terrain, low, high, noise)
     joiner, lines, vertices, held, short = Joiner(), 0, 0, 0, 0
     waiting: list[tuple[int, Floats]] = []
     crs = terrain.store.meta.frame.crs_wkt
-    with new_file(work.out, "contours.gpkg") as new, geopackage(new.path, crs) as file:
-        for line in _lines(terrain, interval, work.sigma, joiner):
-            if not _stays(terrain, work.sigma, interval, *line):
+    with new_file(to) as new, geopackage(new.path, crs) as file:
+        for line in _lines(terrain, interval, sigma, joiner):
+            if not _stays(terrain, sigma, interval, *line):
                 short += 1
                 continue
             waiting.append(line)
@@ -194,12 +227,10 @@ def write_contours(store_url: str, work: WriteContours) -> ContoursRecord:
     )
 
 
-def _interval(work: VectorFile, terrain: _Terrain, low: float, high: float) -> Fraction:
-    """Return the interval of the settings, or else the default for the relief and noise of the terrain."""
-    if work.interval is not None:
-        return work.interval
+def _interval(terrain: _Terrain, low: float, high: float, noise: float) -> Fraction:
+    """Return the default interval for the relief and noise of the terrain."""
     floor = FLOOR_M if terrain.store.meta.frame.units.vertical == METRE else FLOOR_FEET
-    return default_interval(0.0 if np.isnan(low) else high - low, floor, work.noise)
+    return default_interval(0.0 if np.isnan(low) else high - low, floor, noise)
 
 
 def _stays(
@@ -253,25 +284,35 @@ def _decimals(interval: Fraction) -> int:
     return next((n for n in range(3) if (interval * 10**n).denominator == 1), 3)
 
 
-def write_spots(store_url: str, work: WriteSpots) -> SpotsRecord:
-    """Write the tops and bottoms of the terrain as points to ``<out>/spots.gpkg`` (a `tiler.schedule.task.Work`).
+def write_spots(
+    store: TileStore,
+    *,
+    to: OutFile,
+    heights: Heights,
+    interval: Fraction | None,
+    noise: float,
+    reach: int,
+) -> SpotsRecord:
+    """Write the tops and bottoms of the terrain as points, the highest or lowest within ``reach`` pixels to each side.
+
+    The other parameters are those of `write_contours`.
 
     Returns
     -------
     SpotsRecord
         Record of the file.
     """
-    terrain, reach_pixels = _terrain(store_url, work), work.reach
+    terrain = _Terrain(store, heights, store.area(heights.area))
     low, high = terrain.relief()
-    interval = _interval(work, terrain, low, high)
+    interval = interval or _interval(terrain, low, high, noise)
     counts = {HIGH: 0, LOW: 0}
     crs = terrain.store.meta.frame.crs_wkt
-    with new_file(work.out, "spots.gpkg") as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, crs) as file:
         for block in terrain.spec.blocks(BLOCK):
-            heights, top, left = terrain.around(block, 2 * reach_pixels)
+            around, top, left = terrain.around(block, 2 * reach)
             wet = terrain.wet(block, NO_SPOT)
             for kind in counts:
-                rows, cols = spots_of_block(heights, kind, reach_pixels, float(interval))
+                rows, cols = spots_of_block(around, kind, reach, float(interval))
                 in_block = (rows >= top) & (rows < top + block.height)
                 in_block &= (cols >= left) & (cols < left + block.width)
                 rows, cols = rows[in_block], cols[in_block]
@@ -279,7 +320,7 @@ def write_spots(store_url: str, work: WriteSpots) -> SpotsRecord:
                 rows, cols = rows[dry], cols[dry]
                 counts[kind] += len(rows)
                 pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1)
-                columns = _columns_of_spots(heights[rows, cols], kind, terrain.decimals)
+                columns = _columns_of_spots(around[rows, cols], kind, terrain.decimals)
                 coordinates = terrain.places(pixels.astype(np.float64))
                 file.add("spots", "Point", shapely.points(coordinates), columns)
     return SpotsRecord(
@@ -295,8 +336,3 @@ def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, np
         "kind": np.full(len(heights), kind, object),
         "label": labels,
     }
-
-
-def _terrain(store_url: str, work: VectorFile) -> _Terrain:
-    store = open_store(store_url)
-    return _Terrain(store, work.raster, work.spec, store.area(work.area), work.waters)

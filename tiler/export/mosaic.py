@@ -18,20 +18,27 @@ from tiler.errors import ProcessingError
 from tiler.export.cog import raster_metadata
 from tiler.export.output_files import write_bytes
 from tiler.export.records import FileRecord
-from tiler.export.work import WriteLegend, WriteMosaic
+from tiler.export.work import OutFile, ProductInfo
 from tiler.io.raster_files import RasterMetadata
-from tiler.store import open_store
+from tiler.store import TileStore
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
 
 
-def write_mosaic(store_url: str, work: WriteMosaic) -> FileRecord:
-    """Write ``<out>/<product>.vrt`` (a `tiler.schedule.task.Work`).
+def write_mosaic(
+    store: TileStore,
+    *,
+    to: OutFile,
+    info: ProductInfo,
+    sheets: tuple[tuple[str, RasterSpec], ...],
+) -> FileRecord:
+    """Write the VRT of a product over its sheets.
 
+    ``sheets`` are at least one path relative to the folder of the file, and the pixels of each, on one lattice.
     Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
-    frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
-    whole = _hull([spec for _, spec in work.sheets])
+    frame, product = store.meta.frame, PRODUCTS[info.product]
+    whole = _hull([spec for _, spec in sheets])
     root = ElementTree.Element(
         "VRTDataset", rasterXSize=str(whole.width), rasterYSize=str(whole.height)
     )
@@ -42,17 +49,15 @@ def write_mosaic(store_url: str, work: WriteMosaic) -> FileRecord:
     ElementTree.SubElement(root, "GeoTransform").text = ", ".join(
         repr(v) for v in (c, a, b, f, d, e)
     )
-    _add_metadata(root, {"AREA_OR_POINT": "Area", **work.tags})
+    _add_metadata(root, {"AREA_OR_POINT": "Area", **info.tags})
     band = ElementTree.SubElement(
         root, "VRTRasterBand", dataType=_TYPES[product.dtype], band="1"
     )
-    _describe_band(band, raster_metadata(frame, work))
-    for path, spec in work.sheets:
+    _describe_band(band, raster_metadata(frame, info))
+    for path, spec in sheets:
         _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
     ElementTree.indent(root)
-    return write_bytes(
-        work.out, f"{work.product}.vrt", ElementTree.tostring(root, encoding="utf-8")
-    )
+    return write_bytes(to, ElementTree.tostring(root, encoding="utf-8"))
 
 
 def _srs(crs: str) -> ElementTree.Element:
@@ -131,8 +136,8 @@ def _add_sheet(
         ElementTree.SubElement(source, name, xOff=x, yOff=y, xSize=size[0], ySize=size[1])
 
 
-def write_legend(store_url: str, work: WriteLegend) -> FileRecord:
-    """Write ``<out>/<product>.tif.aux.xml`` (a `tiler.schedule.task.Work`).
+def write_legend(_: TileStore, *, to: OutFile, product: str) -> FileRecord:
+    """Write the names of the classes of a product's raster.
 
     A GeoTIFF contains the colours of its classes, but GDAL keeps their names in a file next to
     it.
@@ -141,6 +146,6 @@ def write_legend(store_url: str, work: WriteLegend) -> FileRecord:
     """
     root = ElementTree.Element("PAMDataset")
     band = ElementTree.SubElement(root, "PAMRasterBand", band="1")
-    band.append(category_names(PRODUCTS[work.product].categories))
+    band.append(category_names(PRODUCTS[product].categories))
     ElementTree.indent(root)
-    return write_bytes(work.out, work.name, ElementTree.tostring(root, encoding="utf-8"))
+    return write_bytes(to, ElementTree.tostring(root, encoding="utf-8"))

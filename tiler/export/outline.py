@@ -11,28 +11,54 @@ import rasterio.transform
 import shapely
 from affine import Affine
 
-from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.map_lines import rings_of
 from tiler.core.products import BARE, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.export.output_files import new_file
 from tiler.export.records import OutlineFileRecord
-from tiler.export.work import WriteOutline
+from tiler.export.work import OutFile
 from tiler.io.vector import geopackage
-from tiler.store import TileStore, coarse_values, open_store
+from tiler.store import TileStore, coarse_values
 
 LAYER = "outline"
 POLYGON = 3
 """Number of the geometry type Polygon in shapely."""
 
 
-def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
-    """Write the outline of the survey as ``<out>/outline.gpkg`` (a `tiler.schedule.task.Work`).
+def write_outline(
+    store: TileStore,
+    *,
+    to: OutFile,
+    terrain: str,
+    spec: RasterSpec,
+    survey: str,
+    coarse: RasterSpec,
+    blocks: tuple[str, ...],
+    area: str | None,
+) -> OutlineFileRecord:
+    """Write the outline of the survey as polygons.
 
     The outline is the edge of the terrain, pixel by pixel. The file has one polygon for each
     part of the survey, with its voids as holes, and with ``area_m2`` (without the voids),
     ``void_m2`` and ``void_percent`` (of both together).
+
+    Parameters
+    ----------
+    store : TileStore
+    to : OutFile
+    terrain : str
+        Raster in the store of the final heights.
+    spec : RasterSpec
+        Pixels of this raster.
+    survey : str
+        Raster in the store of the cells of the survey.
+    coarse : RasterSpec
+        Cells of the survey.
+    blocks : tuple of str
+        Names of the blocks of the terrain.
+    area : str or None
+        Key in the store of the requested area.
 
     Returns
     -------
@@ -44,12 +70,16 @@ def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
     ProcessingError
         The disk is full or the file cannot be written.
     """
-    store, spec = open_store(store_url), work.spec
-    area = store.area(work.area)
-    pieces = [
-        _polygons(store, work, area, spec.block_named(name, BLOCK_PIXELS))
-        for name in work.blocks
-    ]
+    requested, pieces = store.area(area), []
+    for block in (spec.block_named(name, BLOCK_PIXELS) for name in blocks):
+        cells = coarse_values(store, survey, coarse, spec, block)
+        # Pixels inside the survey that should have a height count, too, but no pixels in a void, even if facets
+        # span it.
+        covered = (cells == SURVEYED) | (cells == BARE)
+        if not covered.all():
+            heights = store.read_block(terrain, block)
+            covered |= (heights != np.float32(NODATA)) & (cells != VOID)
+        pieces.append(polygons_of(covered & spec.inside(block, requested), spec, block))
     parts = joined(np.concatenate([np.empty(0, object), *pieces]))
     square = float(store.meta.frame.units.horizontal) ** 2
     land = shapely.area(parts) * square
@@ -63,7 +93,7 @@ def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
         "void_percent": 100 * void / np.maximum(land + void, 1e-9),
     }
     crs = store.meta.frame.crs_wkt
-    with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, crs) as file:
         file.add(
             LAYER,
             "Polygon",
@@ -74,23 +104,6 @@ def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
     return OutlineFileRecord(
         **new.record.to_json(), polygons=len(parts), rings=rings_of(parts, size)
     )
-
-
-def _polygons(
-    store: TileStore, work: WriteOutline, area: Area | None, block: Block
-) -> npt.NDArray[Any]:
-    """Return the polygons around the pixels of a block that belong to the survey.
-
-    These pixels have a height, or lie inside the survey and should have one. Pixels in a void
-    are left out, even if facets span it.
-    """
-    cells = coarse_values(store, work.survey, work.coarse, work.spec, block)
-    covered = (cells == SURVEYED) | (cells == BARE)
-    if not covered.all():
-        heights = store.read_block(work.terrain, block) != np.float32(NODATA)
-        covered |= heights & (cells != VOID)
-    covered &= work.spec.inside(block, area)
-    return polygons_of(covered, work.spec, block)
 
 
 def polygons_of(

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tiler.export.records import FileRecord
-from tiler.export.work import WriteText
+from tiler.export.work import OutFile
 from tiler.io.atomic_files import write_atomic
 from tiler.io.cloud_reading import digest_of_file
-from tiler.io.locations import as_path, joined, staging_folder, state_of
+from tiler.io.locations import as_path, staging_folder, state_of
 from tiler.io.raster_files import raster_errors
+from tiler.store import TileStore
 
 
 @dataclass
@@ -24,31 +25,23 @@ class NewFile:
 
 
 @contextmanager
-def new_file(out: str, name: str) -> Iterator[NewFile]:
-    """Yield a new file. When the block ends, the file is in place and its ``record`` is set.
-
-    Parameters
-    ----------
-    out : str
-        Existing folder, or a URL.
-    name : str
-        Name of the file.
-    """
-    with staging_folder(out) as folder:
-        file = NewFile(folder / name)
+def new_file(to: OutFile) -> Iterator[NewFile]:
+    """Yield a new file. When the block ends, the file is in place and its ``record`` is set."""
+    with staging_folder(to.out) as folder:
+        file = NewFile(folder / to.name)
         yield file
         n_bytes, digest = file.path.stat().st_size, digest_of_file(file.path)
-    state = state_of(as_path(joined(out, name))).to_json()
-    file.record = FileRecord(path=name, bytes=n_bytes, digest=digest, state=state)
+    state = state_of(as_path(to.location)).to_json()
+    file.record = FileRecord(path=to.name, bytes=n_bytes, digest=digest, state=state)
 
 
-def write_bytes(out: str, name: str, content: bytes) -> FileRecord:
+def write_bytes(to: OutFile, content: bytes) -> FileRecord:
     """Write a small file and return its `FileRecord`. Raise ProcessingError if it cannot be written."""
-    with new_file(out, name) as file, raster_errors(file.path):
+    with new_file(to) as file, raster_errors(file.path):
         write_atomic(file.path, content)
     return file.record
 
 
-def write_text(store_url: str, work: WriteText) -> FileRecord:
-    """Write ``<out>/<name>`` and return its `FileRecord` (a `tiler.schedule.task.Work`)."""
-    return write_bytes(work.out, work.name, work.text.encode())
+def write_text(_: TileStore, *, to: OutFile, text: str) -> FileRecord:
+    """Write a small file of text, and return its `FileRecord`."""
+    return write_bytes(to, text.encode())

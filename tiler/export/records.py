@@ -144,10 +144,3 @@ class CloudRecord(FileRecord):
     ground: int | None = None
     statistics: PointStatistics
     fetched: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class SheetsRecord(Record):
-    """Record of the sheets in which a block has a height: column and row on the lattice of sheets, ascending."""
-
-    sheets: list[list[int]]

@@ -14,7 +14,6 @@ from tiler.core.terrain_results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
-from tiler.export import WriteCog, WriteLegend, WriteText
 from tiler.export.records import (
     CloudRecord,
     ContoursRecord,
@@ -197,7 +196,7 @@ def _report_files(job: Job, tasks: FileTasks, made: Commits) -> None:
         terrain = [
             task.key
             for task in tasks.cogs
-            if task.arguments.product == "dtm" and task.key in made
+            if task.arguments["info"].product == "dtm" and task.key in made
         ]
         filled = sum(RasterFileRecord.of(made[key][1]).valid for key in terrain)
         job.results.dtm = replace(job.results.dtm, filled=filled)
@@ -219,7 +218,7 @@ def _record_files(job: Job, paths: Mapping[str, str], basis: str) -> None:
 
 
 def _make_folders(tasks: list[Task], out: str) -> None:
-    for folder in {task.arguments.out for task in tasks if not is_url(out)}:
+    for folder in {task.arguments["to"].out for task in tasks if not is_url(out)}:
         try:
             Path(folder).mkdir(exist_ok=True)
         except OSError as error:
@@ -306,15 +305,8 @@ def _files(tasks: list[Task]) -> dict[str, str]:
 
 
 def _file(task: Task) -> str:
-    work = task.arguments
-    if not task.key.endswith(PRODUCTS):
-        return str(work.out)
-    name = task.key
-    if isinstance(work, WriteCog):
-        name = f"{work.name}.tif"
-    elif isinstance(work, WriteLegend | WriteText):
-        name = work.name
-    return joined(work.out, name)
+    values = task.arguments
+    return str(values["cloud"].out if "cloud" in values else values["to"].location)
 
 
 def _write(

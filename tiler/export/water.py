@@ -14,9 +14,9 @@ from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.water import Counts, Water, lengths_along
 from tiler.export.output_files import new_file
 from tiler.export.records import WaterFileRecord
-from tiler.export.work import WriteWater
+from tiler.export.work import OutFile
 from tiler.io.vector import GeoPackage, geopackage
-from tiler.store import open_store
+from tiler.store import TileStore
 
 POLYGONS, FLOW, REACHES, BREAKLINES = "water", "flow", "reaches", "breaklines"
 """Layers of the file."""
@@ -31,8 +31,8 @@ WIDER_DAM = 2.0
 """A dam is at most this many times as wide as at its narrowest."""
 
 
-def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
-    """Write bodies of water as ``<out>/water.gpkg`` (a `tiler.schedule.task.Work`).
+def write_water(store: TileStore, *, to: OutFile, waters: str) -> WaterFileRecord:
+    """Write bodies of water, which are in the store under the key ``waters``.
 
     Layer ``water`` has polygons with ``number``, ``kind``, ``level`` (for a river, its upper level), ``level_end``,
     ``area_m2`` and ``sure`` (confidence from 0 to 1, empty for water from a file).
@@ -53,8 +53,7 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
     WaterFileRecord
         Record of the file.
     """
-    store = open_store(store_url)
-    bodies = store.all_waters(work.waters).bodies
+    bodies = store.all_waters(waters).bodies
     square = float(store.meta.frame.units.horizontal) ** 2
     shapes = [_shape(body) for body in bodies]
     columns = {
@@ -69,7 +68,7 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
     }
     rivers = [(b.number, b.flow) for b in bodies if b.flow is not None]
     crs = store.meta.frame.crs_wkt
-    with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, crs) as file:
         file.add(POLYGONS, "MultiPolygon", shapes, columns)
         lines = [shapely.LineString(flow / COUNTS_PER_UNIT) for _, flow in rivers]
         file.add(

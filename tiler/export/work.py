@@ -1,38 +1,40 @@
-"""Arguments of the tasks that write files: one frozen dataclass per kind of file."""
+"""Values of the calls that write files: where a file goes, and what it is made from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from fractions import Fraction
 from typing import Any
 
 from tiler.core.digests import NOT_IN_DIGEST
-from tiler.core.edits import DrawnDeck
-from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.raster import Block, RasterSpec
+from tiler.core.lattice import Cell
+from tiler.core.raster import RasterSpec
 from tiler.core.reclass import ONLY_GROUND
+from tiler.io.locations import joined
 from tiler.store import KeptPiece
 
 
-@dataclass(frozen=True, kw_only=True)
-class NamedFile:
+@dataclass(frozen=True)
+class OutFile:
     """File with a name in an existing folder or at a URL."""
 
-    name: str
     out: str
+    name: str
+
+    @property
+    def location(self) -> str:
+        """Path or URL of the file."""
+        return joined(self.out, self.name)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProductFile:
-    """File of a product.
+@dataclass(frozen=True)
+class ProductInfo:
+    """Product of a file, and what its metadata say.
 
     Attributes
     ----------
     product : str
         Key of `tiler.core.products.PRODUCTS`, which defines data type and colours.
-    out : str
-        Existing folder, or a URL.
     tags : mapping of str to str
         Tags with the provenance (TILER_VERSION, TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS).
     nodata : float or None
@@ -40,60 +42,20 @@ class ProductFile:
     """
 
     product: str
-    out: str
     tags: Mapping[str, str]
     nodata: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class WriteOutline(NamedFile):
-    """Outline of the survey as polygons.
+class RasterPart:
+    """Raster of the store, or a sheet of it, that a file contains.
 
     Attributes
     ----------
-    terrain : str
-        Raster in the store of the final heights.
-    spec : RasterSpec
-        Pixels of this raster.
-    survey : str
-        Raster in the store of the cells of the survey.
-    coarse : RasterSpec
-        Cells of the survey.
-    blocks : tuple of str
-        Names of the blocks of the terrain.
-    area : str or None
-        Key in the store of the requested area.
-    """
-
-    terrain: str
-    spec: RasterSpec
-    survey: str
-    coarse: RasterSpec
-    blocks: tuple[str, ...]
-    area: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteWater(NamedFile):
-    """Bodies of water as polygons, lines and stations of rivers, with their key in the store (``waters``)."""
-
-    waters: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteCog(ProductFile):
-    """Raster of the store, or a sheet of it, as one file.
-
-    Attributes
-    ----------
-    name : str
-        Name of the file without its ending.
     raster : str
         Name of the raster in the store.
     spec : RasterSpec
         Pixels of the file.
-    compress : str
-        Compression, ``deflate`` or ``zstd``.
     fill : float
         Value of pixels beyond the raster and the area.
     whole : RasterSpec or None
@@ -102,61 +64,11 @@ class WriteCog(ProductFile):
         Key in the store of the requested area.
     """
 
-    name: str
     raster: str
     spec: RasterSpec
-    compress: str
     fill: float
     whole: RasterSpec | None = None
     area: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteMosaic(ProductFile):
-    """VRT of a product over its sheets.
-
-    Attributes
-    ----------
-    sheets : tuple of (str, RasterSpec)
-        Path relative to ``out`` and pixels of each sheet, on one lattice. There is at least one.
-    """
-
-    sheets: tuple[tuple[str, RasterSpec], ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteBridges(NamedFile):
-    """Decks of bridges as polygons."""
-
-    decks: tuple[DrawnDeck, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FindSheets:
-    """Search of a block of the models for sheets with a height.
-
-    Attributes
-    ----------
-    rasters : tuple of str
-        Rasters of the models in the store.
-    spec : RasterSpec
-        Pixels of these rasters.
-    block : Block
-    side : int
-        Side of a sheet in pixels. Sheets are anchored at CRS 0, as pixels are.
-    area : str or None
-        Key in the store of the requested area.
-    """
-
-    rasters: tuple[str, ...]
-    spec: RasterSpec
-    block: Block
-    side: int
-    area: str | None
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the block."""
-        return self.spec.block_bounds(self.block)
 
 
 @dataclass(frozen=True)
@@ -172,71 +84,7 @@ class SheetFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WriteSheetIndex(NamedFile):
-    """Index of the sheets."""
-
-    sheets: tuple[SheetFile, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteLegend(NamedFile):
-    """Names of the classes of a product's raster."""
-
-    product: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class VectorFile:
-    """Vector product that is made from the terrain.
-
-    Attributes
-    ----------
-    raster : str
-        Raster of heights in the store.
-    spec : RasterSpec
-        Pixels of this raster.
-    out : str
-        Existing folder, or a URL.
-    interval : Fraction or None
-        Interval of contours in vertical units of the CRS, or None for a default by relief and noise.
-    noise : float
-        Standard deviation of the heights in these units, or 0 if it is not known.
-    area, waters : str or None
-        Keys in the store of the requested area, and of bodies of water.
-    """
-
-    raster: str
-    spec: RasterSpec
-    out: str
-    interval: Fraction | None
-    noise: float
-    area: str | None
-    waters: str | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteContours(VectorFile):
-    """Contour lines of heights smoothed by a Gaussian with a standard deviation of ``sigma`` pixels."""
-
-    sigma: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteSpots(VectorFile):
-    """Spot heights: pixels that are the highest or lowest within ``reach`` pixels to each side."""
-
-    reach: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteText(NamedFile):
-    """Small file of text."""
-
-    text: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class WriteClassified:
+class CloudCopy:
     """Copy of a source with its new classes.
 
     Attributes
@@ -291,7 +139,3 @@ class WriteClassified:
     pieces: tuple[KeptPiece, ...] = field(default=(), metadata=NOT_IN_DIGEST)
     threads: int = field(default=1, metadata=NOT_IN_DIGEST)
     wkt: str | None = None
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the buckets."""
-        return buckets.hull(self.cells) if self.cells else None

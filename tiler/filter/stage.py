@@ -175,7 +175,7 @@ def _warn_of_doubtful_kind(job: Job, survey: Mapping[str, Any]) -> None:
 
 def _write_empty_results(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
     """Write empty results for a tile that failed, so that no results of an earlier run remain."""
-    work: FilterTile = task.arguments
+    work: FilterTile = task.arguments["work"]
     buckets = job.store.buckets_within(job.plan.buckets.hull(work.cells))
     for cell in work.cells:
         if work.elected_out is not None:

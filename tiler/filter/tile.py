@@ -19,7 +19,7 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.records import TileRecord
 from tiler.filter.reading import TileReader
 from tiler.filter.work import FilterTile
-from tiler.store import TileStore, open_store
+from tiler.store import TileStore
 
 LABELS = "labels"
 """Name of the final labels in the store."""
@@ -44,7 +44,7 @@ def influence_margin_m(step: Pass, params: Any) -> float:
     return float((REACH_CELLS + 1) * params.align_m + params.margin_m)
 
 
-def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
+def filter_tile(store: TileStore, *, work: FilterTile) -> TileRecord:
     """Filter one tile.
 
     A core with uncertified labels or statistics is repeated with twice the halo, up to
@@ -55,7 +55,6 @@ def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
     TileRecord
         Record of the tile.
     """
-    store = open_store(store_url)
     params = METHODS[work.method].params(**work.parameters)
     step = params.passes[work.number]
     scale = Scale(

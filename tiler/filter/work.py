@@ -1,4 +1,4 @@
-"""Arguments of the task that filters a tile in one pass."""
+"""Tile that a task filters in one pass."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tiler.core.digests import NOT_IN_DIGEST
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.lattice import Cell
 
 
 @dataclass(frozen=True)
 class FilterTile:
-    """Arguments of `tiler.filter.filter_tile`: one tile of a pass.
+    """Tile of a pass.
 
     Attributes
     ----------
@@ -68,7 +68,3 @@ class FilterTile:
     candidates_only: bool
     input_candidates_only: bool
     held_bytes: int = field(metadata=NOT_IN_DIGEST)
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the core."""
-        return buckets.hull(self.cells)

@@ -29,8 +29,8 @@ from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
 from tiler.grid.records import TerrainRecord
 from tiler.grid.thinning import max_points_in_bucket, surface_ground
-from tiler.grid.work import Facets, GridBlock, GridBlocks
-from tiler.store import TileStore, open_store
+from tiler.grid.work import Facets, GridBlock
+from tiler.store import TileStore
 
 
 class _GroundCounts(NamedTuple):
@@ -54,8 +54,8 @@ def full_halo(max_edge: Fraction) -> int:
     return math.ceil(2 * max_edge * (1 + Fraction(1, 1 << 19))) + 4
 
 
-def grid_block(store_url: str, work: GridBlock) -> TerrainRecord:
-    """Write one block of a raster. This is a `tiler.schedule.task.Work`.
+def grid_block(store: TileStore, *, work: GridBlock) -> TerrainRecord:
+    """Write one block of a raster.
 
     Returns
     -------
@@ -67,18 +67,20 @@ def grid_block(store_url: str, work: GridBlock) -> TerrainRecord:
     ProcessingError
         The window is too wide for the TIN, or the denominator of the resolution in units of the CRS is too large.
     """
-    (record,) = grid_blocks(store_url, GridBlocks((work,))).parts
+    (record,) = grid_blocks(store, works=(work,)).parts
     return record
 
 
-def grid_blocks(store_url: str, work: GridBlocks) -> JoinedRecord[TerrainRecord]:
-    """Write blocks of a raster that share a TIN. This is a `tiler.schedule.task.Work`.
+def grid_blocks(
+    store: TileStore, *, works: tuple[GridBlock, ...]
+) -> JoinedRecord[TerrainRecord]:
+    """Write blocks of a raster that differ only in their positions and share a TIN.
 
     The pixels are those of `grid_block`. The record of each block, in ``parts``, is also the
     same except for the ground points, which are counted in the shared window.
     """
-    store, parts = open_store(store_url), []
-    for block, heights, record in heights_of_blocks(store, work.blocks):
+    parts = []
+    for block, heights, record in heights_of_blocks(store, works):
         edited = edit_heights(store, block.rule.edits, block.spec, block.block, heights)
         if edited:
             filled = _n_filled(heights)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -12,9 +11,9 @@ from ptd.matched.crowns import BLOCK, Crowns, crowns
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.nodata import NODATA
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
-from tiler.grid.records import CrownsRecord
 from tiler.grid.roofs import Advice
-from tiler.store import TileStore, open_store
+from tiler.grid.steps import Counts
+from tiler.store import TileStore
 
 CELL_M, MAX_CELL_M = 1.0, 1.25
 """Approximate and largest side of the cells for the search. Finer pixels are thinned, coarser
@@ -24,23 +23,14 @@ MIN_SHARE, MIN_BLOCKS = 0.1, 10
 for a warning."""
 
 
-@dataclass(frozen=True)
-class FindCrowns:
-    """Arguments of `find_crowns`: the raster of the terrain, and the names of the blocks to search."""
-
-    spec: RasterSpec
-    names: tuple[str, ...]
-
-
-def find_crowns(store_url: str, work: FindCrowns) -> CrownsRecord:
-    """Search blocks for crowns. This is a `tiler.schedule.task.Work`."""
-    store, spec = open_store(store_url), work.spec
-    blocks = [spec.block_named(name, BLOCK_PIXELS) for name in work.names]
+def find_crowns(store: TileStore, *, spec: RasterSpec, names: tuple[str, ...]) -> Counts:
+    """Search blocks of the terrain for crowns: ``n_tested`` and ``found`` of `ptd.matched.crowns.Crowns`."""
+    blocks = [spec.block_named(name, BLOCK_PIXELS) for name in names]
     parts = [crowns_in_block(store, "dtm", spec, block) for block in blocks]
-    return CrownsRecord(
-        n_tested=sum(part.n_tested for part in parts),
-        found=list(chain.from_iterable(part.found for part in parts)),
-    )
+    return {
+        "n_tested": sum(part.n_tested for part in parts),
+        "found": list(chain.from_iterable(part.found for part in parts)),
+    }
 
 
 def crowns_in_block(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Crowns:

@@ -2,55 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.lattice import Cell
 from tiler.grid.ground import GroundSelection, read_classes
-from tiler.grid.records import EditCountsRecord
-from tiler.store import open_store
+from tiler.grid.steps import Counts
+from tiler.store import TileStore
 
 
-@dataclass(frozen=True)
-class CountEditedPoints:
-    """Arguments of `count_edited_points`: a bucket, and the key in the store of the edits."""
-
-    rule: GroundSelection
-    edits: str
-    cell: Cell
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the bucket."""
-        return buckets.bounds(self.cell)
-
-
-def count_edited_points(store_url: str, work: CountEditedPoints) -> EditCountsRecord:
-    """Count the points of a bucket inside each edit. This is a `tiler.schedule.task.Work`.
+def count_edited_points(
+    store: TileStore, *, rule: GroundSelection, edits_key: str, cell: Cell
+) -> Counts:
+    """Count the points of a bucket inside each edit.
 
     Each edit is counted as if there were no other edits.
 
     Returns
     -------
-    EditCountsRecord
-        Record of the bucket.
+    dict
+        ``edits``: for each edit that touches the bucket, its number, and five counts of points inside it: all; ground
+        before the edit; ground after it by the input's classes; ground after it by the lowest points; points that the
+        edit makes ground by the input's classes. The last three are 0 unless the edit adds ground.
     """
-    store = open_store(store_url)
-    edits = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)
+    edits = store.edits(edits_key, store.meta.bucket.bounds(cell), OF_POINTS)
     if edits is None:
-        return EditCountsRecord([])
-    block, classes, is_ground = read_classes(store, work.rule, work.cell, needs_input=True)
+        return {"edits": []}
+    block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
     points = EditedPoints(block, classes, store.meta.frame.origin)
     counts = []
     for edit in edits.edits:
         rows = points.inside(edit.area)
         ground_before, after, given = int(is_ground[rows].sum()), [0, 0], 0
         if edit.action == TO_GROUND:
-            becoming = [points.to_ground(rows, cell) for cell in (None, edits.cell)]
+            becoming = [points.to_ground(rows, pixel) for pixel in (None, edits.cell)]
             after = [
                 ground_before + int(np.count_nonzero(~is_ground[more])) for more in becoming
             ]
             given = len(becoming[0])
         counts.append([edit.number, len(rows), ground_before, *after, given])
-    return EditCountsRecord(counts)
+    return {"edits": counts}

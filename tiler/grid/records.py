@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiler.core.records import Record
-from tiler.grid.pieces import Side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,43 +55,6 @@ class TerrainRecord(BlockRecord):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FilledRecord(BlockRecord):
-    """Record of a block with filled holes: number of pixels that got a height."""
-
-    added: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LabelsRecord(BlockRecord):
-    """Record of a block of labelled areas.
-
-    Attributes
-    ----------
-    sides : dict of str to Side
-        Labels along the sides of the block, see `tiler.grid.pieces`.
-    labels : int
-        Number of labels.
-    """
-
-    sides: dict[str, Side]
-    labels: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HolesRecord(LabelsRecord):
-    """Record of a block of holes: for each label, runs of the nearby blocks of the model (`coarse.block_runs`)."""
-
-    blocks: list[list[list[int]]]
-
-
-@dataclass(frozen=True, slots=True)
-class BodyRecord(Record):
-    """Record of a body of water without a level (`Water.to_json`), or None if it is too small."""
-
-    body: Mapping[str, Any] | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelRecord(Record):
     """Record of a body of water with its level.
 
@@ -113,13 +75,6 @@ class LevelRecord(Record):
     body: Mapping[str, Any] | None
     floating: tuple[float, list[int] | None]
     uneven: bool
-
-
-@dataclass(frozen=True, slots=True)
-class DeckCellsRecord(Record):
-    """Record of cells that may be part of a deck: row, column and direction of each cell."""
-
-    cells: list[list[int]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,53 +98,3 @@ class DeckRecord(Record):
     width_m: float
     clearance_m: float
     below: int
-
-
-@dataclass(frozen=True, slots=True)
-class DecksRecord(Record):
-    """Record of examined candidates: the decks, and why each other candidate is not a deck."""
-
-    decks: list[DeckRecord]
-    reasons: list[str]
-
-
-def decks_in(examined: Mapping[str, Any]) -> list[DeckRecord]:
-    """Return the decks of a stored `DecksRecord`."""
-    return [DeckRecord.of(stored) for stored in examined["decks"]]
-
-
-@dataclass(frozen=True, slots=True)
-class EditCountsRecord(Record):
-    """Record of the points of a bucket inside edits.
-
-    Attributes
-    ----------
-    edits : list of list of int
-        For each edit that touches the bucket, its number, and five counts of points inside it: all; ground before the
-        edit; ground after it by the input's classes; ground after it by the lowest points; points that
-        the edit makes ground by the input's classes. The last three are 0 unless the edit adds ground.
-    """
-
-    edits: list[list[int]]
-
-
-@dataclass(frozen=True, slots=True)
-class BlankRecord(Record):
-    """Record of removed blocks: their number."""
-
-    blocks: int
-
-
-@dataclass(frozen=True, slots=True)
-class RoofsRecord(Record):
-    """Record of the search for roofs: fields of `tiler.grid.roofs.Advice`, or None without a roof."""
-
-    advice: Any
-
-
-@dataclass(frozen=True, slots=True)
-class CrownsRecord(Record):
-    """Record of the search for crowns: number of examined blocks, and pixel at the centre of each block of crowns."""
-
-    n_tested: int
-    found: list[Any]

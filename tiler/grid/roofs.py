@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,8 @@ from ptd.ground.remaining_roofs import reach_m, remaining_roofs
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units_text import length_text
-from tiler.grid.records import RoofsRecord
-from tiler.store import TileStore, open_store
+from tiler.grid.steps import Counts
+from tiler.store import TileStore
 
 Float64 = npt.NDArray[np.float64]
 
@@ -37,25 +36,21 @@ class Advice(NamedTuple):
     y: float
 
 
-@dataclass(frozen=True)
-class FindRoofs:
-    """Arguments of `find_roofs`: those of `roofs_in_terrain`, with ``filled`` as the names of blocks."""
+def find_roofs(
+    store: TileStore,
+    *,
+    spec: RasterSpec,
+    filled: tuple[str, ...],
+    building_m: float,
+    roof_m: float | None,
+    waters: str | None,
+) -> Counts:
+    """Search for roofs on a worker, which has loaded the kernels. The ``advice`` is a warning, or None.
 
-    spec: RasterSpec
-    filled: tuple[str, ...]
-    building_m: float
-    roof_m: float | None
-    waters: str | None
-
-
-def find_roofs(store_url: str, work: FindRoofs) -> RoofsRecord:
-    """Search for roofs on a worker, which has loaded the kernels. The ``advice`` is a warning, or None."""
-    blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
-    store = open_store(store_url)
-    advice = roofs_in_terrain(
-        store, "dtm", work.spec, blocks, work.building_m, work.roof_m, work.waters
-    )
-    return RoofsRecord(advice)
+    The arguments are those of `roofs_in_terrain`, with ``filled`` as the names of blocks.
+    """
+    blocks = (spec.block_named(key, BLOCK_PIXELS) for key in filled)
+    return {"advice": roofs_in_terrain(store, "dtm", spec, blocks, building_m, roof_m, waters)}
 
 
 def roofs_in_terrain(

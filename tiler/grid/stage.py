@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from tiler.config import NO_WATER
-from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
@@ -24,20 +23,20 @@ from tiler.core.units_text import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid import BlankBlocks, blank_blocks
 from tiler.grid.records import (
     BlockRecord,
     TerrainRecord,
 )
+from tiler.grid.steps import erase_blocks
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
 from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
+from tiler.grid.tasks.gridding import GAP_M, GridContext
 from tiler.grid.tasks.raster_names import final_raster
 from tiler.grid.tasks.raster_table import required_rasters
-from tiler.grid.tasks.shared_tins import join_blocks
 from tiler.grid.tasks.steps import Step
+from tiler.grid.tasks.terrain import OnTin, join_blocks
 from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
 from tiler.grid.tasks.water_facts import report_waters
@@ -48,7 +47,7 @@ from tiler.plan.model import MAX_GROUND
 from tiler.runs.compiling import grid_kernels
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import Join, run_stage
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.schedule.worker import compute
 from tiler.store import Commits
 
@@ -122,7 +121,7 @@ def _holes(job: Job) -> list[Bounds]:
 
 
 def _make(
-    job: Job, raster: RasterStep | Step, spec: RasterSpec, tasks: list[Task], join: Join | None
+    job: Job, raster: OnTin | Step, spec: RasterSpec, tasks: list[Task], join: Join | None
 ) -> Commits:
     """Make one raster of the store."""
     name, stage = raster.name, raster.stage
@@ -155,9 +154,9 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
     """Remove, on the workers, blocks of an earlier run that this run does not write."""
     blocks, tasks = [spec.block_named(key, BLOCK_PIXELS) for key in sorted(keys)], []
     for start in range(0, len(blocks), BLANK_BLOCKS):
-        work = BlankBlocks(name, tuple(blocks[start : start + BLANK_BLOCKS]))
-        digest = digest_of(work)
-        tasks.append(Task("blank", digest, digest, blank_blocks, work))
+        some = blocks[start : start + BLANK_BLOCKS]
+        call = calling(erase_blocks, name=name, blocks=some)
+        tasks.append(Task.of("blank", f"{start:09d}", call))
     for outcome in job.executors.choose().run(compute, job.store.url, tasks) if tasks else ():
         if outcome.record is None and not outcome.again:
             raise ProcessingError(
@@ -226,7 +225,7 @@ def _report_terrain(
         marked=sum(record.marked for record in records),
         blocks=len(tasks),
         blocks_done_again=sum(record.tries > 1 for record in records),
-        thinned=any(task.arguments.thin for task in tasks),
+        thinned=any(task.arguments["work"].thin for task in tasks),
     )
     if records and job.results.dtm.filled == 0:
         text = f"the terrain model is empty: {_why_empty(job, gridding.assembled)}"

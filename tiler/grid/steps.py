@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.ground import GroundSelection
 from tiler.grid.points_near import PointsNear
 from tiler.grid.work import BlockWork, Facets
-from tiler.store import TileStore, coarse_values, coarse_window, open_store, read_cells
+from tiler.store import TileStore, coarse_values, coarse_window, read_cells
 
 Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -110,7 +110,7 @@ class Position(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class MakeBlock(BlockWork):
-    """Arguments of `run_block`.
+    """Block that a step makes.
 
     Attributes
     ----------
@@ -136,8 +136,8 @@ class MakeBlock(BlockWork):
     empty: frozenset[str] = frozenset()
 
 
-def run_block(store_url: str, task: MakeBlock) -> Counts:
-    """Make one block of a raster. This is a `tiler.schedule.task.Work`.
+def run_block(store: TileStore, *, task: MakeBlock) -> Counts:
+    """Make one block of a raster.
 
     Returns
     -------
@@ -145,7 +145,6 @@ def run_block(store_url: str, task: MakeBlock) -> Counts:
         Counts of the function. For a raster also ``pixels``, ``filled`` (pixels with a value, unless the function
         counts them) and ``checksum``.
     """
-    store = open_store(store_url)
     reads = {name: READERS[read.kind](store, task, read) for name, read in task.reads.items()}
     values, counts = task.work(**reads, **task.values)
     if values is None:
@@ -155,6 +154,12 @@ def run_block(store_url: str, task: MakeBlock) -> Counts:
     store.write_block(task.name, task.block, pixels)
     filled = int(np.count_nonzero(pixels != fill))
     return {"pixels": pixels.size, "filled": filled, "checksum": checksum(pixels), **counts}
+
+
+def erase_blocks(store: TileStore, *, name: str, blocks: Sequence[Block]) -> Counts:
+    """Delete the stored pixels of blocks of a raster, which then read as the fill value."""
+    store.erase_blocks(name, blocks)
+    return {}
 
 
 def _raster(store: TileStore, task: MakeBlock, read: Read) -> Float64:
@@ -179,19 +184,23 @@ def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.floa
 
 @dataclass(frozen=True)
 class PixelsUnder:
-    """Raster of which a block of larger cells reads one part at a time, as the whole may not fit into memory."""
+    """Raster of which a step reads one part at a time, as the whole may not fit into memory."""
 
     store: TileStore
     name: str
     spec: RasterSpec
 
     def read(self, block: Block) -> npt.NDArray[np.float32]:
-        """Return the pixels of a block, float32 (height, width)."""
-        return self.store.read_block(self.name, block)
+        """Return the pixels of a block, float32 (height, width), 0 beyond the raster."""
+        return read_cells(self.store, self.name, self.spec, block)
 
 
 def _pixels(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
     return PixelsUnder(store, read.raster, task.sources.pixels)
+
+
+def _coarse(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
+    return PixelsUnder(store, read.raster, task.sources.coarse)
 
 
 def _same_cells(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
@@ -268,6 +277,7 @@ READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "cells": _cells,
     "pixels": _pixels,
     "same-cells": _same_cells,
+    "coarse": _coarse,
     "points": _points,
     "waters": _waters,
     "edits": _edits,

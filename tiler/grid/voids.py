@@ -8,25 +8,22 @@ visible.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from ptd.tin import Tin, rasterise
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
-from tiler.grid.block import edit_heights, heights_in_units, pixels_of
-from tiler.grid.checksum import checksum
-from tiler.grid.coarse import Bools, block_runs, blocks_of, blocks_under
-from tiler.grid.pieces import AROUND, Piece, cells_of, label_block
-from tiler.grid.records import FilledRecord, HolesRecord
-from tiler.grid.work import BlockWork
-from tiler.store import TileStore, coarse_cells, coarse_values, coarse_window, open_store
+from tiler.grid.block import heights_in_units, pixels_of
+from tiler.grid.coarse import Bools, Floats, block_runs, blocks_of, blocks_under, covered
+from tiler.grid.drawn_near import EditsNear
+from tiler.grid.pieces import AROUND, Labels, Piece, cells_in, label_block
+from tiler.grid.steps import Counts, PixelsUnder, Position
+from tiler.store import coarse_cells, coarse_window
 
 Int32 = npt.NDArray[np.int32]
 
@@ -38,90 +35,43 @@ NEAR = 2
 
 
 @dataclass(frozen=True)
-class VoidRasters:
-    """Rasters from which the voids of a model are found.
-
-    Attributes
-    ----------
-    heights : str
-        Raster of the model.
-    spec : RasterSpec
-        Raster of the model's pixels.
-    survey : str
-        Raster of the survey.
-    coarse : RasterSpec
-        Raster of the survey's cells.
-    numbers : str
-        Raster of the same cells with the label of the void in each. Labels differ from block to block.
-    """
-
-    heights: str
-    spec: RasterSpec
-    survey: str
-    coarse: RasterSpec
-    numbers: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class FindVoids(BlockWork):
-    """Arguments of `find_voids`: a block of coarse cells of ``rasters``."""
-
-    rasters: VoidRasters
-
-
-@dataclass(frozen=True)
 class Void:
-    """Void of a model: its areas in each block of coarse cells."""
+    """Void of a model: its areas in each block of coarse cells, and the digest of the rasters around it."""
 
     pieces: tuple[Piece, ...]
+    around: str
 
 
-@dataclass(frozen=True)
-class FillBlock:
-    """Arguments of `fill_block`.
-
-    Attributes
-    ----------
-    name : str
-    block : Block
-    rasters : VoidRasters
-    voids : tuple of Void
-        Voids that may touch the block.
-    edits : str or None
-        Key in the store of edits of heights. The digest includes those that touch the block.
-    """
-
-    name: str
-    block: Block
-    rasters: VoidRasters
-    voids: tuple[Void, ...]
-    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-
-    def place(self, buckets: Lattice) -> Bounds:
-        """Return the bounds of the block."""
-        return self.rasters.spec.block_bounds(self.block)
-
-
-def find_voids(store_url: str, work: FindVoids) -> HolesRecord:
+def find_voids(heights: PixelsUnder, survey: Floats, place: Position) -> tuple[Labels, Counts]:
     """Label the holes of a raster of heights in one block of coarse cells.
 
-    This is a `tiler.schedule.task.Work`. Cells of a hole contain, or lie within, a pixel
+    Cells of a hole contain, or lie within, a pixel
     without a height inside the survey. Cells that touch belong to one hole.
+
+    Parameters
+    ----------
+    heights : PixelsUnder
+        Model.
+    survey : float32 (height + 2 margin, width + 2 margin)
+        Survey. Twice the margin is not less than the side of a pixel if pixels are larger than cells.
+    place : Position
 
     Returns
     -------
-    HolesRecord
-        Record of the block.
+    labels : int32 (height, width)
+        Labels from 1, which differ from block to block; 0 in cells without a hole.
+    counts : dict
+        ``sides`` and ``labels``: labels along the sides of the block, and their number (`tiler.grid.pieces`).
+        ``blocks``: for each label, runs of the nearby blocks of the model (`block_runs`).
     """
-    store, coarse, block = open_store(store_url), work.spec, work.block
-    rasters, spec = work.rasters, work.rasters.spec
-    if spec.lattice.size > coarse.lattice.size:
-        empty = _within_large_pixels(store, rasters, block)
+    coarse, pixels, block = place.spec, place.sources.pixels, place.block
+    if pixels.lattice.size > coarse.lattice.size:
+        empty = _within_large_pixels(heights, survey, place)
     else:
-        empty = _around_small_pixels(store, rasters, block)
+        margin = (len(survey) - block.height) // 2
+        inner = survey[margin : margin + block.height, margin : margin + block.width]
+        empty = _around_small_pixels(heights, place) & (inner >= SURVEYED)
     labels, sides = label_block(empty, corners=True)
-    values = labels.astype(np.float32)
-    store.write_block(work.name, block, values)
     blocks = []
     for number, (down, right) in enumerate(scipy.ndimage.find_objects(labels), start=1):
         box = Block(
@@ -131,22 +81,16 @@ def find_voids(store_url: str, work: FindVoids) -> HolesRecord:
             right.stop - right.start,
         )
         hole_mask = labels[down, right] == number
-        blocks.append(block_runs(hole_mask, coarse.window(box), spec, BLOCK_PIXELS, NEAR))
-    return HolesRecord(
-        sides=sides,
-        labels=len(blocks),
-        blocks=blocks,
-        filled=int(np.count_nonzero(values)),
-        checksum=checksum(values),
-    )
+        blocks.append(block_runs(hole_mask, coarse.window(box), pixels, BLOCK_PIXELS, NEAR))
+    return labels, {"sides": sides, "labels": len(blocks), "blocks": blocks}
 
 
-def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
+def _around_small_pixels(heights: PixelsUnder, place: Position) -> Bools:
     """Return a mask of the cells of a block that contain the centre of an empty pixel."""
-    coarse, spec = rasters.coarse, rasters.spec
+    coarse, spec, block = place.spec, place.sources.pixels, place.block
     empty = np.zeros((block.height, block.width), np.bool_)
     for part in blocks_under(coarse, spec, block, PART_PIXELS):
-        rows, cols = np.nonzero(_void(store, rasters, part))
+        rows, cols = np.nonzero(_without_height(heights, part))
         if len(rows):
             cell_rows, cell_cols = coarse_cells(coarse, spec, part)
             cells = cell_rows[rows] - block.row, cell_cols[cols] - block.col
@@ -160,114 +104,120 @@ def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
     return empty
 
 
-def _within_large_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
-    """Return a mask of the cells of a block whose centre lies in an empty pixel."""
-    coarse, spec = rasters.coarse, rasters.spec
+def _within_large_pixels(heights: PixelsUnder, survey: Floats, place: Position) -> Bools:
+    """Return a mask of the cells of a block whose centre lies in an empty pixel with its centre in the survey."""
+    coarse, spec, block = place.spec, place.sources.pixels, place.block
     empty = np.zeros((block.height, block.width), np.bool_)
+    window = covered(coarse, spec, block)
+    if window.height <= 0 or window.width <= 0:
+        return empty
+    margin = (len(survey) - block.height) // 2
+    rows, cols = coarse_cells(coarse, spec, window)
+    at_centre = survey[np.ix_(rows - block.row + margin, cols - block.col + margin)]
+    void = _without_height(heights, window) & (at_centre >= SURVEYED)
     rows, cols = coarse_cells(spec, coarse, block)
-    for part in blocks_under(coarse, spec, block, PART_PIXELS):
-        void = _void(store, rasters, part)
-        down = np.flatnonzero((rows >= part.row) & (rows < part.row + part.height))
-        right = np.flatnonzero((cols >= part.col) & (cols < part.col + part.width))
-        empty[np.ix_(down, right)] = void[np.ix_(rows[down] - part.row, cols[right] - part.col)]
+    rows, cols = rows - window.row, cols - window.col
+    down = np.flatnonzero((rows >= 0) & (rows < window.height))
+    right = np.flatnonzero((cols >= 0) & (cols < window.width))
+    empty[np.ix_(down, right)] = void[np.ix_(rows[down], cols[right])]
     return empty
 
 
-def fill_block(store_url: str, work: FillBlock) -> FilledRecord:
-    """Write one block of the heights with holes filled. This is a `tiler.schedule.task.Work`.
+def fill_voids(
+    heights: PixelsUnder,
+    cells: PixelsUnder,
+    edits: EditsNear,
+    place: Position,
+    *,
+    voids: tuple[Void, ...] = (),
+) -> tuple[npt.NDArray[np.float32], Counts]:
+    """Return one block of a model with its holes filled.
 
     Heights are linear on the TIN of the centres of all pixels around a hole, with heights
     rounded to counts. Pixels outside all facets, as in a hole that is open to one side, stay
     without a height.
 
+    Parameters
+    ----------
+    heights : PixelsUnder
+        Model.
+    cells : PixelsUnder
+        Coarse cells with the labels of `find_voids`.
+    edits : EditsNear
+        They are applied to the filled heights.
+    place : Position
+    voids : tuple of Void
+        Voids that may touch the block.
+
     Returns
     -------
-    FilledRecord
-        Record of the block.
+    heights : float32 (height, width)
+        `NODATA` for pixels without a height.
+    counts : dict
+        It is empty.
     """
-    store, block, rasters = open_store(store_url), work.block, work.rasters
-    heights = store.read_block(rasters.heights, block)
-    empty = _void(store, rasters, block)
-    filled_before = int(np.count_nonzero(heights != np.float32(NODATA)))
-    for void in work.voids:
-        inside = empty & _pixels_in_void(store, rasters, void, block)
+    spec, block = place.spec, place.block
+    values = heights.read(block)
+    empty = values == np.float32(NODATA)
+    for void in voids:
+        inside = empty & _pixels_in_void(cells, spec, void, block)
         if inside.any():
-            rim = _rim(store, rasters, void)
-            raster = rasterise(
-                Tin.build(*rim), pixels_of(rasters.spec, block, store.meta.frame.origin)
-            )
-            heights = np.where(inside, heights_in_units(raster.heights), heights)
-    edit_heights(store, work.edits, rasters.spec, block, heights)
-    store.write_block(work.name, block, heights)
-    after = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return FilledRecord(
-        pixels=heights.size,
-        filled=after,
-        added=after - filled_before,
-        checksum=checksum(heights),
-    )
+            rim = _rim(heights, cells, place, void)
+            raster = rasterise(Tin.build(*rim), pixels_of(spec, block, place.frame.origin))
+            values = np.where(inside, heights_in_units(raster.heights), values)
+    edits.set_heights(values)
+    return values, {}
 
 
-def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[np.bool_]:
-    """Return a mask of the pixels without a height inside the survey."""
-    empty: npt.NDArray[np.bool_] = store.read_block(rasters.heights, block) == np.float32(
-        NODATA
-    )
-    if empty.any():
-        empty &= (
-            coarse_values(store, rasters.survey, rasters.coarse, rasters.spec, block)
-            >= SURVEYED
-        )
-    return empty
+def _without_height(heights: PixelsUnder, block: Block) -> Bools:
+    mask: Bools = heights.read(block) == np.float32(NODATA)
+    return mask
 
 
-def _pixels_in_void(store: TileStore, rasters: VoidRasters, void: Void, block: Block) -> Bools:
-    """Return a mask of the pixels of a block in the coarse cells of a void."""
-    window = coarse_window(rasters.coarse, rasters.spec, block)
-    cells = cells_of(store, rasters.numbers, rasters.coarse, window, void.pieces)
-    rows, cols = coarse_cells(rasters.coarse, rasters.spec, block)
-    return cells[np.ix_(rows - window.row, cols - window.col)]
+def _pixels_in_void(cells: PixelsUnder, spec: RasterSpec, void: Void, block: Block) -> Bools:
+    """Return a mask of the pixels of a block whose centres lie in the coarse cells of a void."""
+    window = coarse_window(cells.spec, spec, block)
+    in_void = cells_in(cells.read(window), window, void.pieces)
+    rows, cols = coarse_cells(cells.spec, spec, block)
+    return in_void[np.ix_(rows - window.row, cols - window.col)]
 
 
-def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int32, Int32]:
+def _rim(
+    heights: PixelsUnder, cells: PixelsUnder, place: Position, void: Void
+) -> tuple[Int32, Int32, Int32]:
     """Return the local counts x, y, z of the centres of the pixels with a height that touch a hole."""
-    spec, coarse = rasters.spec, rasters.coarse
+    spec, coarse = place.spec, cells.spec
     cores: set[Block] = set()
     for area in void.pieces:
-        cells = coarse.block_at(area.row, area.col, BLOCK_PIXELS)
-        piece_mask = store.read_block(rasters.numbers, cells) == area.label
-        cores.update(
-            blocks_of(
-                block_runs(piece_mask, coarse.window(cells), spec, PART_PIXELS, 1),
-                spec,
-                PART_PIXELS,
-            )
+        window = coarse.block_at(area.row, area.col, BLOCK_PIXELS)
+        runs = block_runs(
+            cells.read(window) == area.label, coarse.window(window), spec, PART_PIXELS, 1
         )
+        cores.update(blocks_of(runs, spec, PART_PIXELS))
     rim_parts = [
-        _rim_of_part(store, rasters, void, part) for part in sorted(cores, key=north_west)
+        _rim_of_part(heights, cells, spec, void, part) for part in sorted(cores, key=north_west)
     ]
     x, y, z = np.concatenate([np.empty((3, 0), np.int64), *rim_parts], axis=1)
-    east, north = store.meta.frame.origin
+    east, north = place.frame.origin
     return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)
 
 
 def _rim_of_part(
-    store: TileStore, rasters: VoidRasters, void: Void, core: Block
+    heights: PixelsUnder, cells: PixelsUnder, spec: RasterSpec, void: Void, core: Block
 ) -> npt.NDArray[np.int64]:
     """Return the absolute counts (3, n) of the rim's pixels in ``core``, including those beside holes outside it."""
-    spec = rasters.spec
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = (
         min(core.row + core.height + 1, spec.height),
         min(core.col + core.width + 1, spec.width),
     )
     wide = Block(top, left, bottom - top, right - left)
-    hole_cells_mask = _pixels_in_void(store, rasters, void, wide)
-    if not hole_cells_mask.any():
+    in_void = _pixels_in_void(cells, spec, void, wide)
+    if not in_void.any():
         return np.empty((3, 0), np.int64)
-    heights = store.read_block(rasters.heights, wide)
-    empty = hole_cells_mask & _void(store, rasters, wide)
-    rim = scipy.ndimage.binary_dilation(empty, AROUND) & (heights != np.float32(NODATA))
+    values = heights.read(wide)
+    known = values != np.float32(NODATA)
+    rim = scipy.ndimage.binary_dilation(in_void & ~known, AROUND) & known
     rows, cols = np.nonzero(rim)
     rows, cols = rows + wide.row, cols + wide.col
     inside = (rows >= core.row) & (rows < core.row + core.height)
@@ -275,5 +225,5 @@ def _rim_of_part(
     rows, cols = rows[inside], cols[inside]
     p, q = spec.lattice.p, 2 * spec.lattice.q
     x, y = ((2 * (spec.west + cols) + 1) * p) // q, ((2 * (spec.north - 1 - rows) + 1) * p) // q
-    z = np.rint(heights[rows - wide.row, cols - wide.col].astype(np.float64) * COUNTS_PER_UNIT)
+    z = np.rint(values[rows - wide.row, cols - wide.col].astype(np.float64) * COUNTS_PER_UNIT)
     return np.stack((x, y, z.astype(np.int64)))

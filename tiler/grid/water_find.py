@@ -20,7 +20,7 @@ from tiler.grid.coarse import Bools, padded
 from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import Floats, box_around
-from tiler.grid.records import BodyRecord
+from tiler.grid.steps import Counts
 from tiler.grid.water_banks import (
     BANK_MARGIN,
     NO_DETAILS,
@@ -42,7 +42,7 @@ from tiler.grid.water_shore import (
     shore_polygons,
 )
 from tiler.grid.water_strips import bank_rises, lower_level
-from tiler.store import TileStore, open_store, read_cells
+from tiler.store import TileStore, read_cells
 
 ROUND = 1 / 3
 """Water with at most one exit from the survey is a lake if it is at least this round. Other water is a river.
@@ -65,8 +65,8 @@ MAX_BAY_M = 100.0
 
 
 @dataclass(frozen=True)
-class DescribeBody:
-    """Arguments of `describe_body`.
+class BodyCells:
+    """Cells of a body of water, and what its shape is made from.
 
     Attributes
     ----------
@@ -80,12 +80,6 @@ class DescribeBody:
     rule : GroundSelection
     coarse : RasterSpec
         Raster of the coarse cells.
-    confidence : float
-        Confidence that this is water.
-    lake_m2 : float
-        Least area of a lake.
-    river_width_m : float
-        Least width of a river.
     island_m2 : float
         Least area of an island to keep.
     """
@@ -96,29 +90,44 @@ class DescribeBody:
     sources: SearchRasters
     rule: GroundSelection
     coarse: RasterSpec
-    confidence: float
-    lake_m2: float
-    river_width_m: float
     island_m2: float
 
 
-def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
-    """Describe a body of water, block by block. This is a `tiler.schedule.task.Work`.
+def describe_body(
+    store: TileStore,
+    *,
+    cells: BodyCells,
+    confidence: float,
+    lake_m2: float,
+    river_width_m: float,
+) -> Counts:
+    """Describe a body of water, block by block.
+
+    Parameters
+    ----------
+    store : TileStore
+    cells : BodyCells
+    confidence : float
+        Confidence that this is water.
+    lake_m2 : float
+        Least area of a lake.
+    river_width_m : float
+        Least width of a river.
 
     Returns
     -------
-    BodyRecord
-        Record of the body, which has the number 0.
+    dict
+        ``body``: the water without a level and with the number 0 (`Water.to_json`), or None if it is too small.
     """
     import shapely
 
-    store, coarse = open_store(store_url), work.coarse
+    coarse = cells.coarse
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
     border_cells = [np.empty((0, 2), np.int64)]
     n_border_sides, n_cells = 0, 0
-    for block, body_mask in _blocks(store, work):
+    for block, body_mask in _blocks(store, cells):
         beyond = (
-            read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND))
+            read_cells(store, cells.sources.domain, coarse, padded(block, 1), float(BEYOND))
             == BEYOND
         )
         border_mask, n_sides = _survey_border(body_mask, beyond)
@@ -127,38 +136,38 @@ def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
         n_cells += int(body_mask[1:-1, 1:-1].sum())
     side = float(coarse.lattice.size)
     exits = _exits(np.concatenate(border_cells))
-    bays = _bays(store, work, exits, MAX_BAY_M / size_m)
-    whole = _whole(store, work, bays, None)
+    bays = _bays(store, cells, exits, MAX_BAY_M / size_m)
+    whole = _whole(store, cells, bays, None)
     outline = shapely.get_exterior_ring(shapely.get_parts(whole))
     # Where water leaves the survey, the outline of its cells is not shore.
     length_m = (float(shapely.length(outline).sum()) / side - n_border_sides) * size_m
     area_m2 = n_cells * size_m**2
     kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
-    small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
+    small = area_m2 < lake_m2 if kind == LAKE else width_m < river_width_m
     body = None
     if not small:
-        lower_level_m = _lower_level(store, work) if kind == LAKE else None
+        lower_level_m = _lower_level(store, cells) if kind == LAKE else None
         if lower_level_m is not None:
-            whole = _whole(store, work, bays, lower_level_m)
+            whole = _whole(store, cells, bays, lower_level_m)
         # The details of the shore are added after the kind is decided, because they make the
         # shore longer.
-        detailed = _detailed(store, work, whole, lower_level_m)
-        body = Water(0, kind, _area(detailed, side), confidence=work.confidence).to_json()
-    return BodyRecord(body)
+        detailed = _detailed(store, cells, whole, lower_level_m)
+        body = Water(0, kind, _area(detailed, side), confidence=confidence).to_json()
+    return {"body": body}
 
 
-def _whole(store: TileStore, work: DescribeBody, bays: Any, lower_level_m: float | None) -> Any:
+def _whole(store: TileStore, body: BodyCells, bays: Any, lower_level_m: float | None) -> Any:
     """Return the shape of a body as drawn from coarse cells, in counts.
 
     If ``lower_level_m`` is not None, higher levels are lowered to it.
     """
     import shapely
 
-    side = float(work.coarse.lattice.size)
-    min_area = work.island_m2 / float(store.meta.frame.metres_xy) ** 2
+    side = float(body.coarse.lattice.size)
+    min_area = body.island_m2 / float(store.meta.frame.metres_xy) ** 2
     polygons: list[Any] = []
-    for block, _ in _blocks(store, work):
-        polygons += _polygons(store, work, block, lower_level_m)
+    for block, _ in _blocks(store, body):
+        polygons += _polygons(store, body, block, lower_level_m)
     water = _without_islands(shapely.union_all(polygons), min_area)
     # Small islands are removed before bays are added. So land that is enclosed only after a bay
     # was added stays, unless it is a speck.
@@ -166,13 +175,13 @@ def _whole(store: TileStore, work: DescribeBody, bays: Any, lower_level_m: float
 
 
 def _detailed(
-    store: TileStore, work: DescribeBody, whole: Any, lower_level_m: float | None
+    store: TileStore, body: BodyCells, whole: Any, lower_level_m: float | None
 ) -> Any:
     """Return the shape of a body with the details of its shore, without specks."""
     import shapely
 
-    side = float(work.coarse.lattice.size)
-    details = [_details(store, work, block, lower_level_m) for block, _ in _blocks(store, work)]
+    side = float(body.coarse.lattice.size)
+    details = [_details(store, body, block, lower_level_m) for block, _ in _blocks(store, body)]
     water = shapely.union_all([whole, *(shore.wet for shore in details)])
     water = shapely.difference(water, shapely.union_all([shore.dry for shore in details]))
     detailed = _without_specks(
@@ -181,15 +190,15 @@ def _detailed(
     return whole if shapely.is_empty(detailed) else detailed
 
 
-def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
+def _lower_level(store: TileStore, body: BodyCells) -> float | None:
     """Return the lower level of a lake with two levels in metres, or None (see `tiler.grid.water_strips`)."""
     heights, rises = [np.empty(0)], [np.empty(0)]
-    for block, body_mask in _blocks(store, work):
+    for block, body_mask in _blocks(store, body):
         window = padded(block, 3)
-        wet = cells_of(store, work.water, work.coarse, window, work.pieces)
+        wet = cells_of(store, body.water, body.coarse, window, body.pieces)
         in_block = np.pad(body_mask, 2)
-        cells = read_search_cells(store, work.sources, work.coarse, window, 1)
-        crowns = read_cells(store, work.crowns, work.coarse, window)
+        cells = read_search_cells(store, body.sources, body.coarse, window, 1)
+        crowns = read_cells(store, body.crowns, body.coarse, window)
         is_measured = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
         is_measured &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
         heights.append(cells.ground[in_block & is_measured])
@@ -197,11 +206,11 @@ def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
     return lower_level(np.concatenate(heights), np.concatenate(rises))
 
 
-def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools]]:
+def _blocks(store: TileStore, body: BodyCells) -> Iterator[tuple[Block, Bools]]:
     """Yield the blocks of a body, each with a mask of its cells and an empty margin of one cell."""
-    for row, col in sorted({(piece.row, piece.col) for piece in work.pieces}):
-        block = work.coarse.block_at(row, col, BLOCK_PIXELS)
-        yield block, np.pad(cells_of(store, work.water, work.coarse, block, work.pieces), 1)
+    for row, col in sorted({(piece.row, piece.col) for piece in body.pieces}):
+        block = body.coarse.block_at(row, col, BLOCK_PIXELS)
+        yield block, np.pad(cells_of(store, body.water, body.coarse, block, body.pieces), 1)
 
 
 def _survey_border(body: Bools, beyond: Bools) -> tuple[Bools, int]:
@@ -224,7 +233,7 @@ def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
 
 
 def _bays(
-    store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], max_width: float
+    store: TileStore, body: BodyCells, exits: list[npt.NDArray[np.int64]], max_width: float
 ) -> Any:
     """Return the bays at the exits of the water, as a shape in absolute counts.
 
@@ -234,7 +243,7 @@ def _bays(
     """
     import shapely
 
-    coarse, side = work.coarse, float(work.coarse.lattice.size)
+    coarse, side = body.coarse, float(body.coarse.lattice.size)
     corners = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
     triangles_by_exit = [np.empty(0, object)]
     for cells in exits:
@@ -249,11 +258,11 @@ def _bays(
     if shapely.is_empty(bays):
         return bays
     land = [np.empty(0, object)]
-    for block, _ in _blocks(store, work):
+    for block, _ in _blocks(store, body):
         window = padded(block, math.ceil(max_width))
-        domain = read_cells(store, work.sources.domain, coarse, window, float(BEYOND)) != BEYOND
-        body = cells_of(store, work.water, coarse, window, work.pieces)
-        cells = np.argwhere(domain & ~body) + (window.row, window.col)
+        domain = read_cells(store, body.sources.domain, coarse, window, float(BEYOND)) != BEYOND
+        water = cells_of(store, body.water, coarse, window, body.pieces)
+        cells = np.argwhere(domain & ~water) + (window.row, window.col)
         row, col = cells[shapely.intersects_xy(bays, cells[:, 1], cells[:, 0])].T
         land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
@@ -304,16 +313,16 @@ class _Surroundings(NamedTuple):
 
 
 def _surroundings(
-    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
+    store: TileStore, body: BodyCells, block: Block, lower_level_m: float | None
 ) -> _Surroundings:
     """Return the water of a block and its surroundings, in a window with a margin of `REACH_CELLS`."""
     window = padded(block, REACH_CELLS)
-    wet = cells_of(store, work.water, work.coarse, window, work.pieces)
+    wet = cells_of(store, body.water, body.coarse, window, body.pieces)
     box = box_around(wet, REACH_CELLS)
     rows, cols = box
     around = Block(window.row + rows.start, window.col + cols.start, *wet[box].shape)
-    cells = read_search_cells(store, work.sources, work.coarse, around, 1)
-    crowns = read_cells(store, work.crowns, work.coarse, around)
+    cells = read_search_cells(store, body.sources, body.coarse, around, 1)
+    crowns = read_cells(store, body.crowns, body.coarse, around)
     smooth = smoothed(cells.ground)
     level = water_heights(
         cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED)
@@ -332,19 +341,19 @@ def _surroundings(
 
 
 def _polygons(
-    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
+    store: TileStore, body: BodyCells, block: Block, lower_level_m: float | None
 ) -> list[Any]:
     """Return polygons of the water of a block in absolute counts. They overlap with those of neighbouring blocks."""
-    around = _surroundings(store, work, block, lower_level_m)
+    around = _surroundings(store, body, block, lower_level_m)
     rows, cols = _cut(around, REACH_CELLS - 1)
-    return shore_polygons(around.field[rows, cols], work.coarse, _part(block, rows, cols))
+    return shore_polygons(around.field[rows, cols], body.coarse, _part(block, rows, cols))
 
 
 def _details(
-    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
+    store: TileStore, body: BodyCells, block: Block, lower_level_m: float | None
 ) -> ShoreDetails:
     """Return the details of the shore of a block. They overlap with those of neighbouring blocks."""
-    around = _surroundings(store, work, block, lower_level_m)
+    around = _surroundings(store, body, block, lower_level_m)
     cells, wet, box, level, no_bank, field = around
     if level is None:
         return NO_DETAILS
@@ -356,7 +365,7 @@ def _details(
         slice(cols.start - box[1].start, cols.stop - box[1].start),
     )
     shore = Shore(field[rows, cols], levels[in_box], is_dense_quay[in_box])
-    return shore_details(store, work.rule, work.coarse, _part(block, rows, cols), shore)
+    return shore_details(store, body.rule, body.coarse, _part(block, rows, cols), shore)
 
 
 def _cut(around: _Surroundings, spare: int) -> tuple[slice, slice]:

@@ -8,7 +8,7 @@ each position along its centreline (`tiler.grid.profile`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,6 @@ import scipy
 
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
@@ -33,7 +32,7 @@ from tiler.grid.profile import (
 from tiler.grid.records import LevelRecord
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
-from tiler.store import TileStore, open_store
+from tiler.store import TileStore
 
 Floats = npt.NDArray[np.float64]
 
@@ -47,12 +46,22 @@ MAX_WATER_HEIGHTS = 50_000
 """About this many heights of the water are used, if there are more."""
 
 
-@dataclass(frozen=True)
-class LevelWater:
-    """Arguments of `level_water`.
+def level_water(
+    store: TileStore,
+    *,
+    body: Water,
+    others: tuple[Area, ...],
+    heights: str,
+    spec: RasterSpec,
+    cells: tuple[str, str, str] | None,
+    coarse: RasterSpec,
+    joins_pockets: bool,
+) -> LevelRecord:
+    """Estimate the level of a body of water.
 
-    Attributes
+    Parameters
     ----------
+    store : TileStore
     body : Water
     others : tuple of Area
         Other water next to the body, which does not count as shore.
@@ -68,42 +77,21 @@ class LevelWater:
     joins_pockets : bool
         Whether pockets of low terrain next to the water become water. False if the user has drawn the shore.
     """
-
-    body: Water
-    others: tuple[Area, ...]
-    heights: str
-    spec: RasterSpec
-    cells: tuple[str, str, str] | None
-    coarse: RasterSpec
-    joins_pockets: bool
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the water."""
-        return self.body.area.bounds
-
-
-def level_water(store_url: str, work: LevelWater) -> LevelRecord:
-    """Estimate the level of a body of water. This is a `tiler.schedule.task.Work`.
-
-    Returns
-    -------
-    LevelRecord
-        Record of the body.
-    """
-    store, body = open_store(store_url), work.body
     frame = store.meta.frame
     scale = Scale(
         COUNTS_PER_UNIT / float(frame.units.horizontal),
         COUNTS_PER_UNIT / float(frame.units.vertical),
     )
-    near_pixels, water = heights_of(store, work)
+    near_pixels, water = heights_of(store, body.area, others, heights, spec)
+    if cells is not None:
+        water = heights_of_cells(store, body.area, coarse, *cells)
     shore = near_pixels.xyz[:, near_pixels.distance <= SHORE_PIXELS]
     levelled: Water | None = None
     if max(shore.shape[1], water.shape[1]) >= MIN_PIXELS:
         profile = None
         if body.kind == RIVER:
             profile = _profile(
-                body, shore, water, float(STATION_PIXELS * work.spec.lattice.size), scale
+                body, shore, water, float(STATION_PIXELS * spec.lattice.size), scale
             )
         if profile is not None and len(profile.stations) > 1:
             levelled = replace(body, level=None, flow=profile.flow, stations=profile.stations)
@@ -112,11 +100,11 @@ def level_water(store_url: str, work: LevelWater) -> LevelRecord:
             if level is None:
                 level = bank_level(shore[2] if shore.shape[1] else water[2])
             levelled = replace(body, level=math.floor(level), flow=None)
-    if levelled is not None and work.joins_pockets:
+    if levelled is not None and joins_pockets:
         in_pocket = pockets(levelled, near_pixels, NOISE_M * scale.z)
         if in_pocket.any():
             levelled = with_pixels(
-                levelled, near_pixels.xyz[:2, in_pocket], float(work.spec.lattice.size)
+                levelled, near_pixels.xyz[:2, in_pocket], float(spec.lattice.size)
             )
             shore = near_pixels.xyz[:, (near_pixels.distance <= SHORE_PIXELS) & ~in_pocket]
     low, high = np.percentile(water[2], (25, 75)) if water.shape[1] else (0.0, 0.0)
@@ -144,9 +132,10 @@ def _floating(
     return share, shore[:2, int(depth.argmax())].tolist() if share else None
 
 
-def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
+def heights_of(
+    store: TileStore, area: Area, others: tuple[Area, ...], raster: str, spec: RasterSpec
+) -> tuple[Beside, Counts]:
     """Return the pixels next to the water, and a sample of the water in absolute counts x, y, z, int64 (3, n)."""
-    spec, area = work.spec, work.body.area
     pixels = polygon_of(area).area / float(spec.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(pixels / MAX_WATER_HEIGHTS, 1.0)))
     beside_parts = [np.empty((6, 0), np.int64)]
@@ -161,9 +150,9 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
             continue
         distance = scipy.ndimage.distance_transform_cdt(~inside, "chessboard")
         is_beside = ~inside & (distance <= POCKET_PIXELS)
-        for other in work.others:
+        for other in others:
             is_beside &= ~spec.inside(window, other)
-        heights = store.read_block(work.heights, window)
+        heights = store.read_block(raster, window)
         # Windows overlap, so only the pixels of the block itself are used.
         known = np.zeros_like(is_beside)
         top, left = block.row - window.row, block.col - window.col
@@ -179,11 +168,8 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
             np.concatenate((xyz[:, is_beside], rows_and_columns, distance[None, is_beside]))
         )
         water_parts.append(xyz[:, inside & known & _sample(spec, window, step)])
-    if work.cells is None:
-        water = np.concatenate(water_parts, axis=1)
-    else:
-        water = _coarse_heights(store, work, *work.cells)
     columns = np.concatenate(beside_parts, axis=1)
+    water = np.concatenate(water_parts, axis=1)
     return Beside(columns[:3], columns[3:5], columns[5]), water
 
 
@@ -197,14 +183,13 @@ def _sample(spec: RasterSpec, window: Block, step: int) -> npt.NDArray[np.bool_]
     return mask
 
 
-def _coarse_heights(
-    store: TileStore, work: LevelWater, points: str, ground: str, crowns: str
+def heights_of_cells(
+    store: TileStore, area: Area, coarse: RasterSpec, points: str, ground: str, crowns: str
 ) -> Counts:
     """Return a sample of the coarse cells of the water in absolute counts x, y, z, int64 (3, n).
 
     The cells have returns, and are not at the shore, hidden beneath crowns or covered by reed.
     """
-    coarse, area = work.coarse, work.body.area
     xyz_parts = [np.empty((3, 0), np.int64)]
     cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(cells / MAX_WATER_HEIGHTS, 1.0)))

@@ -29,10 +29,6 @@ class BlockWork:
     spec: RasterSpec
     block: Block
 
-    def place(self, buckets: Lattice) -> Bounds:
-        """Return the bounds of the block."""
-        return self.spec.block_bounds(self.block)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Facets:
@@ -58,7 +54,7 @@ class Facets:
 
 @dataclass(frozen=True, kw_only=True)
 class GridBlock(Facets, BlockWork):
-    """Arguments of `tiler.grid.grid_block`: one block of the terrain, interpolated on a TIN.
+    """Block of the terrain, interpolated on a TIN.
 
     Attributes
     ----------
@@ -83,10 +79,3 @@ class GridBlock(Facets, BlockWork):
     percent: int | None = None
     breaklines: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     max_points: int | None = field(default=None, metadata=NOT_IN_DIGEST)
-
-
-@dataclass(frozen=True)
-class GridBlocks:
-    """Blocks of the terrain that differ only in their positions and are made from one TIN."""
-
-    blocks: tuple[GridBlock, ...]

@@ -4,13 +4,12 @@
 collects the points of a bucket, finds duplicates and puts the candidates first.
 """
 
-from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets
+from tiler.ingest.assemble import BucketParts, assemble_buckets
 from tiler.ingest.spool import OUTSIDE_AREA, SpoolPiece, spool_piece
 from tiler.ingest.strays import Strays, far_buckets
 
 __all__ = [
     "OUTSIDE_AREA",
-    "AssembleBuckets",
     "BucketParts",
     "SpoolPiece",
     "Strays",

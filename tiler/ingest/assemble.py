@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,7 @@ from tiler.core.records import AssembledRecord, BucketRecord
 from tiler.core.repeats import preference
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
-from tiler.store import open_store
+from tiler.store import TileStore
 
 
 @dataclass(frozen=True)
@@ -61,54 +60,44 @@ class BucketParts:
     rules: tuple[tuple[int, Bounds], ...] = ()
 
 
-@dataclass(frozen=True)
-class AssembleBuckets:
-    """Arguments of `assemble_buckets`: the buckets to assemble.
+def assemble_buckets(
+    store: TileStore,
+    *,
+    buckets: tuple[BucketParts, ...],
+    keep_classes: tuple[int, ...] | None = None,
+    skip_flags: int = WITHHELD_FLAG,
+) -> AssembledRecord:
+    """Assemble buckets from their fragments in the spool, and write them.
 
-    Attributes
+    Parameters
     ----------
+    store : TileStore
     buckets : tuple of BucketParts
     keep_classes : tuple of int or None
         Classes that are excluded from filtering; None for the default of `tiler.core.classes.participates`.
     skip_flags : int
         Bits of flags that exclude a point from filtering.
-    """
-
-    buckets: tuple[BucketParts, ...]
-    keep_classes: tuple[int, ...] | None = None
-    skip_flags: int = WITHHELD_FLAG
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of all buckets. The argument is the lattice of the buckets."""
-        return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
-
-
-def assemble_buckets(store_url: str, work: AssembleBuckets) -> AssembledRecord:
-    """Assemble buckets from their fragments in the spool, and write them.
-
-    Parameters
-    ----------
-    store_url : str
-    work : AssembleBuckets
 
     Returns
     -------
     AssembledRecord
         Records of the buckets.
     """
-    store = open_store(store_url)
     meta = store.meta
     records = []
-    for bucket in work.buckets:
+    for bucket in buckets:
         cell = bucket.cell
         parts = [store.read_fragment(*fragment) for fragment in bucket.fragments]
         block = PointBlock.concatenate(parts)
         strays = stray_mask(block, dict(bucket.rules), meta.frame.origin)
         if strays.any() and block.flags is not None:
             block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
-        participating = _participating(block, work.keep_classes, work.skip_flags)
+        participating = _participating(block, keep_classes, skip_flags)
+        measured = _measured(block, participating, skip_flags)
         ordering = bucket_order(block, participating, meta.frame, meta.bucket, meta.fine, cell)
-        records.append(_record(work, cell, block, participating, strays, ordering, meta.frame))
+        records.append(
+            _record(cell, block, participating, measured, strays, ordering, meta.frame)
+        )
         if ordering.repeated.any() and block.flags is not None:
             flags = block.flags | (ordering.repeated * np.uint8(REPEATED_FLAG))
             block = replace(block, flags=flags)
@@ -264,10 +253,10 @@ def _ties(
 
 
 def _record(
-    work: AssembleBuckets,
     cell: Cell,
     block: PointBlock,
     participating: npt.NDArray[np.bool_],
+    measured: npt.NDArray[np.bool_],
     strays: npt.NDArray[np.bool_],
     found: BucketOrder,
     frame: CoordFrame,
@@ -278,13 +267,12 @@ def _record(
         counts = np.bincount(block.classification).tolist()
         classes = {str(number): count for number, count in enumerate(counts) if count}
     bounds, z_range = extent(block.take(~strays) if strays.any() else block, frame)
-    measured = _measured(block, participating, work.skip_flags) & ~found.repeated
     return BucketRecord(
         cell=[cell.ix, cell.iy],
         n=len(block),
         n_candidates=found.n_candidates,
         n_participating=int(np.count_nonzero(participating)),
-        n_measured=int(np.count_nonzero(measured)),
+        n_measured=int(np.count_nonzero(measured & ~found.repeated)),
         duplicates={"within": found.duplicates_within, "between": found.duplicates_between},
         z_participating=[int(z.min()), int(z.max())] if z.size else None,
         classes=classes,

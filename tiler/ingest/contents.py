@@ -2,40 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
-from tiler.core.records import Record
 from tiler.errors import InputError
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.las.reader import validate_unchanged
 from tiler.io.locations import FileState, as_path, reading_remedy
+from tiler.store import TileStore
 
 
-@dataclass(frozen=True)
-class ReadFiles:
-    """Arguments of `read_files`: location and state of each file, as found by the plan."""
+def read_files(
+    _: TileStore, *, files: tuple[tuple[str, FileState], ...]
+) -> Mapping[str, dict[str, str]]:
+    """Read all bytes of some files, given their locations and their states as found by the plan.
 
-    files: tuple[tuple[str, FileState], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class DigestsRecord(Record):
-    """Record of files: digest of all bytes, or error, of each file by its location."""
-
-    digests: dict[str, str]
-    errors: dict[str, str]
-
-
-def read_files(store_url: str, work: ReadFiles) -> DigestsRecord:
-    """Read all bytes of some files. This is a `tiler.schedule.task.Work`."""
-    record = DigestsRecord({}, {})
-    for location, state in work.files:
+    Returns
+    -------
+    dict
+        ``digests`` and ``errors``: digest of all bytes, or error, of each file by its location.
+    """
+    digests, errors = dict[str, str](), dict[str, str]()
+    for location, state in files:
         try:
-            record.digests[location] = _digest(as_path(location), state)
+            digests[location] = _digest(as_path(location), state)
         except InputError as error:
-            record.errors[location] = str(error)
-    return record
+            errors[location] = str(error)
+    return {"digests": digests, "errors": errors}
 
 
 def _digest(path: Path, state: FileState) -> str:

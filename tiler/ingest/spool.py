@@ -31,7 +31,6 @@ from tiler.store import (
     RecordKeeper,
     StoreMeta,
     TileStore,
-    open_store,
 )
 
 NOT_FINITE = "not finite"
@@ -47,7 +46,7 @@ _RADIX_KEYS = 1 << 16
 
 @dataclass(frozen=True)
 class SpoolPiece:
-    """Arguments of `spool_piece`: the piece to decode.
+    """Piece of a source to decode.
 
     Attributes
     ----------
@@ -93,13 +92,8 @@ class SpoolPiece:
     selection: Selection = EVERY_POINT
 
 
-def spool_piece(store_url: str, work: SpoolPiece) -> SpoolRecord:
+def spool_piece(store: TileStore, *, work: SpoolPiece) -> SpoolRecord:
     """Decode a piece into the spool.
-
-    Parameters
-    ----------
-    store_url : str
-    work : SpoolPiece
 
     Returns
     -------
@@ -111,7 +105,6 @@ def spool_piece(store_url: str, work: SpoolPiece) -> SpoolRecord:
     InputError
         The points cannot be decoded, or the file has changed since the plan read it.
     """
-    store = open_store(store_url)
     frame = store.meta.frame
     bytes_before = fetched_bytes()
     with unchanged(as_path(work.path), work.stamp, work.salvage) as header:

@@ -315,7 +315,7 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     needed = {
         piece
         for task in todo
-        for bucket in task.arguments.buckets
+        for bucket in task.arguments["buckets"]
         for piece, *_ in bucket.fragments
     }
     gone = needed - job.store.pieces() if needed else set()

@@ -14,6 +14,7 @@ from importlib.metadata import version
 from typing import Any
 
 from tiler.config import RunConfig
+from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.records import to_json
 from tiler.core.results import LeftOut, StageResult, TileResult
 from tiler.io.locations import with_slashes
@@ -81,11 +82,9 @@ class RunRecord:
         """Return the error of the first failed task of a stage."""
         return next(failure.error for failure in self.failed if failure.stage == stage)
 
-    def list_tiles(
-        self, stage: str, tasks: Iterable[tuple[Task, list[float] | None]], done: Commits
-    ) -> None:
-        """Add the tiles of a stage, with their bounds, before the stage begins."""
-        self.tiles[stage] = {task.key: _tile(task, bounds, done) for task, bounds in tasks}
+    def list_tiles(self, stage: str, tasks: Iterable[Task], done: Commits) -> None:
+        """Add the tiles of a stage before the stage begins."""
+        self.tiles[stage] = {task.key: _tile(task, done) for task in tasks}
 
     def update_tile(self, outcome: Outcome) -> None:
         """Set the state of a tile after a try. It stays ``waiting`` if another try follows."""
@@ -158,12 +157,20 @@ def _libraries() -> dict[str, str]:
     return {name: version(name) for name in LIBRARIES}
 
 
-def _tile(task: Task, bounds: list[float] | None, done: Commits) -> TileResult:
+def extent_of(task: Task) -> list[float] | None:
+    """Return lowest x, y and highest x, y of a task in units of the CRS, or None if it has no position."""
+    edges = None if task.bounds is None else task.bounds.to_json()
+    return None if edges is None else [edge / COUNTS_PER_UNIT for edge in edges]
+
+
+def _tile(task: Task, done: Commits) -> TileResult:
     """Return a tile before its stage begins.
 
     If an earlier run did the tile, its time is only in the events of that run.
     """
-    tile = TileResult(bounds=bounds, points=task.points, seconds=None, peak_rss_bytes=None)
+    tile = TileResult(
+        bounds=extent_of(task), points=task.points, seconds=None, peak_rss_bytes=None
+    )
     if task.key in done:
         _, stored_record = done[task.key]
         return _done(tile, stored_record)

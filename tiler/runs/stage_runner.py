@@ -6,15 +6,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import Block
 from tiler.core.results import StageResult
 from tiler.errors import CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.observe.events import StageFinished, StageStarted, TaskAgain, TaskDone, TaskFailed
 from tiler.runs import record
 from tiler.runs.compiling import Kernels
 from tiler.runs.job import Job
-from tiler.schedule import Outcome, Placed, Task
+from tiler.schedule import Outcome, Task
 from tiler.schedule.worker import run_task
 from tiler.store import Commits, store_exists
 
@@ -74,9 +72,7 @@ def run_stage(
         by_pixels=any(t.pixels for t in todo),
     )
     if stage.startswith(record.PLACED) and len(wanted) <= record.LISTED_TILES:
-        job.record.list_tiles(
-            stage, ((task, _place(job, task)) for task in wanted.values()), done
-        )
+        job.record.list_tiles(stage, wanted.values(), done)
     if todo and kernels is not None and job.plan.config.scheduler is None:
         job.compiler.finish(kernels)
     job.listener(begin)  # The kernels come first, so that the stage's time excludes them.
@@ -138,12 +134,7 @@ def _outcomes(
 
 def _pixels(task: Task) -> int:
     """Return the number of pixels that a task makes, or 0 if it does not make a raster."""
-    if task.pixels:
-        return task.pixels
-    block = getattr(task.arguments, "block", None)
-    if isinstance(block, Block):
-        return block.height * block.width
-    return 0
+    return task.pixels or task.makes
 
 
 def _report(job: Job, outcome: Outcome) -> None:
@@ -171,7 +162,8 @@ def _report(job: Job, outcome: Outcome) -> None:
     if outcome.again or outcome.damaged:
         job.listener(TaskAgain(task.stage, title, task.key, error, error_kind))
         return
-    failed = TaskFailed(task.stage, title, task.key, error, error_kind, _place(job, task))
+    extent = record.extent_of(task)
+    failed = TaskFailed(task.stage, title, task.key, error, error_kind, extent)
     job.listener(failed)
     job.record.failed.append(failed)
     if job.plan.config.on_error == "stop":
@@ -189,13 +181,3 @@ def _validate_folders_exist(job: Job) -> None:
     else:
         return
     raise ProcessingError(f"{gone}: was removed during the run; run again to create it anew")
-
-
-def _place(job: Job, task: Task) -> list[float] | None:
-    """Return lowest x, y and highest x, y of a task in units of the CRS, or None if it has no extent."""
-    if not isinstance(task.arguments, Placed):
-        return None
-    bounds = task.arguments.place(job.plan.buckets)
-    if bounds is None:
-        return None
-    return [v / COUNTS_PER_UNIT for v in bounds.to_json()]

@@ -14,20 +14,22 @@ from tiler.schedule.parallel_calls import ChildPool
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
     TRIES,
+    Call,
     Executor,
     Machine,
     Outcome,
-    Placed,
     Task,
     TaskLimits,
     TaskRunner,
     Work,
     WorkerCheck,
+    calling,
 )
 
 __all__ = [
     "FORKS",
     "TRIES",
+    "Call",
     "ChildDiedError",
     "ChildPool",
     "ChildProcess",
@@ -35,7 +37,6 @@ __all__ = [
     "Executor",
     "Machine",
     "Outcome",
-    "Placed",
     "SerialExecutor",
     "Task",
     "TaskLimits",
@@ -43,6 +44,7 @@ __all__ = [
     "Work",
     "WorkerCheck",
     "call_isolated",
+    "calling",
     "fork_server_running",
     "half_of_memory",
     "import_dask",

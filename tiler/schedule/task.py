@@ -7,28 +7,55 @@ task writes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, Self
 
+from tiler.core.digests import digest_of
 from tiler.core.records import JoinedRecord, Record
+from tiler.version import RULES
 
 if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
-    from tiler.core.lattice import Bounds, Lattice
+    from tiler.core.lattice import Bounds
+    from tiler.store import TileStore
 
-Work = Callable[[str, Any], Record | Mapping[str, Any]]
-"""Function ``work(store_url, arguments) -> record`` of a module, since it is pickled by name.
+P = ParamSpec("P")
+Result = Record | Mapping[str, Any]
+"""Result of a task, which the store keeps as JSON."""
+Work = Callable[..., Result]
+"""Function ``work(store, **values)`` of a module, since it is pickled by name."""
 
-The arguments are a frozen dataclass that defines the data to read and write and the parameters.
-The store keeps the record as JSON."""
+
+@dataclass(frozen=True)
+class Call:
+    """Function that a worker calls with its store, and the other arguments of the function (see `calling`).
+
+    Attributes
+    ----------
+    work : callable
+    values : mapping
+    aside : frozenset of str
+        Names of values on which the result does not depend, or whose digest the maker of the task gives.
+    """
+
+    work: Work
+    values: Mapping[str, Any]
+    aside: frozenset[str] = frozenset()
+
+    def without(self, *names: str) -> Self:
+        """Leave values out of the digest of the task."""
+        return replace(self, aside=frozenset(names))
+
+    @property
+    def held(self) -> dict[str, Any]:
+        """Values that are in the digest of the task."""
+        return {name: value for name, value in self.values.items() if name not in self.aside}
 
 
-@runtime_checkable
-class Placed(Protocol):
-    """Arguments of work with a position on the map."""
-
-    def place(self, buckets: Lattice) -> Bounds | None:
-        """Return the bounds of the work, in absolute counts, given the lattice of the store's buckets."""
-        ...
+def calling(
+    work: Callable[Concatenate[TileStore, P], Result], /, *_: P.args, **values: P.kwargs
+) -> Call:
+    """Return the call of a function with keyword arguments after the store, whose types are checked."""
+    return Call(work, values)
 
 
 TRIES = 3
@@ -48,24 +75,40 @@ class Task:
     digest : str
         Digest of everything that the result depends on. If a commit has the same digest, the task is done.
     work : Work
-        Function that a worker calls. The worker commits its result with the digest.
-    arguments : dataclass
-        Argument of `work`: frozen, small, with values that `digest_of` supports.
+        Function that a worker calls with its store and the arguments. The worker commits its result with the digest.
+    arguments : mapping of str to object
+        Small values that can be pickled.
     points, pixels : int
         Number of points, and of pixels of whole rasters. Their sum measures the work for progress and ETA.
+    makes : int
+        Number of pixels of the block that the task makes, if points measure the work.
     parts : tuple of Task
         Tasks that this task does together. The item ``parts`` of its record contains their records in the same order,
         and each is committed separately. The task is tried once. If it fails, the parts are done one by one.
+    bounds : Bounds or None
+        Position of the work in absolute counts, for the message if it fails.
     """
 
     stage: str
     key: str
     digest: str
     work: Work
-    arguments: Any = None
+    arguments: Mapping[str, Any] = field(default_factory=dict)
     points: int = 0
     pixels: int = 0
+    makes: int = 0
     parts: tuple[Task, ...] = ()
+    bounds: Bounds | None = None
+
+    @classmethod
+    def of(cls, stage: str, key: str, call: Call, *held: Any, **given: Any) -> Self:
+        """Return the task of a call.
+
+        Its digest is made from the values and from ``held``, the digests of what the work reads. ``given`` are other
+        attributes.
+        """
+        digest = digest_of(RULES, call.held, *held)
+        return cls(stage, key, digest, call.work, call.values, **given)
 
     @property
     def tries(self) -> int:

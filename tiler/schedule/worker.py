@@ -146,9 +146,9 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
     try:
-        record = to_json(task.work(store_url, task.arguments))
+        record = to_json(task.work(open_store(store_url), **task.arguments))
         if commit:
-            store = open_store(store_url)
+            store = open_store(store_url)  # It may have been removed meanwhile.
             for part in Outcome(task, record).of_parts():
                 store.commit(
                     part.task.stage, part.task.key, part.task.digest, part.record or {}

@@ -15,10 +15,12 @@ from tiler.apps.classify import classify_file
 from tiler.apps.evaluate import filter_and_evaluate
 from tiler.apps.preview import make_preview
 from tiler.config import RunConfig
+from tiler.core.records import TileRecord
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
 from tiler.filter.tasks import passes
 from tiler.observe.events import Event, Warned
+from tiler.store import TileStore
 
 
 def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path) -> None:
@@ -47,13 +49,13 @@ def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
     failing: list[object] = []
 
-    def work(store_url: str, arguments: FilterTile) -> dict[str, Any]:
-        if arguments.cells in (failing or [arguments.cells]):
-            failing[:] = [arguments.cells]
+    def fails_once(store: TileStore, *, work: FilterTile) -> TileRecord:
+        if work.cells in (failing or [work.cells]):
+            failing[:] = [work.cells]
             raise ProcessingError("this tile fails")
-        return filter_tile(store_url, arguments)
+        return filter_tile(store, work=work)
 
-    monkeypatch.setattr(passes, "filter_tile", work)
+    monkeypatch.setattr(passes, "filter_tile", fails_once)
     points = clouds.city(150.0, 1.0)
     return clouds.write(tmp_path / "in.laz", points, classes=points.truth * 0 + 6)
 

@@ -13,9 +13,10 @@ from tests.scenes.las15 import as_las15
 from tiler.core.lattice import Cell
 from tiler.core.points import PointBlock, pack_origin
 from tiler.errors import InputError, ProcessingError
-from tiler.export import WriteClassified, classified
+from tiler.export import classified
 from tiler.export.classified import write_classified
 from tiler.export.records import CloudRecord
+from tiler.export.work import CloudCopy
 from tiler.io.las.headers import LasHeader, read_header, read_payload
 from tiler.io.las.reader import EVERYTHING, PointReader
 
@@ -40,11 +41,13 @@ def label(store: Any, labels: dict[int, int], source: int = 4) -> tuple[Cell, ..
     return cells
 
 
-def export(path: Path, out: Path, cells: tuple[Cell, ...], **options: Any) -> CloudRecord:
-    work = WriteClassified(
+def export(
+    store: Any, path: Path, out: Path, cells: tuple[Cell, ...], **options: Any
+) -> CloudRecord:
+    cloud = CloudCopy(
         path=str(path), source=4, out=str(out), labels="final", cells=cells, **options
     )
-    return write_classified("memory", work)
+    return write_classified(store, cloud=cloud)
 
 
 def raw_records(path: Path, header: LasHeader, extended: bool) -> list[bytes]:
@@ -105,7 +108,7 @@ def test_all_but_the_classes_is_equal(
     labels = {row: 1 + row % 2 for row in range(100, 900)}
     labels[500] = 0
     out = tmp_path / "out" / "deep" / f"a.{to}"
-    record = export(path, out, label(memory_store, labels))
+    record = export(memory_store, path, out, label(memory_store, labels))
     assert (read_header(out).laz is not None) == (to == "laz")
     assert_equal_but_classes(path, out)
     before, after = (
@@ -136,7 +139,9 @@ def test_las_1_5_comes_back_as_las_1_5(
     path = make_cloud("a.las", point_format=7, version="1.4", extra=True, evlr=b"more")
     as_las15(path, 12.5, 99.0, offset)
     out = tmp_path / f"b.{to}"
-    export(path, out, label(memory_store, {row: 1 + row % 2 for row in range(1000)}))
+    export(
+        memory_store, path, out, label(memory_store, {row: 1 + row % 2 for row in range(1000)})
+    )
     header = read_header(out)
     assert (header.version, header.gps_times, header.time_offset) == (
         (1, 5),
@@ -152,7 +157,7 @@ def test_las_1_5_is_read_alike_by_an_independent_reader(
     path = make_cloud("a.las", point_format=6, version="1.4")
     as_las15(path, 12.5, 99.0)
     out = tmp_path / "b.laz"
-    export(path, out, label(memory_store, dict.fromkeys(range(1000), 2)))
+    export(memory_store, path, out, label(memory_store, dict.fromkeys(range(1000), 2)))
     if not hasattr(laspy.LasHeader(), "min_gps_time"):
         pytest.skip("this laspy does not know the header of LAS 1.5")
     found = laspy.read(out)
@@ -167,7 +172,7 @@ def test_offset_times_of_las_1_5_become_standard_times_in_copc(
     times = laspy.read(path).gps_time
     as_las15(path, 0.0, 1e6, 1250)
     out = tmp_path / "b.copc.laz"
-    record = export(path, out, (), copc=True)
+    record = export(memory_store, path, out, (), copc=True)
     found = laspy.read(out)
     assert str(found.header.version) == "1.4"
     np.testing.assert_allclose(
@@ -192,7 +197,7 @@ def test_odd_files_come_back_whole(
 ) -> None:
     path = shared_data / "odd" / name
     for out in (tmp_path / "o.laz", tmp_path / "o.las"):
-        export(path, out, label(memory_store, {0: 2}))
+        export(memory_store, path, out, label(memory_store, {0: 2}))
         assert_equal_but_classes(path, out)
         if name != "no-points.las":
             assert laspy.read(out).classification[0] == 2
@@ -203,7 +208,7 @@ def test_waveform_packets_of_las_1_3_move_with_their_position(
 ) -> None:
     path = shared_data / "odd" / "simple1_3.las"
     out = tmp_path / "w.laz"
-    export(path, out, ())
+    export(memory_store, path, out, ())
     old, new = read_header(path), read_header(out)
     packets = path.read_bytes()[old.waveform_start :]
     assert len(packets) == 160
@@ -219,7 +224,7 @@ def test_waveform_packets_of_las_1_4_are_an_evlr(
     struct.pack_into("<Q", data, 227, header.evlrs[0].start)
     path.write_bytes(data)
     out = tmp_path / "w.laz"
-    export(path, out, ())
+    export(memory_store, path, out, ())
     new = read_header(out)
     assert new.waveform_start == new.evlrs[0].start
     assert read_payload(out, new.evlrs[0]) == b"packets"
@@ -228,7 +233,7 @@ def test_waveform_packets_of_las_1_4_are_an_evlr(
 def test_copc_becomes_plain_laz(shared_data: Path, memory_store: Any, tmp_path: Path) -> None:
     path = shared_data / "odd" / "simple.copc.laz"
     out = tmp_path / "c.laz"
-    record = export(path, out, label(memory_store, {0: 2, 1064: 2}))
+    record = export(memory_store, path, out, label(memory_store, {0: 2, 1064: 2}))
     assert "COPC" in record.notes[0]
     header = read_header(out)
     assert not any(r.is_copc for r in (*header.vlrs, *header.evlrs))
@@ -245,7 +250,7 @@ def test_rows_in_several_ranges_and_steps(
     path = make_cloud("a.laz")
     labels = {row: 1 + row % 2 for row in range(1000)}
     out = tmp_path / "r.laz"
-    export(path, out, label(memory_store, labels), reclass="all")
+    export(memory_store, path, out, label(memory_store, labels), reclass="all")
     assert np.asarray(laspy.read(out).classification).tolist() == [
         labels[r] for r in range(1000)
     ]
@@ -259,9 +264,9 @@ def test_a_salvaged_file_says_how_many_points_it_has(
         path = make_cloud("cut.las", point_format=point_format, version=version)
         path.write_bytes(path.read_bytes()[:-100])
         with pytest.raises(InputError):
-            export(path, tmp_path / "no.laz", ())
+            export(memory_store, path, tmp_path / "no.laz", ())
         out = tmp_path / "cut.laz"
-        kept = export(path, out, (), salvage=True).points
+        kept = export(memory_store, path, out, (), salvage=True).points
         assert 990 < kept < 1000
         assert laspy.read(out).header.point_count == kept == len(laspy.read(out))
 
@@ -273,15 +278,15 @@ def test_a_cut_laz_is_written_up_to_its_last_whole_chunk(
     path = make_cloud("cut.laz", n=60_000, point_format=point_format, version="1.4")
     path.write_bytes(path.read_bytes()[:-20_000])
     out = tmp_path / "out.laz"
-    assert export(path, out, (), salvage=True).points == 50_000
+    assert export(memory_store, path, out, (), salvage=True).points == 50_000
     assert len(laspy.read(out)) == 50_000
 
 
 def test_the_same_bytes_each_time(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
     path = make_cloud("a.laz", point_format=7, version="1.4")
     cells = label(memory_store, dict.fromkeys(range(500), 2))
-    export(path, tmp_path / "1.laz", cells)
-    export(path, tmp_path / "2.laz", cells)
+    export(memory_store, path, tmp_path / "1.laz", cells)
+    export(memory_store, path, tmp_path / "2.laz", cells)
     assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
 
 
@@ -292,8 +297,8 @@ def test_two_threads_write_the_same_bytes(
     monkeypatch.setattr(classified, "_STEP", 30_000)
     path = make_cloud("a.laz", point_format=7, version="1.4", n=120_001)
     cells = label(memory_store, dict.fromkeys(range(500), 2))
-    export(path, tmp_path / "1.laz", cells)
-    export(path, tmp_path / "2.laz", cells, threads=2)
+    export(memory_store, path, tmp_path / "1.laz", cells)
+    export(memory_store, path, tmp_path / "2.laz", cells, threads=2)
     assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
 
 
@@ -305,7 +310,7 @@ def test_a_failure_leaves_no_file(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ProcessingError, match="No space left"):
-        export(make_cloud("a.las"), tmp_path / "out" / "a.laz", ())
+        export(memory_store, make_cloud("a.las"), tmp_path / "out" / "a.laz", ())
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -318,7 +323,7 @@ def test_wave_packets_of_several_channels_are_refused_not_damaged(
 
     path = make_cloud("w.las", point_format=point_format, version="1.4", edit=two_channels)
     with pytest.raises(ProcessingError, match=r"scanner channels \[0, 1\]"):
-        export(path, tmp_path / "out" / "w.laz", ())
+        export(memory_store, path, tmp_path / "out" / "w.laz", ())
     assert list((tmp_path / "out").iterdir()) == []
 
 

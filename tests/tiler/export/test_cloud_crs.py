@@ -41,7 +41,7 @@ def test_it_is_written_as_the_version_has_it(
         data[25] = 0
         path.write_bytes(data)
     known, out = CRS.from_user_input(crs), tmp_path / "out" / f"a.{suffix}"
-    record = export(path, out, (), wkt=known.to_wkt())
+    record = export(memory_store, path, out, (), wkt=known.to_wkt())
     header, found = read_header(out), laspy.read(out)
     own = georeference(header)
     horizontal = known.sub_crs_list[0] if known.is_compound else known
@@ -82,13 +82,13 @@ def test_records_that_cannot_be_read_are_replaced(
 
     wkt = CRS("EPSG:25832").to_wkt()
     path = make_cloud("a.las", point_format=6, version="1.4", crs=None, edit=broken)
-    record = export(path, tmp_path / "a.laz", (), wkt=wkt)
+    record = export(memory_store, path, tmp_path / "a.laz", (), wkt=wkt)
     assert record.notes == [
         "CRS of the run written in place of CRS records that cannot be read or have no vertical CRS"
     ]
     assert georeference(read_header(tmp_path / "a.laz")).name == "ETRS89 / UTM zone 32N"
     memory_store.meta.frame = type(memory_store.meta.frame)(crs_wkt=wkt)
-    export(path, tmp_path / "a.copc.laz", (), wkt=wkt, copc=True)
+    export(memory_store, path, tmp_path / "a.copc.laz", (), wkt=wkt, copc=True)
     assert laspy.read(tmp_path / "a.copc.laz").header.parse_crs().to_epsg() == 25832
 
 

@@ -20,9 +20,9 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
-from tiler.export import WriteCog
 from tiler.export.cog import Statistics, write_cog
 from tiler.export.records import RasterFileRecord
+from tiler.export.work import OutFile, ProductInfo, RasterPart
 from tiler.store import StoreMeta, TileStore, create_store
 
 TAGS = {
@@ -54,17 +54,17 @@ def filled_store(
     return store
 
 
-def work(folder: Path, spec: RasterSpec, compress: str = "deflate") -> WriteCog:
-    names = {"name": "dtm", "raster": "dtm", "product": "dtm"}
-    return WriteCog(
-        **names, spec=spec, out=str(folder), compress=compress, tags=TAGS, fill=NODATA
-    )
-
-
 def export(
-    folder: Path, store: TileStore, spec: RasterSpec, compress: str = "deflate"
+    folder: Path,
+    store: TileStore,
+    spec: RasterSpec,
+    compress: str = "deflate",
+    product: str = "dtm",
+    nodata: float | None = None,
 ) -> RasterFileRecord:
-    return write_cog(store.url, work(folder, spec, compress))
+    to, info = OutFile(str(folder), "dtm.tif"), ProductInfo(product, TAGS, nodata)
+    part = RasterPart(raster="dtm", spec=spec, fill=NODATA)
+    return write_cog(store, to=to, info=info, part=part, compress=compress)
 
 
 def frame_of(code: str | None, units: Units | None = None) -> CoordFrame:
@@ -217,9 +217,7 @@ def test_the_file_has_the_nodata_value_that_was_asked_for(product, tmp_path, sto
     with rasterio.open(tmp_path / "dtm.tif") as raster:
         expected = raster.read(1, masked=True)
         coarse = raster.read(1, masked=True, out_shape=(SPEC.height // 2, SPEC.width // 2))
-    other = write_cog(
-        store.url, replace(work(tmp_path, SPEC), product=product, nodata=-999999.0)
-    )
+    other = export(tmp_path, store, SPEC, product=product, nodata=-999999.0)
     with rasterio.open(tmp_path / "dtm.tif") as raster:
         assert raster.nodata == -999999.0
         found = raster.read(1, masked=True)

@@ -14,7 +14,8 @@ from tiler.core.area import Area
 from tiler.core.lattice import Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.water import LAKE, Water, Waters
-from tiler.export import WriteContours, WriteSpots, write_contours, write_spots
+from tiler.export.contours import Heights, write_contours, write_spots
+from tiler.export.work import OutFile
 from tiler.store import TileStore
 
 SIDE = 200
@@ -34,17 +35,10 @@ def test_one_tower_does_not_change_the_interval(
     heights = np.tile(np.linspace(20, 40, SIDE), (SIDE, 1))
     heights[50:60, 50:60] += tower
     stored(small_store, heights)
-    work = WriteContours(
-        raster="dtm",
-        spec=SPEC,
-        out=str(tmp_path),
-        interval=None,
-        noise=0.02,
-        area=None,
-        waters=None,
-        sigma=0.0,
+    to, terrain = OutFile(str(tmp_path), "contours.gpkg"), Heights("dtm", SPEC, None, None)
+    record = write_contours(
+        small_store, to=to, heights=terrain, interval=None, noise=0.02, sigma=0.0
     )
-    record = write_contours(small_store.url, work)
     assert record.interval == 0.5
     assert (record.low, record.high) == pytest.approx((20.4, 39.6), abs=0.2)
 
@@ -58,17 +52,12 @@ def test_no_spot_in_water_or_within_two_pixels_of_it(
     ring = np.array([(60, 60), (140, 60), (140, 140), (60, 140)], np.int64) * 1000
     waters = Waters((Water(1, LAKE, Area(((ring,),)), 15_000),))
     small_store.put_waters(waters)
-    work = {
-        "raster": "dtm",
-        "spec": SPEC,
-        "out": str(tmp_path),
-        "interval": Fraction(1),
-        "noise": 0.0,
-        "area": None,
-    }
-    kept = {}
+    kept, to = {}, OutFile(str(tmp_path), "spots.gpkg")
     for key in (None, waters.key):
-        record = write_spots(small_store.url, WriteSpots(**work, waters=key, reach=3))
+        terrain = Heights("dtm", SPEC, None, key)
+        record = write_spots(
+            small_store, to=to, heights=terrain, interval=Fraction(1), noise=0.0, reach=3
+        )
         _, _, shapes, _ = raw.read(tmp_path / "spots.gpkg")
         places = shapely.get_coordinates(shapely.from_wkb(shapes))
         assert len(places) == record.highs + record.lows

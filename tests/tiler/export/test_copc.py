@@ -34,8 +34,8 @@ def test_all_but_what_formats_6_to_8_cannot_hold_is_that_of_the_laz(
 ) -> None:
     path = make_cloud("a.las", point_format=point_format, version=version, extra=True)
     cells = label(memory_store, {row: 1 + row % 2 for row in range(100, 900)})
-    export(path, tmp_path / "a.laz", cells)
-    record = export(path, tmp_path / "a.copc.laz", cells, copc=True)
+    export(memory_store, path, tmp_path / "a.laz", cells)
+    record = export(memory_store, path, tmp_path / "a.copc.laz", cells, copc=True)
     old, new = (by_place(laspy.read(tmp_path / f"a.{kind}")) for kind in ("laz", "copc.laz"))
     assert new.point_format.id == NEWER[point_format]
     for axis in "XYZ":
@@ -90,8 +90,8 @@ def uneven(cloud: laspy.LasData) -> None:
 def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
     path = make_cloud("a.laz", n=12_000, point_format=7, version="1.4", edit=uneven)
     out, again = tmp_path / "a.copc.laz", tmp_path / "b.copc.laz"
-    export(path, out, (), copc=True)
-    export(path, again, (), copc=True)
+    export(memory_store, path, out, (), copc=True)
+    export(memory_store, path, again, (), copc=True)
     assert out.read_bytes() == again.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.copc.laz", "a.laz", "b.copc.laz"]
     header = read_header(out)
@@ -146,7 +146,7 @@ def test_an_empty_cloud_and_one_of_a_point(
 ) -> None:
     for count in (0, 1):
         out = tmp_path / f"{count}.copc.laz"
-        record = export(make_cloud(f"{count}.las", n=count), out, (), copc=True)
+        record = export(memory_store, make_cloud(f"{count}.las", n=count), out, (), copc=True)
         assert record.points == len(laspy.read(out)) == count
         with laspy.CopcReader.open(str(out)) as reader:
             assert len(reader.query()) == count
@@ -163,7 +163,7 @@ def test_its_crs_is_wkt_whatever_the_source_has(
     )
     path = make_cloud("a.las", n=5, crs=None, edit=lambda cloud: cloud.header.vlrs.append(keys))
     for crs in ("geotiff", "wkt of the source"):
-        record = export(path, tmp_path / "a.copc.laz", (), copc=True)
+        record = export(memory_store, path, tmp_path / "a.copc.laz", (), copc=True)
         cloud = laspy.read(tmp_path / "a.copc.laz")
         assert cloud.header.global_encoding.wkt
         assert [v.record_id for v in cloud.header.vlrs if v.user_id == "LASF_Projection"] == [
@@ -182,7 +182,7 @@ def test_each_point_of_a_town_comes_back(
     town = laspy.read(shared_data / "autzen" / "autzen_en.laz")
     town.points = town.points[np.arange(0, len(town.points), 3)]
     town.write(path)
-    export(path, out, (), copc=True)
+    export(memory_store, path, out, (), copc=True)
     with laspy.CopcReader.open(str(out)) as reader:
         by_level = [reader.query(level=level) for level in range(5)]
         found = np.concatenate([points.array for points in by_level])
@@ -206,5 +206,5 @@ def test_each_point_of_a_town_comes_back(
 @pytest.mark.slow
 def test_pdal_reads_all_points(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
     pdal = pytest.importorskip("pdal")
-    export(make_cloud("a.las", n=50_000), tmp_path / "a.copc.laz", (), copc=True)
+    export(memory_store, make_cloud("a.las", n=50_000), tmp_path / "a.copc.laz", (), copc=True)
     assert pdal.Reader.copc(str(tmp_path / "a.copc.laz")).pipeline().execute() == 50_000

@@ -84,13 +84,13 @@ def test_sheets_lie_on_multiples_of_their_side_and_have_the_buckets_of_their_poi
 def test_heights_are_looked_for_in_the_models_that_were_made(plan: Plan) -> None:
     g = gridding(plan)
     (task,) = height_tasks(g)
-    assert task.arguments.rasters == ("dtm-outlined",)
+    assert task.arguments["rasters"] == ("dtm-outlined",)
     (block,) = g.made["dtm-outlined"]
     g.made["dsm-outlined"] = {block: ("digest", {"checksum": "surface", "filled": 1})}
     (both,) = height_tasks(g)
-    assert both.arguments.rasters == ("dtm-outlined", "dsm-outlined")
+    assert both.arguments["rasters"] == ("dtm-outlined", "dsm-outlined")
     assert both.digest != task.digest
-    for raster in both.arguments.rasters:
+    for raster in both.arguments["rasters"]:
         g.made[raster][block][1]["filled"] = 0
     assert not list(height_tasks(g))
 
@@ -127,12 +127,12 @@ def test_one_file_and_no_mosaic_without_sheets(plan: Plan) -> None:
     whole = gridding(replace(plan, config=replace(plan.config, sheets=None)))
     tasks = list(cog_tasks(whole, spooled("a", "b", plan), "all", "OUT"))
     assert [task.key for task in tasks] == ["dtm.tif", "hillshade.tif"]
-    assert {task.arguments.tags["TILER_INPUTS"] for task in tasks} == {"all"}
+    assert {task.arguments["info"].tags["TILER_INPUTS"] for task in tasks} == {"all"}
     assert list(mosaic_tasks(whole, "all", "OUT")) == []
     mosaics = list(mosaic_tasks(gridding(plan), "all", "OUT"))
     assert [task.key for task in mosaics] == ["dtm.vrt", "hillshade.vrt"]
     paths = [f"dtm/dtm_{x}_5400000.tif" for x in (499000, 500000)]
-    assert [path for path, _ in mosaics[0].arguments.sheets] == paths
+    assert [path for path, _ in mosaics[0].arguments["sheets"]] == paths
 
 
 def test_the_nodata_value_is_the_users_in_rasters_of_heights_alone(plan: Plan) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyproj
@@ -16,7 +15,9 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.units import Units
-from tiler.export import WriteCog, WriteMosaic, write_cog, write_mosaic
+from tiler.export.cog import write_cog
+from tiler.export.mosaic import write_mosaic
+from tiler.export.work import OutFile, ProductInfo, RasterPart
 from tiler.store import StoreMeta, create_store
 
 SIDE = 64
@@ -43,19 +44,13 @@ def exported(folder: Path, epsg: int) -> RasterSpec:
     sheets = [
         (f"{i}", RasterSpec(spec.lattice, west + i * SIDE, north, SIDE, SIDE)) for i in range(2)
     ]
-    common: dict[str, Any] = {"product": "dtm", "out": str(folder), "tags": {}}
-    cog: dict[str, Any] = {
-        **common,
-        "raster": "dtm",
-        "whole": spec,
-        "compress": "deflate",
-        "fill": -9999.0,
-    }
+    info = ProductInfo("dtm", {})
     for name, sheet in sheets:
-        write_cog(store.url, WriteCog(**cog, name=name, spec=sheet))
-    write_mosaic(
-        store.url, WriteMosaic(**common, sheets=tuple((f"{name}.tif", s) for name, s in sheets))
-    )
+        part = RasterPart(raster="dtm", spec=sheet, fill=-9999.0, whole=spec)
+        to = OutFile(str(folder), f"{name}.tif")
+        write_cog(store, to=to, info=info, part=part, compress="deflate")
+    files = tuple((f"{name}.tif", sheet) for name, sheet in sheets)
+    write_mosaic(store, to=OutFile(str(folder), "dtm.vrt"), info=info, sheets=files)
     return spec
 
 

@@ -57,7 +57,7 @@ def make_block(
         fill=fill,
         sources=sources or sources_of(spec),
     )
-    return run_block(store.url, task)
+    return run_block(store, task=task)
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,8 @@ class Scene:
         spec = RasterSpec.covering(Lattice(size), self.data)
         self.store.create_raster(name, spec.height, spec.width)
         for b in spec.blocks(512):
-            record = grid_block(
-                self.store.url, self.work(name, spec, b, **{"halo": 10_000, **options})
-            )
+            work = self.work(name, spec, b, **{"halo": 10_000, **options})
+            record = grid_block(self.store, work=work)
             json.dumps(record.to_json())
         return spec
 

@@ -12,8 +12,8 @@ import rasterio
 from tiler.core.frame import CoordFrame
 from tiler.core.raster import NODATA
 from tiler.core.units import FOOT, METRE, Units
-from tiler.export import WriteCog
 from tiler.export.cog import write_cog
+from tiler.export.work import OutFile, ProductInfo, RasterPart
 
 SIDE = 600_000
 
@@ -40,14 +40,12 @@ def test_a_plane_in_the_file(make_scene, tmp_path, code, unit, origin, size):
         spec = scene.grid_into_store(name, size, halo=halo)
         out = tmp_path / name
         out.mkdir()
-        how = {
-            "product": "dtm",
-            "compress": "deflate",
-            "fill": NODATA,
-            "tags": {"TILER_METHOD": "keep"},
-        }
         write_cog(
-            scene.store.url, WriteCog(name=name, raster=name, spec=spec, out=str(out), **how)
+            scene.store,
+            to=OutFile(str(out), f"{name}.tif"),
+            info=ProductInfo("dtm", {"TILER_METHOD": "keep"}),
+            part=RasterPart(raster=name, spec=spec, fill=NODATA),
+            compress="deflate",
         )
         files.append(out / f"{name}.tif")
     assert files[0].read_bytes() == files[1].read_bytes()

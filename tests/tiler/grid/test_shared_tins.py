@@ -13,7 +13,7 @@ from tests.scenes.records import bucket_record
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid import GridBlock, GroundSelection, grid_block
-from tiler.grid.tasks.shared_tins import join_blocks
+from tiler.grid.tasks.terrain import join_blocks
 from tiler.runs.stage_runner import _outcomes
 from tiler.schedule import Outcome, SerialExecutor, Task
 
@@ -36,7 +36,10 @@ def tasks(blocks: list[Block] | None = None, **options: Any) -> list[Task]:
         GridBlock(block=block, halo=101_000, **{**given, **options})
         for block in blocks or SPEC.blocks(512)
     ]
-    return [Task("grid-dtm", work.block.name, "d", grid_block, work, 1000) for work in works]
+    return [
+        Task("grid-dtm", work.block.name, "d", grid_block, {"work": work}, 1000)
+        for work in works
+    ]
 
 
 def plan(most: int = 10**7, interpolation: str = "linear") -> Any:
@@ -85,7 +88,7 @@ def test_blocks_far_apart_and_other_interpolations_stay_alone() -> None:
 def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("tiler.grid.tasks.shared_tins.MAX_PIXELS", 2 * 512 * 512)
+    monkeypatch.setattr("tiler.grid.tasks.terrain.MAX_PIXELS", 2 * 512 * 512)
     assert len(join_blocks(plan(), RECORDS, tasks(), 1)) >= 3
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -14,31 +15,24 @@ from tests.tiler.grid.conftest import Scene, make_block, sources_of
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid import (
-    FillBlock,
-    FindVoids,
-    Void,
-    VoidRasters,
-    fill_block,
-    find_voids,
-)
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
 from tiler.grid.derived import mask as mask_of
 from tiler.grid.pieces import Piece
 from tiler.grid.steps import Read
 from tiler.grid.tasks.survey import outside_of
-from tiler.grid.voids import PART_PIXELS
+from tiler.grid.voids import PART_PIXELS, Void, fill_voids, find_voids
 
 SIDE, LIMIT = 240_000, 16_000
 
 
-Filled = tuple[Scene, RasterSpec, FillBlock, np.ndarray]
+Fill = Callable[[Block], Any]
+Filled = tuple[Scene, RasterSpec, RasterSpec, Fill, np.ndarray]
 
 
 @pytest.fixture
 def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> Filled:
-    """A plane with two lakes and a notch, pixels of 1 m; what fills its holes, and the plane's true heights."""
+    """A plane with two lakes and a notch, its pixels of 1 m and its cells; what fills a block, and its true heights."""
     return scene_with_holes(make_scene, monkeypatch, 1)
 
 
@@ -52,7 +46,7 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     scene = make_scene(xyz[~(lakes | notch)])
     spec = scene.grid_into_store("dtm", Fraction(1000 * pixel_m), max_edge=str(LIMIT))
     coarse = coarse_raster(Lattice(Fraction(2000)), scene.data)
-    url, gap = scene.store.url, LIMIT / 2000
+    gap = LIMIT / 2000
     for name in ("occupancy", "survey", "voids"):
         scene.store.create_raster(name, coarse.height, coarse.width, 0)
     scene.store.create_raster("open", coarse.height, coarse.width, NO_PIECE)
@@ -75,17 +69,34 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
         "products": Read("products"),
     }
     make("survey", survey, reads, outside=outside[0, 0], empty=())
-    rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
-    record = find_voids(url, FindVoids(name="voids", rasters=rasters, spec=coarse, block=b))
-    voids = tuple(Void((Piece(0, 0, n + 1),)) for n in range(record.labels))
-    work = FillBlock("filled", Block(0, 0, spec.height, spec.width), rasters, voids)
+    margin = math.floor(spec.lattice.size / coarse.lattice.size)
+    reads = {
+        "heights": Read("pixels:dtm"),
+        "survey": Read("numbers:survey", margin),
+        "place": Read("place"),
+    }
+    found = make("voids", find_voids, reads)
+    assert found["labels"] == 2
+    voids = tuple(Void((Piece(0, 0, n + 1),), "") for n in range(found["labels"]))
+
+    def fill(block: Block) -> Any:
+        reads = {
+            "heights": Read("pixels:dtm"),
+            "cells": Read("coarse:voids"),
+            "edits": Read("edits"),
+            "place": Read("place"),
+        }
+        return make_block(
+            scene.store, "filled", fill_voids, reads, spec, block, NODATA, sources, voids=voids
+        )
+
     for name in ("filled", "mask"):
         scene.store.create_raster(
             name, spec.height, spec.width, NODATA if name == "filled" else OUTSIDE
         )
     row, col = np.mgrid[: spec.height, : spec.width]
     truth = 50 + pixel_m * ((spec.west + col + 0.5) / 4 - (spec.north - row - 0.5) / 8)
-    return scene, spec, work, truth
+    return scene, spec, coarse, fill, truth
 
 
 def whole(scene: Scene, spec: RasterSpec, name: str) -> np.ndarray:
@@ -93,12 +104,12 @@ def whole(scene: Scene, spec: RasterSpec, name: str) -> np.ndarray:
 
 
 def test_a_plane_comes_back_below_its_lakes(filled) -> None:
-    scene, spec, work, truth = filled
-    (record,) = [fill_block(scene.store.url, replace(work, block=b)) for b in spec.blocks(512)]
+    scene, spec, coarse, fill, truth = filled
+    (counts,) = [fill(b) for b in spec.blocks(512)]
     before, after = whole(scene, spec, "dtm"), whole(scene, spec, "filled")
     had, has = before != np.float32(NODATA), after != np.float32(NODATA)
     assert np.array_equal(before[had], after[had])
-    assert record.added == (has & ~had).sum() > 5_000
+    assert counts["filled"] == has.sum() > had.sum() + 5_000
     assert np.abs(after - truth)[has].max() < 0.002
     x, y = (
         (spec.west + np.arange(spec.width) + 0.5),
@@ -118,8 +129,9 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
             "survey": Read("cells:survey"),
             **{name: Read(name) for name in ("points", "waters", "failed", "area")},
         }
-        sources = sources_of(spec, coarse=work.rasters.coarse)
-        make_block(scene.store, "mask", mask_of, reads, spec, work.block, sources=sources)
+        sources = sources_of(spec, coarse=coarse)
+        block = Block(0, 0, spec.height, spec.width)
+        make_block(scene.store, "mask", mask_of, reads, spec, block, sources=sources)
 
     make_mask("filled")
     mask = whole(scene, spec, "mask")
@@ -135,9 +147,8 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
 def test_holes_of_pixels_larger_than_a_coarse_cell_are_whole(
     make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int
 ) -> None:
-    scene, spec, work, truth = scene_with_holes(make_scene, monkeypatch, pixel_m)
-    assert len(work.voids) == 2
-    fill_block(scene.store.url, work)
+    scene, spec, _, fill, truth = scene_with_holes(make_scene, monkeypatch, pixel_m)
+    fill(Block(0, 0, spec.height, spec.width))
     before, after = whole(scene, spec, "dtm"), whole(scene, spec, "filled")
     x, y = (
         (spec.west + np.arange(spec.width) + 0.5),
@@ -151,21 +162,20 @@ def test_holes_of_pixels_larger_than_a_coarse_cell_are_whole(
 def test_each_hole_is_one_and_blocks_do_not_show(
     filled, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, spec, work, _ = filled
-    assert len(work.voids) == 2
+    scene, spec, _, fill, _ = filled
     pixels: list[np.ndarray] = []
     monkeypatch.setattr(
         scene.store.__class__,
         "write_block",
         lambda self, name, block, values: pixels.append(values),
     )
-    fill_block(scene.store.url, work)
+    fill(Block(0, 0, spec.height, spec.width))
     (one,) = pixels
     for size, chunk in ((64, PART_PIXELS), (101, 33)):
         monkeypatch.setattr("tiler.grid.voids.PART_PIXELS", chunk)
         tiled = np.empty_like(one)
         for b in spec.blocks(size):
             pixels.clear()
-            fill_block(scene.store.url, replace(work, block=b))
+            fill(b)
             tiled[b.row : b.row + b.height, b.col : b.col + b.width] = pixels[0]
         assert tiled.tobytes() == one.tobytes()

@@ -15,7 +15,7 @@ from tiler.core.water import Water
 from tiler.grid import GroundSelection
 from tiler.grid.centreline import polygon_of
 from tiler.grid.pieces import Piece
-from tiler.grid.water_find import DescribeBody, describe_body
+from tiler.grid.water_find import BodyCells, describe_body
 from tiler.grid.water_search import SearchRasters
 from tiler.store import TileStore
 
@@ -43,10 +43,10 @@ def body(store: TileStore, wet: np.ndarray, surveyed: np.ndarray) -> shapely.Geo
         store.write_block(name, block, values.astype(np.float32))
     sources = SearchRasters("occupancy", "ground", "domain")
     rule = GroundSelection("final")
-    work = DescribeBody(
-        (Piece(0, 0, 1),), "water", "crowns", sources, rule, spec, 0.95, 100.0, 15.0, 1000.0
-    )
-    found = describe_body(store.url, work).body
+    cells = BodyCells((Piece(0, 0, 1),), "water", "crowns", sources, rule, spec, 1000.0)
+    found = describe_body(
+        store, cells=cells, confidence=0.95, lake_m2=100.0, river_width_m=15.0
+    )["body"]
     polygon = polygon_of(Water.from_json(found).area)
     return shapely.transform(
         polygon, lambda at: np.stack((at[:, 0] / CELL - WEST, NORTH - at[:, 1] / CELL), 1)

@@ -10,10 +10,9 @@ import pytest
 from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.core.water import LAKE, Water
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, REED, plant_kinds
-from tiler.grid.water_level import LevelWater, heights_of
+from tiler.grid.water_level import heights_of_cells
 from tiler.grid.water_reed import among_reed, has_no_bank
 from tiler.store import TileStore
 
@@ -107,8 +106,6 @@ def test_returns_of_reed_give_no_level(small_store: TileStore) -> None:
         small_store.write_block(name, block, values.astype(np.float32))
     top = (BLOCK_PIXELS - 100) * cell
     area = Area.rectangle(Bounds(100 * cell, top - 40 * cell, 140 * cell, top))
-    seen = ("occupancy", "ground", "crowns")
-    work = LevelWater(Water(1, LAKE, area), (), "dtm", spec, seen, spec, joins_pockets=False)
-    _, within = heights_of(small_store, work)
+    within = heights_of_cells(small_store, area, spec, "occupancy", "ground", "crowns")
     assert within.shape[1] > 500
     assert set(within[2].tolist()) == {10_000}

@@ -13,7 +13,7 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.core.records import to_json
-from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets, bucket_order
+from tiler.ingest.assemble import BucketParts, assemble_buckets, bucket_order
 
 CELL = Cell(2, -1)
 BUCKET, FINE = Lattice(Fraction(90)), Lattice(Fraction(10))
@@ -130,8 +130,8 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
     memory_store.pieces["b"] = block_of(
         [[30, 10, 5], [32, 12, 3]], source=1, flags=[0, WITHHELD_FLAG]
     )
-    work = AssembleBuckets((BucketParts(Cell(2, -1), (("a", 1, 3), ("b", 0, 2))),), (7, 18))
-    record = assemble_buckets("memory", work)
+    buckets = (BucketParts(Cell(2, -1), (("a", 1, 3), ("b", 0, 2))),)
+    record = assemble_buckets(memory_store, buckets=buckets, keep_classes=(7, 18))
     assert to_json(record) == {
         "buckets": [
             {
@@ -163,13 +163,12 @@ def test_a_bucket_in_which_no_point_takes_part(memory_store: Any) -> None:
         FINE,
     )
     memory_store.pieces["a"] = block_of([[30, 10, 5]], classes=18)
-    (bucket,) = assemble_buckets(
-        "memory", AssembleBuckets((BucketParts(Cell(2, -1), (("a", 0, 1),)),))
-    ).buckets
+    buckets = (BucketParts(Cell(2, -1), (("a", 0, 1),)),)
+    (bucket,) = assemble_buckets(memory_store, buckets=buckets).buckets
     assert (bucket.n, bucket.n_candidates, bucket.z_participating) == (1, 0, None)
 
 
 def test_fragments_without_classes_are_refused(memory_store: Any) -> None:
     memory_store.pieces["a"] = PointBlock(np.zeros((3, 1), np.int32))
     with pytest.raises(ValueError, match="classes and flags"):
-        assemble_buckets("memory", AssembleBuckets((BucketParts(Cell(0, 0), (("a", 0, 1),)),)))
+        assemble_buckets(memory_store, buckets=(BucketParts(Cell(0, 0), (("a", 0, 1),)),))

@@ -50,9 +50,9 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     found: list[int] = []
     read = fingerprints.read_files
 
-    def count(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        found.append(len(arguments.files))
-        return read(store_url, arguments)
+    def count(store: TileStore, **values: Any) -> Any:
+        found.append(len(values["files"]))
+        return read(store, **values)
 
     monkeypatch.setattr(fingerprints, "read_files", count)
     return found
@@ -90,10 +90,10 @@ def test_large_files_are_read_alone(
 def grow_while_it_is_read(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None:
     read = fingerprints.read_files
 
-    def grow(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    def grow(store: TileStore, **values: Any) -> Any:
         for place in places:
             place.write_bytes(place.read_bytes() + b"more")
-        return read(store_url, arguments)
+        return read(store, **values)
 
     monkeypatch.setattr(fingerprints, "read_files", grow)
 

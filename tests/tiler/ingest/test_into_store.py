@@ -15,9 +15,9 @@ import pytest
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT
-from tiler.export import WriteClassified
 from tiler.export.classified import write_classified
-from tiler.ingest import AssembleBuckets, BucketParts, SpoolPiece, assemble_buckets, spool_piece
+from tiler.export.work import CloudCopy
+from tiler.ingest import BucketParts, SpoolPiece, assemble_buckets, spool_piece
 from tiler.inputs import find_inputs, inspect, pieces
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
 
@@ -35,16 +35,15 @@ def ingest(
     for source, path in enumerate(paths):
         for number, (start, count) in enumerate(pieces(inspect(path), size)):
             piece = f"s{source:06d}p{number:06d}"
-            record = spool_piece(
-                url, SpoolPiece(str(path), source, piece, start, count, wanted)
-            )
+            work = SpoolPiece(str(path), source, piece, start, count, wanted)
+            record = spool_piece(store, work=work)
             spooled.append(record)
             stops = list(itertools.accumulate(n for _, _, n in record.buckets))
             for (ix, iy, n), stop in zip(record.buckets, stops, strict=True):
                 fragments[ix, iy].append((piece, stop - n, stop))
     store.allocate({Cell(*c): sum(b - a for _, a, b in f) for c, f in fragments.items()})
     parts = tuple(BucketParts(Cell(*c), tuple(f)) for c, f in sorted(fragments.items()))
-    made = assemble_buckets(url, AssembleBuckets(parts)).buckets
+    made = assemble_buckets(store, buckets=parts).buckets
     store.publish_index({Cell(*r.cell): BucketInfo(r.n, r.n_candidates) for r in made})
     return store, spooled, made
 
@@ -116,7 +115,7 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
     cells = tuple(store.buckets())
     for source, path in enumerate(paths):
         out = tmp_path / "out" / f"{source}.laz"
-        work = WriteClassified(
+        cloud = CloudCopy(
             path=str(path),
             source=source,
             out=str(out),
@@ -124,7 +123,7 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
             cells=cells,
             reclass="all",
         )
-        write_classified(url, work)
+        write_classified(store, cloud=cloud)
         before, after = laspy.read(path), laspy.read(out)
         expected = np.asarray(before.classification).copy()
         rows = np.array(sorted(stored[source]))
@@ -140,6 +139,6 @@ def test_odd_clouds_through_the_store(shared_data: Path, tmp_path: Path) -> None
     frame = CoordFrame(origin=(637_000_000, 851_000_000))
     meta = StoreMeta(frame, Lattice(Fraction(10**6)), Lattice(Fraction(1000)), True)
     store = create_store(str(tmp_path / "s.zarr"), meta)
-    record = spool_piece(store.url, SpoolPiece(str(path), 0, "p", 0, 1065))
+    record = spool_piece(store, work=SpoolPiece(str(path), 0, "p", 0, 1065))
     assert record.stored == 1065
     assert len(store.read_fragment("p", 0, 1065)) == 1065

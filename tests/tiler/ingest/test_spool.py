@@ -36,7 +36,7 @@ def spool(
         )
         for k, (start, count) in enumerate(pieces(inspect(path), size))
     ]
-    return [spool_piece("memory", work) for work in works]
+    return [spool_piece(store, work=work) for work in works]
 
 
 def gathered(store: Any) -> PointBlock:
@@ -167,10 +167,7 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
         def write_piece(self, piece: str, block: PointBlock) -> None:
             self.pieces[piece] = block
 
-    store = Store()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.ingest.spool.open_store", lambda url: store)
-        yield store, path, cloud
+    return Store(), path, cloud
 
 
 def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: Any) -> None:

@@ -14,17 +14,16 @@ import numpy as np
 import psutil
 import pytest
 
-from tests.tiler.schedule import calls
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.schedule import ChildProcess, Task, limits_memory
 from tiler.schedule.worker import compute, peak_rss_bytes, prepare, run_task
-from tiler.store import StoreMeta, create_store
+from tiler.store import StoreMeta, TileStore, create_store
 
 
-def takes(_: str, args: dict[str, Any]) -> dict[str, Any]:
+def takes(_: TileStore, *, megabytes: int) -> dict[str, Any]:
     """Fill some megabytes in pieces, of which every other one is freed before the rest."""
-    pieces = [np.ones(1 << 14) for _ in range(args["megabytes"] * 8)]
+    pieces = [np.ones(1 << 14) for _ in range(megabytes * 8)]
     del pieces[::2]
     return {"pieces": len(pieces)}
 
@@ -112,7 +111,10 @@ def test_a_reader_that_is_forked_beside_workers_has_all_of_its_memory() -> None:
         assert reader.call(grown, seconds=300.0) == 700 << 20
 
 
-def test_an_error_names_its_line_without_folders(tmp_path: Path) -> None:
-    work = {"value": 1, "does": "stumble"}
-    outcome = compute(str(tmp_path), Task("stage", "key", "digest", calls.square, work))
-    assert re.fullmatch(r"OSError: a passing fault \(calls\.py:\d+\)", str(outcome.error))
+def stumbles(_: TileStore) -> dict[str, Any]:
+    raise OSError("a passing fault")
+
+
+def test_an_error_names_its_line_without_folders(small_store: TileStore) -> None:
+    outcome = compute(small_store.url, Task("stage", "key", "digest", stumbles))
+    assert re.fullmatch(r"OSError: a passing fault \(test_worker\.py:\d+\)", str(outcome.error))

@@ -22,10 +22,12 @@ from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
 from tiler.core.results import SurveyDates
 from tiler.core.units import unit_label
-from tiler.export import WriteText, stac, write_text
+from tiler.export import stac
+from tiler.export.output_files import write_text
 from tiler.export.records import CloudRecord, FileRecord, RasterFileRecord
 from tiler.export.tasks.files import nodata_of
 from tiler.export.tasks.sheets import key_of, name_of
+from tiler.export.work import OutFile
 from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.ingest.tasks.points import Source
 from tiler.io.las.point_formats import newer_format
@@ -46,7 +48,7 @@ from tiler.io.result_folder import (
     sheet_file,
 )
 from tiler.plan import Plan
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.store import Commits
 from tiler.version import __version__
 
@@ -149,12 +151,9 @@ def catalogue_tasks(
     keys = {path: key for key, path in planned(gridding).items()}
     for path, content in maker.documents().items():
         folder, _, name = path.rpartition("/")
-        work = WriteText(
-            name=name,
-            out=joined(out, folder) if folder else out,
-            text=json.dumps(content, indent=None if name == VIRTUAL else 1) + "\n",
-        )
-        yield Task(STAGE, keys[path], digest_of(work), write_text, work)
+        to = OutFile(joined(out, folder) if folder else out, name)
+        text = json.dumps(content, indent=None if name == VIRTUAL else 1) + "\n"
+        yield Task.of(STAGE, keys[path], calling(write_text, to=to, text=text))
 
 
 class _Catalogue:

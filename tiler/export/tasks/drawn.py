@@ -6,27 +6,17 @@ import math
 from collections.abc import Iterator
 from fractions import Fraction
 
-from tiler.core.digests import digest_of
 from tiler.core.products import CONTOURS, SPOTS
-from tiler.export import (
-    WriteBridges,
-    WriteContours,
-    WriteOutline,
-    WriteSpots,
-    WriteWater,
-    write_bridges,
-    write_contours,
-    write_outline,
-    write_spots,
-    write_water,
-)
-from tiler.export.work import VectorFile
+from tiler.export.bridges import write_bridges
+from tiler.export.contours import Heights, write_contours, write_spots
+from tiler.export.outline import write_outline
+from tiler.export.water import write_water
+from tiler.export.work import OutFile
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_names import final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.plan import water_is_given
-from tiler.schedule import Task, Work
-from tiler.version import RULES
+from tiler.schedule import Task, calling
 
 SMOOTH_PIXELS = 2
 """Standard deviation in pixels of the Gaussian that smooths the heights, if the user gives
@@ -48,42 +38,33 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
     vertical, interval = plan.frame.units.vertical, config.contour_interval
     noise = noise_m / float(vertical)
     interval = None if interval is None else interval / vertical
-    contours = WriteContours(
-        raster=terrain, spec=context.spec, out=out, area=plan.inputs.area_key, waters=context.water_key,
-        noise=noise, interval=interval, sigma=float(sigma),
-    )  # fmt: skip
-    spots = WriteSpots(
-        raster=terrain, spec=context.spec, out=out, area=plan.inputs.area_key, waters=context.water_key,
-        noise=noise, interval=interval, reach=spot_reach,
-    )  # fmt: skip
-    works: dict[str, tuple[Work, VectorFile]] = {
-        CONTOURS: (write_contours, contours),
-        SPOTS: (write_spots, spots),
-    }
+    heights = Heights(terrain, context.spec, plan.inputs.area_key, context.water_key)
+    files = {name: OutFile(out, f"{name}.gpkg") for name in (CONTOURS, SPOTS)}
+    calls = {
+        CONTOURS: calling(
+            write_contours, to=files[CONTOURS], heights=heights, interval=interval, noise=noise, sigma=float(sigma)
+        ),
+        SPOTS: calling(
+            write_spots, to=files[SPOTS], heights=heights, interval=interval, noise=noise, reach=spot_reach
+        ),
+    }  # fmt: skip
     if config.outline == "survey":
-        outline = WriteOutline(
-            name=OUTLINE, out=out, terrain=terrain, spec=context.spec, survey="survey", coarse=context.coarse,
-            blocks=tuple(sorted(context.made[terrain])), area=plan.inputs.area_key,
+        outline = calling(
+            write_outline, to=OutFile(out, OUTLINE), terrain=terrain, spec=context.spec, survey="survey",
+            coarse=context.coarse, blocks=tuple(sorted(context.made[terrain])), area=plan.inputs.area_key,
         )  # fmt: skip
-        digest = digest_of(
-            RULES, outline, context.checksums("survey"), context.checksums(terrain)
-        )
-        yield Task("export", OUTLINE, digest, write_outline, outline)
+        seen = [context.checksums("survey"), context.checksums(terrain)]
+        yield Task.of("export", OUTLINE, outline, seen)
     if context.corrections.decks:
-        bridges = WriteBridges(name=BRIDGES, decks=context.corrections.decks, out=out)
-        yield Task("export", BRIDGES, digest_of(RULES, bridges), write_bridges, bridges)
+        bridges = calling(
+            write_bridges, to=OutFile(out, BRIDGES), decks=context.corrections.decks
+        )
+        yield Task.of("export", BRIDGES, bridges)
     has_water = bool(context.waters.bodies) or config.water_file is not None
     if has_water and not water_is_given(config, out):
-        water = WriteWater(name=WATER, waters=context.waters.key, out=out)
-        yield Task("export", WATER, digest_of(RULES, water), write_water, water)
+        water = calling(write_water, to=OutFile(out, WATER), waters=context.waters.key)
+        yield Task.of("export", WATER, water)
+    pixels = context.spec.height * context.spec.width
     for name in config.drawn:
-        write, work = works[name]
-        digest = digest_of(RULES, work, context.checksums(terrain))
-        yield Task(
-            "export",
-            f"{name}.gpkg",
-            digest,
-            write,
-            work,
-            pixels=context.spec.height * context.spec.width,
-        )
+        heights_seen = context.checksums(terrain)
+        yield Task.of("export", files[name].name, calls[name], heights_seen, pixels=pixels)

@@ -17,22 +17,14 @@ from tiler.core.reclass import ONLY_GROUND
 from tiler.core.records import SpoolRecord
 from tiler.core.sheet_names import product_names, validate_distinct_names
 from tiler.core.water import Waters
-from tiler.export import (
-    WriteClassified,
-    WriteCog,
-    WriteLegend,
-    WriteMosaic,
-    WriteSheetIndex,
-    write_classified,
-    write_cog,
-    write_legend,
-    write_mosaic,
-    write_sheet_index,
-)
+from tiler.export.classified import write_classified
 from tiler.export.cloud_crs import crs_to_write
+from tiler.export.cog import write_cog
+from tiler.export.mosaic import write_legend, write_mosaic
 from tiler.export.records import RasterFileRecord
+from tiler.export.sheets import write_sheet_index
 from tiler.export.tasks.sheets import key_of, name_of
-from tiler.export.work import SheetFile
+from tiler.export.work import CloudCopy, OutFile, ProductInfo, RasterPart, SheetFile
 from tiler.filter import LABELS
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_names import MODELS, final_raster
@@ -49,9 +41,9 @@ from tiler.io.result_folder import (
     sheet_file,
 )
 from tiler.plan import PIECE_POINTS, Plan, chunks_of
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.store import Commits, KeptPiece
-from tiler.version import RULES, __version__
+from tiler.version import __version__
 
 Inputs = Mapping[Cell, Collection[str]]
 """Digests of the sources that have points in a bucket, by bucket."""
@@ -81,20 +73,18 @@ def cog_tasks(
     names = product_names(context.plan.config.product_name)
     for name in context.plan.config.exported:
         raster = final_raster(name, context.plan.config)
-        whole = WriteCog(
-            product=name,
-            out=out,
-            tags=_tags(context.plan, name, whole_inputs),
-            nodata=nodata_of(context.plan, name),
-            name=names[name],
+        whole = RasterPart(
             raster=raster,
             spec=context.spec,
-            compress=context.plan.config.compress,
             fill=rasters[raster].fill,
             area=context.plan.inputs.area_key,
         )
         if context.plan.config.sheets is None:
-            yield _cog_task(name, whole, context.checksums(raster))
+            to, info = (
+                OutFile(out, f"{names[name]}.tif"),
+                _info(context.plan, name, whole_inputs),
+            )
+            yield _cog_task(context, name, to, info, whole, context.checksums(raster))
             continue
         for sheet, inputs_digest in sheet_inputs:
             spec = sheet.spec
@@ -102,15 +92,10 @@ def cog_tasks(
                 spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS
             )
             seen = context.checksums(raster, (block.name for block in near))
-            work = replace(
-                whole,
-                name=name_of(context, name, sheet),
-                out=joined(out, name),
-                spec=spec,
-                whole=context.spec,
-                tags=_tags(context.plan, name, inputs_digest),
-            )
-            yield _cog_task(key_of(name, sheet), work, seen)
+            to = OutFile(joined(out, name), f"{name_of(context, name, sheet)}.tif")
+            info = _info(context.plan, name, inputs_digest)
+            part = replace(whole, spec=spec, whole=context.spec)
+            yield _cog_task(context, key_of(name, sheet), to, info, part, seen)
 
 
 def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
@@ -118,10 +103,17 @@ def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
     return digest_of(sorted(set[str]().union(*(inputs.get(cell, ()) for cell in cells))))
 
 
-def _cog_task(key: str, work: WriteCog, blocks: list[list[str]]) -> Task:
-    pixels = work.spec.height * work.spec.width
-    digest = digest_of(work, blocks)
-    return Task("export", f"{key}.tif", digest, write_cog, work, pixels=pixels)
+def _cog_task(
+    context: GridContext,
+    key: str,
+    to: OutFile,
+    info: ProductInfo,
+    part: RasterPart,
+    blocks: list[list[str]],
+) -> Task:
+    compress, pixels = context.plan.config.compress, part.spec.height * part.spec.width
+    call = calling(write_cog, to=to, info=info, part=part, compress=compress)
+    return Task.of("export", f"{key}.tif", call, blocks, pixels=pixels)
 
 
 def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
@@ -129,14 +121,13 @@ def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[
     for name in context.plan.config.exported if context.sheets else ():
         files = [(name_of(context, name, sheet), sheet.spec) for sheet in context.sheets]
         validate_distinct_names(context.plan.config.sheet_name, (file for file, _ in files))
-        work = WriteMosaic(
-            product=name,
-            out=out,
-            tags=_tags(context.plan, name, whole_inputs),
-            nodata=nodata_of(context.plan, name),
+        call = calling(
+            write_mosaic,
+            to=OutFile(out, mosaic_file(name)),
+            info=_info(context.plan, name, whole_inputs),
             sheets=tuple((sheet_file(name, file), spec) for file, spec in files),
         )
-        yield Task("mosaic", mosaic_file(name), digest_of(work), write_mosaic, work)
+        yield Task.of("mosaic", mosaic_file(name), call)
 
 
 def legend_tasks(context: GridContext, out: str) -> Iterator[Task]:
@@ -147,10 +138,8 @@ def legend_tasks(context: GridContext, out: str) -> Iterator[Task]:
     for name in context.plan.config.exported if context.plan.config.sheets is None else ():
         if PRODUCTS[name].values:
             file = raster_file(name, context.plan.config.product_name)
-            work = WriteLegend(product=name, name=f"{file}{LEGEND}", out=out)
-            yield Task(
-                "export", f"{name}.tif{LEGEND}", digest_of(RULES, work), write_legend, work
-            )
+            call = calling(write_legend, to=OutFile(out, f"{file}{LEGEND}"), product=name)
+            yield Task.of("export", f"{name}.tif{LEGEND}", call)
 
 
 def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
@@ -160,17 +149,18 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
     """
     sheet_files = []
     for task in cogs:
-        work: WriteCog = task.arguments
-        if work.whole is not None and task.key in written:
+        values = task.arguments
+        part, product = values["part"], values["info"].product
+        if part.whole is not None and task.key in written:
             record = RasterFileRecord.of(written[task.key][1])
-            path = sheet_file(work.product, work.name)
+            path = f"{product}/{values['to'].name}"
             void = 100 * (1 - record.valid / record.pixels)
             sheet_files.append(
-                SheetFile(work.product, path, work.spec, void, record.min, record.max)
+                SheetFile(product, path, part.spec, void, record.min, record.max)
             )
     if sheet_files:
-        index = WriteSheetIndex(name=SHEETS, sheets=tuple(sheet_files), out=out)
-        yield Task("mosaic", SHEETS, digest_of(RULES, index), write_sheet_index, index)
+        index = calling(write_sheet_index, to=OutFile(out, SHEETS), sheets=tuple(sheet_files))
+        yield Task.of("mosaic", SHEETS, index)
 
 
 def nodata_of(plan: Plan, name: str) -> float | None:
@@ -179,6 +169,11 @@ def nodata_of(plan: Plan, name: str) -> float | None:
     The user cannot change the nodata value of these products.
     """
     return plan.config.nodata if PRODUCTS[name].nodata == NODATA else None
+
+
+def _info(plan: Plan, name: str, inputs: str) -> ProductInfo:
+    """Return the metadata of a file of a product, made from ``inputs`` (a digest)."""
+    return ProductInfo(name, _tags(plan, name, inputs), nodata_of(plan, name))
 
 
 def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
@@ -248,7 +243,7 @@ def classified_tasks(
         whole = plan.inputs.area is None or (
             extent is not None and plan.inputs.area.covers(extent)
         )
-        work = WriteClassified(
+        cloud = CloudCopy(
             path=location(source.info.path),
             source=source.number,
             out=joined(out, CLASSIFIED, plan.inputs.cloud_names[source.info.path].as_posix()),
@@ -267,11 +262,16 @@ def classified_tasks(
             threads=threads,
             wkt=crs_to_write(source.info, plan.frame.crs_wkt, plan.config.crs),
         )
-        digest = digest_of(
-            RULES, source.identity, work, [[labels[c], wet.get(c)] for c in cells]
+        points = sum(count for _, count in cloud.ranges) or source.info.points
+        yield Task.of(
+            "export",
+            f"c{source.number:06d}",
+            calling(write_classified, cloud=cloud),
+            source.identity,
+            [[labels[c], wet.get(c)] for c in cells],
+            points=points,
+            bounds=plan.buckets.hull(cells) if cells else None,
         )
-        points = sum(count for _, count in work.ranges) or source.info.points
-        yield Task("export", f"c{source.number:06d}", digest, write_classified, work, points)
 
 
 def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:

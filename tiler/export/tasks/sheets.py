@@ -6,23 +6,19 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
-from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.core.records import records_of
 from tiler.core.sheet_names import DEFAULT, product_names, sheet_name
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
-from tiler.export import FindSheets, find_sheets
-from tiler.export.records import SheetsRecord
+from tiler.export.sheets import find_sheets
 from tiler.grid.records import BlockRecord
 from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.grid.tasks.raster_names import MODELS, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task
-from tiler.version import RULES
+from tiler.schedule import Task, calling
 
 STAGE = "sheets"
 
@@ -38,8 +34,8 @@ def cut(job: Job, context: GridContext) -> list[Sheet]:
             f"--sheets: the search for heights failed; the first block: {job.record.first_error(STAGE)}"
         )
     high: set[Cell] = set()
-    for record in records_of(SheetsRecord, made):
-        high.update(Cell(*cell) for cell in record.sheets)
+    for _, stored in made.values():
+        high.update(Cell(*cell) for cell in stored["sheets"])
     every = high | set(with_points(context))
     if len(every) > len(high) and not context.plan.config.empty_sheets:
         number = len(every) - len(high)
@@ -65,11 +61,12 @@ def height_tasks(context: GridContext) -> Iterator[Task]:
         )
     for key in sorted(keys):
         block = context.spec.block_named(key, BLOCK_PIXELS)
-        work = FindSheets(rasters=rasters, spec=context.spec, block=block, side=side, area=area)
+        call = calling(
+            find_sheets, rasters=rasters, spec=context.spec, block=block, side=side, area=area
+        )
         seen = [context.checksums(name, [key]) for name in rasters]
-        pixels = block.height * block.width
-        digest = digest_of(RULES, work, seen)
-        yield Task(STAGE, key, digest, find_sheets, work, pixels=pixels)
+        pixels, bounds = block.height * block.width, context.spec.block_bounds(block)
+        yield Task.of(STAGE, key, call, seen, pixels=pixels, bounds=bounds)
 
 
 def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:

@@ -23,9 +23,8 @@ from tiler.filter.tasks.tiles import BucketPoints, tiles_of
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import Plan
 from tiler.plan.memory import held_bytes
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.store import Commits
-from tiler.version import RULES
 
 
 @dataclass(frozen=True)
@@ -181,8 +180,16 @@ def filter_tasks(
         bucket_digests = [[c.ix, c.iy, digests[c]] for c in near]
         elected_digests = [inputs.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c].n for c in tile.cells)
-        digest = digest_of(RULES, step.name, work, bucket_digests, elected_digests)
-        yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
+        yield Task.of(
+            f"filter{number}",
+            f"t{tile.name}",
+            calling(filter_tile, work=work),
+            step.name,
+            bucket_digests,
+            elected_digests,
+            points=points,
+            bounds=plan.buckets.hull(tile.cells),
+        )
 
 
 def tile_records(filtered: Commits) -> Iterator[TileRecord]:

@@ -1,9 +1,8 @@
-"""Tasks that search for bridge decks: find the candidate cells of each block, then examine each candidate."""
+"""Functions that search for bridge decks: find the candidate cells of each block, then examine each candidate."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
@@ -17,9 +16,9 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.bridges.deck import Deck, find_deck
 from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells
 from tiler.grid.ground import GroundSelection, read_classes, surface_points
-from tiler.grid.records import DeckCellsRecord, DeckRecord, DecksRecord
-from tiler.grid.work import BlockWork
-from tiler.store import TileStore, open_store
+from tiler.grid.records import DeckRecord
+from tiler.grid.steps import Counts as Found
+from tiler.store import TileStore
 
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
@@ -43,43 +42,18 @@ MAX_DIRECTIONS = 3
 have."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FindDeckCells(BlockWork):
-    """Arguments of `find_deck_cells`: a block of coarse cells, and the rule for ground points.
+def find_deck_cells(
+    store: TileStore, *, spec: RasterSpec, block: Block, rule: GroundSelection
+) -> Found:
+    """Find the cells of a block of coarse cells that may be part of a deck.
 
-    The rule has no edits, because the search for decks precedes all edits.
-    """
-
-    rule: GroundSelection
-
-
-@dataclass(frozen=True)
-class ExamineDecks:
-    """Arguments of `examine_decks`.
-
-    Attributes
-    ----------
-    rule : GroundSelection
-    spec : RasterSpec
-        Raster of the coarse cells.
-    candidates : tuple of CandidateCells
-        Cells of each candidate.
-    """
-
-    rule: GroundSelection
-    spec: RasterSpec
-    candidates: tuple[CandidateCells, ...]
-
-
-def find_deck_cells(store_url: str, work: FindDeckCells) -> DeckCellsRecord:
-    """Find the cells of a block that may be part of a deck. This is a `tiler.schedule.task.Work`.
+    The rule for ground points has no edits, because the search for decks precedes all edits.
 
     Returns
     -------
-    DeckCellsRecord
-        Record of the block.
+    dict
+        ``cells``: row, column and direction of each cell.
     """
-    store, spec, block = open_store(store_url), work.spec, work.block
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     pad = math.ceil(REACH_M / size_m)
     shape = (block.height + 2 * pad, block.width + 2 * pad)
@@ -88,7 +62,7 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> DeckCellsRecord:
     window = Block(block.row - pad, block.col - pad, *shape)
     bounds = spec.block_bounds(window)
     for bucket in store.buckets_within(bounds):
-        points, chosen, is_ground = _points(store, work.rule, bucket, bounds)
+        points, chosen, is_ground = _points(store, rule, bucket, bounds)
         cell_indices = _cells(points, chosen, store, spec, window)
         z = (points.xyz[2][chosen] * float(store.meta.frame.metres_z)).astype(np.float32)
         np.minimum.at(low, cell_indices, z)
@@ -104,25 +78,30 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> DeckCellsRecord:
     block_cells = np.stack(
         (rows[in_block] + window.row, cols[in_block] + window.col, directions[in_block]), axis=1
     )
-    return DeckCellsRecord(block_cells.tolist())
+    return {"cells": block_cells.tolist()}
 
 
-def examine_decks(store_url: str, work: ExamineDecks) -> DecksRecord:
-    """Decide which candidates are decks of bridges. This is a `tiler.schedule.task.Work`.
+def examine_decks(
+    store: TileStore,
+    *,
+    rule: GroundSelection,
+    spec: RasterSpec,
+    candidates: tuple[CandidateCells, ...],
+) -> Found:
+    """Decide which candidates in a raster of coarse cells are decks of bridges.
 
     Returns
     -------
-    DecksRecord
-        Record of the candidates.
+    dict
+        ``decks``: `DeckRecord` of each deck. ``reasons``: why each other candidate is not a deck.
     """
-    store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
     metres = np.array((frame.metres_xy, frame.metres_xy, frame.metres_z), np.float64)
-    bounds = [examined_bounds(spec, cells, float(frame.metres_xy)) for cells in work.candidates]
-    xyz, ground = _voxels(store, work.rule, reduce(Bounds.union, bounds), metres)
+    bounds = [examined_bounds(spec, cells, float(frame.metres_xy)) for cells in candidates]
+    xyz, ground = _voxels(store, rule, reduce(Bounds.union, bounds), metres)
     decks: list[DeckRecord] = []
     reasons: list[str] = []
-    for cells, window in zip(work.candidates, bounds, strict=True):
+    for cells, window in zip(candidates, bounds, strict=True):
         x, y = xyz[:, 0], xyz[:, 1]
         inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
         deck, reason = _examine(spec, cells, window, xyz[inside], ground[inside], metres)
@@ -130,7 +109,7 @@ def examine_decks(store_url: str, work: ExamineDecks) -> DecksRecord:
             reasons.append(reason)
         else:
             decks.append(deck)
-    return DecksRecord(decks, reasons)
+    return {"decks": decks, "reasons": reasons}
 
 
 def _examine(

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from ptd.matched.canopy_pass import CanopyPass
 from ptd.matched.crowns import Crowns
-from tiler.core.digests import digest_of
 from tiler.core.raster import RasterSpec
-from tiler.core.records import AnyRecord
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid.crowns import FindCrowns, crown_advice, find_crowns
-from tiler.grid.records import BlockRecord, CrownsRecord, RoofsRecord
-from tiler.grid.roofs import Advice, FindRoofs, find_roofs
+from tiler.grid.crowns import crown_advice, find_crowns
+from tiler.grid.records import BlockRecord
+from tiler.grid.roofs import Advice, find_roofs
+from tiler.grid.steps import Counts
 from tiler.observe.events import Warned
 from tiler.runs.job import Job
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.schedule.worker import compute
 from tiler.store import Commits
 
@@ -63,31 +62,30 @@ def _roofs(
     job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | None
 ) -> Advice | None:
     parameters = job.plan.method.parameters
-    building_m, roof_m = parameters["max_building_size_m"], parameters.get("roof_size_m")
-    work = FindRoofs(spec, filled, building_m, roof_m, waters)
-    task = Task("advice", "roofs", digest_of(work), find_roofs, work)
-    (record,) = _run_tasks(job, [task], RoofsRecord)
-    advice = record.advice
+    call = calling(
+        find_roofs,
+        spec=spec,
+        filled=filled,
+        building_m=parameters["max_building_size_m"],
+        roof_m=parameters.get("roof_size_m"),
+        waters=waters,
+    )
+    (counts,) = _run_tasks(job, [Task.of("advice", "roofs", call)])
+    advice = counts["advice"]
     return None if advice is None else Advice(*advice)
 
 
 def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
-    works = [
-        FindCrowns(spec, filled[i : i + CROWN_BLOCKS])
-        for i in range(0, len(filled), CROWN_BLOCKS)
-    ]
-    tasks = [
-        Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w)
-        for i, w in enumerate(works)
-    ]
-    parts = [
-        Crowns(record.n_tested, record.found) for record in _run_tasks(job, tasks, CrownsRecord)
-    ]
+    tasks = []
+    for i in range(0, len(filled), CROWN_BLOCKS):
+        call = calling(find_crowns, spec=spec, names=filled[i : i + CROWN_BLOCKS])
+        tasks.append(Task.of("advice", f"crowns{i:06d}", call))
+    parts = [Crowns(counts["n_tested"], counts["found"]) for counts in _run_tasks(job, tasks)]
     return crown_advice(parts, spec)
 
 
-def _run_tasks(job: Job, tasks: list[Task], kind: type[AnyRecord]) -> list[AnyRecord]:
-    """Run tasks on workers, and return their records in the order of the tasks."""
+def _run_tasks(job: Job, tasks: list[Task]) -> list[Counts]:
+    """Run tasks on workers, and return their counts in the order of the tasks."""
     records = {}
     for outcome in job.executors.choose().run(compute, job.store.url, tasks):
         if outcome.again:
@@ -102,5 +100,5 @@ def _run_tasks(job: Job, tasks: list[Task], kind: type[AnyRecord]) -> list[AnyRe
             raise ProcessingError(
                 f"the search for flaws in the terrain failed: {outcome.error}"
             )
-        records[outcome.task.key] = kind.of(outcome.record)
+        records[outcome.task.key] = outcome.record
     return [records[task.key] for task in tasks]

@@ -13,33 +13,28 @@ import scipy
 import shapely
 
 from tiler.core.area import Area
-from tiler.core.digests import digest_of
 from tiler.core.edits import DECK, DeckSurface, DrawnDeck, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.records import records_of
 from tiler.core.terrain_results import BridgeResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
-from tiler.grid import (
-    ExamineDecks,
-    FindDeckCells,
+from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
+from tiler.grid.bridges.examine import (
+    CandidateCells,
     examine_decks,
     examined_bounds,
     find_deck_cells,
 )
-from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
-from tiler.grid.bridges.examine import CandidateCells
 from tiler.grid.pieces import components
-from tiler.grid.records import DeckCellsRecord, DeckRecord, decks_in
+from tiler.grid.records import DeckRecord
 from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.store import Commits
-from tiler.version import RULES
 
 REMOVE = "remove"
 """Value of ``--bridges`` that searches for bridges and removes them."""
@@ -76,7 +71,7 @@ def find_bridges(
     made = run_stage(job, DECKS, _deck_tasks(context, cells))
     decks: list[DeckRecord] = []
     for name in sorted(made):
-        decks += decks_in(made[name][1])
+        decks += [DeckRecord.of(deck) for deck in made[name][1]["decks"]]
     decks = _without_parts(decks)
     job.results.bridges = [_result(deck) for deck in decks]
     job.note(_note(decks, job.plan.frame))
@@ -107,10 +102,19 @@ def _cell_tasks(context: GridContext) -> Iterator[Task]:
         (REACH_M + float(context.coarse_m)) / float(context.plan.frame.metres_xy)
     )
     for block, buckets in spec.blocks_near(lattice, context.labels, BLOCK_PIXELS).items():
-        work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
-        near = lattice.among(spec.block_bounds(block).pad(margin), context.labels)
-        digest = digest_of(RULES, work, context.label_digests(near))
-        yield Task(CELLS, block.name, digest, find_deck_cells, work, context.n_points(buckets))
+        call = calling(find_deck_cells, spec=spec, block=block, rule=rule)
+        bounds = spec.block_bounds(block)
+        near = context.label_digests(lattice.among(bounds.pad(margin), context.labels))
+        n_points = context.n_points(buckets)
+        yield Task.of(
+            CELLS,
+            block.name,
+            call,
+            near,
+            points=n_points,
+            makes=block.height * block.width,
+            bounds=bounds,
+        )
 
 
 def _deck_tasks(context: GridContext, deck_cells: Commits) -> Iterator[Task]:
@@ -128,18 +132,19 @@ def _deck_tasks(context: GridContext, deck_cells: Commits) -> Iterator[Task]:
         if len(cells) >= MIN_CELLS and extent_m <= MAX_EXTENT_M:
             groups[next(lattice.cells(bounds))].append(cells)
     for cell, candidates in sorted(groups.items()):
-        work = ExamineDecks(rule, spec, tuple(candidates))
+        call = calling(examine_decks, rule=rule, spec=spec, candidates=tuple(candidates))
         examined = [examined_bounds(spec, cells, metres) for cells in candidates]
-        near = lattice.among(reduce(Bounds.union, examined), context.labels)
-        digest = digest_of(RULES, work, context.label_digests(near))
-        yield Task(DECKS, cell.name, digest, examine_decks, work, context.n_points(near))
+        bounds = reduce(Bounds.union, examined)
+        near = lattice.among(bounds, context.labels)
+        digests, n_points = context.label_digests(near), context.n_points(near)
+        yield Task.of(DECKS, cell.name, call, digests, points=n_points, bounds=bounds)
 
 
 def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:
     """Yield groups of touching cells in the order of rows and columns. Cells of different blocks can form a group."""
     distinct: set[tuple[int, ...]] = set()
-    for record in records_of(DeckCellsRecord, deck_cells):
-        distinct.update(map(tuple, record.cells))
+    for _, stored in deck_cells.values():
+        distinct.update(map(tuple, stored["cells"]))
     cells = sorted(distinct)
     if not cells:
         return

@@ -18,8 +18,8 @@ from tiler.core.terrain_results import BreaklineCounts, EditResult
 from tiler.core.words import listed
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid import CountEditedPoints, count_edited_points
-from tiler.grid.records import EditCountsRecord, TerrainRecord
+from tiler.grid.edits import count_edited_points
+from tiler.grid.records import TerrainRecord
 from tiler.grid.tasks.bridges import find_bridges
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import ground_rule
@@ -27,9 +27,8 @@ from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import Plan
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.store import Commits
-from tiler.version import RULES
 
 
 def correct(
@@ -90,8 +89,8 @@ def _user_edits(
             f"--edits: could not be applied: {job.record.first_error('edits')}"
         )
     counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.inputs.edits}
-    for record in records_of(EditCountsRecord, made):
-        for number, *bucket_counts in record.edits:
+    for _, stored in made.values():
+        for number, *bucket_counts in stored["edits"]:
             counts[number] += bucket_counts
     has_no_labels = ground_rule(job.plan).labels is None
     edits = []
@@ -112,11 +111,16 @@ def _count_tasks(
     """Yield a task for each bucket that an edit of points intersects."""
     rule = ground_rule(plan)
     for cell, near in edits.by_cell(plan.buckets, labels).items():
-        edit_digests = [[edit.number, *edit.digest] for edit in near]
-        digest = digest_of(RULES, rule, edits.cell, cell, labels[cell], edit_digests)
-        work = CountEditedPoints(rule, edits.key, cell)
-        yield Task(
-            "edits", cell.name, digest, count_edited_points, work, assembled.records[cell].n
+        call = calling(count_edited_points, rule=rule, edits_key=edits.key, cell=cell)
+        yield Task.of(
+            "edits",
+            cell.name,
+            call.without("edits_key"),
+            edits.cell,
+            labels[cell],
+            [[edit.number, *edit.digest] for edit in near],
+            points=assembled.records[cell].n,
+            bounds=plan.buckets.bounds(cell),
         )
 
 

@@ -1,34 +1,30 @@
-"""Context of the stage grid, and rows of the table of rasters (`tiler.grid.tasks.raster_table`)."""
+"""Context of the stage grid: what all its tasks have in common, and the rasters that were made."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from fractions import Fraction
 from typing import Any
 
 from tiler.core.classes import GROUND
-from tiler.core.digests import digest_of
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
-from tiler.core.records import AnyRecord
 from tiler.core.water import Waters
 from tiler.filter import LABELS
-from tiler.grid import FillBlock, GroundSelection
+from tiler.grid import GroundSelection
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
-from tiler.grid.records import BlockRecord, LabelsRecord
+from tiler.grid.records import BlockRecord
 from tiler.grid.steps import Counts, Sources
 from tiler.grid.tasks.canopy import CanopyCells
 from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.work import BlockWork, Facets
+from tiler.grid.work import Facets
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
-from tiler.schedule import Task, Work
 from tiler.store import Commits
-from tiler.version import RULES
 
 COARSE_CELL_M = 2
 """Side of a coarse cell in metres, unless ``--max-edge`` is small or pixels are large.
@@ -101,48 +97,6 @@ class Grid(Enum):
     PIXELS = "the pixels of the products"
     COARSE = "the coarse cells of the run"
     CANOPY = "cells in which canopies are compared with the terrain around them"
-
-
-@dataclass(frozen=True)
-class RasterStep:
-    """Raster of the store.
-
-    Attributes
-    ----------
-    name : str
-        Name in the store. The stage that makes the raster is ``grid-<name>``.
-    inputs : tuple of str
-        Names of the rasters from which it is made, in the order that ``make_tasks`` expects.
-    function : Work
-        Function that makes a block.
-    grid : Grid
-    make_tasks : callable
-        Function ``make_tasks(raster, context)`` that yields the tasks of the raster, with the digests of their inputs.
-    fill : float
-        Value of pixels in blocks that were not written.
-    edits : tuple of str
-        Actions of the edits that can change the raster.
-    follows_lines : bool
-        Whether the raster is made from a TIN that includes breaklines.
-    """
-
-    name: str
-    inputs: tuple[str, ...]
-    function: Work
-    grid: Grid
-    make_tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
-    fill: float = 0.0
-    edits: tuple[str, ...] = ()
-    follows_lines: bool = False
-
-    @property
-    def stage(self) -> str:
-        """Name of the stage that makes the raster."""
-        return f"grid-{self.name}"
-
-    def tasks(self, context: GridContext) -> Iterator[Task]:
-        """Yield the tasks of the raster."""
-        return self.make_tasks(self, context)
 
 
 @dataclass(frozen=True)
@@ -259,14 +213,6 @@ class GridContext:
         names = sorted(made) if blocks is None else (name for name in blocks if name in made)
         return [[name, BlockRecord.of(made[name][1]).checksum] for name in names]
 
-    def records(self, raster: str, kind: type[AnyRecord]) -> dict[Place, AnyRecord]:
-        """Return the record of each finished block of a raster of coarse cells, by place."""
-        records = {}
-        for name, (_, stored) in self.made[raster].items():
-            block = self.coarse.block_named(name, BLOCK_PIXELS)
-            records[block.row, block.col] = kind.of(stored)
-        return records
-
     def counts(self, raster: str, grid: Grid = Grid.COARSE) -> dict[Block, Counts]:
         """Return the counts of each finished block of a raster that is made by a step."""
         spec, made = self.spec_of(grid), self.made[raster].items()
@@ -275,52 +221,11 @@ class GridContext:
     def areas(self, raster: str, corners: bool = False) -> Joined:
         """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""
         if raster not in self._areas:
-            records = self.records(raster, LabelsRecord)
-            sides = {place: record.sides for place, record in records.items()}
-            counts = {place: record.labels for place, record in records.items()}
-            self._areas[raster] = join_pieces(sides, counts, corners)
+            counts = {(b.row, b.col): stored for b, stored in self.counts(raster).items()}
+            sides = {place: stored["sides"] for place, stored in counts.items()}
+            labels = {place: stored["labels"] for place, stored in counts.items()}
+            self._areas[raster] = join_pieces(sides, labels, corners)
         return self._areas[raster]
-
-    def coarse_checksums(
-        self, raster: str, block: Block, coarse: RasterSpec | None = None
-    ) -> list[list[str]]:
-        """Return the checksums of the blocks of a raster of coarse (or other) cells that overlap a block of pixels."""
-        cells = coarse or self.coarse
-        under = cells.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
-        return self.checksums(raster, [other.name for other in under])
-
-    def block_task(
-        self,
-        raster: RasterStep,
-        work: BlockWork | FillBlock,
-        *inputs: Any,
-        points: int | None = None,
-    ) -> Task:
-        """Return the task of one block of a raster.
-
-        ``inputs`` are digests of the data that the task reads. The digest of the task also includes the corrections
-        that can change the block. Without ``points``, the size of the task is the number of its pixels.
-        """
-        digest = digest_of(RULES, work, *inputs)
-        corrections = self._correction_digests(raster, work.place(self.plan.buckets))
-        if corrections:
-            digest = digest_of(digest, corrections)
-        size = work.block.height * work.block.width
-        return Task(
-            raster.stage,
-            work.block.name,
-            digest,
-            raster.function,
-            work,
-            points=points or 0,
-            pixels=size if points is None else 0,
-        )
-
-    def _correction_digests(self, raster: RasterStep, extent: Bounds) -> list[Any]:
-        digests = self.corrections.edit_digests(extent, raster.edits)
-        if raster.follows_lines:
-            digests += self.corrections.line_digests_near(extent, self.plan)
-        return digests
 
     @property
     def water_is_sought(self) -> bool:

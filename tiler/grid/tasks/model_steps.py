@@ -1,4 +1,4 @@
-"""Steps between the terrain and its delivered model: the survey, canopies, and the outline."""
+"""Steps between the terrain and its delivered model: the survey, voids, canopies, and the outline."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from fractions import Fraction
 
 from ptd.matched.cells import CELL_M
 from tiler.config import AUTO_WATER, VOID_CANOPY
+from tiler.core.digests import digest_of
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid.below_canopy import below_canopy, crowns_margin
 from tiler.grid.canopy import canopy, canopy_reach
+from tiler.grid.coarse import Runs, blocks_of
 from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
 from tiler.grid.outline import outline
 from tiler.grid.steps import Read
@@ -26,12 +28,15 @@ from tiler.grid.tasks.raster_names import (
     CANOPY,
     CANOPY_CELLS,
     CANOPY_TERRAIN,
+    MODELS,
     filled_raster,
     final_raster,
+    nodata_of,
     outlined_models,
 )
 from tiler.grid.tasks.steps import NONE, Near, Step, Values, all_of, any_of
-from tiler.grid.tasks.survey import enclosed_by, near_points
+from tiler.grid.tasks.survey import block_names, enclosed_by, near_points
+from tiler.grid.voids import Void, fill_voids, find_voids
 from tiler.plan import Plan
 
 SEARCHED = "domain"
@@ -91,6 +96,67 @@ def _near_points(step: Step, context: GridContext, _: Near) -> Mapping[Block, Va
 
 def _enclosed(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
     return enclosed_by(context, step.inputs[0])
+
+
+def void_steps(plan: Plan) -> list[Step]:
+    """Return the steps that find and fill the voids of models inside the survey."""
+    config, steps = plan.config, list[Step]()
+    # Half a pixel is less: the centre of a pixel that touches a block lies in the margin.
+    margin = math.floor(plan.grid.resolution / coarse_cell_m(plan))
+    for model in MODELS if config.voids != "leave" else ():
+        voids, heights = f"{model}-voids", Read(f"pixels:{model}")
+        steps += [
+            Step(
+                voids,
+                find_voids,
+                {
+                    "heights": heights,
+                    "survey": Read("numbers:survey", margin),
+                    "place": Read("place"),
+                },
+                _inside_survey,
+                fill=0.0,
+                grid=Grid.COARSE,
+            ),
+            Step(
+                filled_raster(model, config),
+                fill_voids,
+                {
+                    "heights": heights,
+                    "cells": Read(f"coarse:{voids}"),
+                    "edits": Read("edits"),
+                    "place": Read("place"),
+                },
+                _with_voids,
+                fill=nodata_of(model),
+            ),
+        ]
+    return steps
+
+
+def _inside_survey(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
+    found = context.counts("survey").items()
+    return {block: NONE for block, counts in found if counts["inside"]}
+
+
+def _with_voids(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
+    """Return the blocks of a model and those near its voids, each with the voids near it."""
+    spec, (model, voids) = context.spec, step.inputs
+    found = {(block.row, block.col): counts for block, counts in context.counts(voids).items()}
+    near: dict[str, list[Void]] = {key: [] for key in context.made[model]}
+    for pieces in context.areas(voids, corners=True).areas.values():
+        runs: Runs = []
+        for piece in pieces:
+            runs += found[piece.row, piece.col]["blocks"][piece.label - 1]
+        keys = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
+        places = block_names(sorted({(piece.row, piece.col) for piece in pieces}))
+        around = digest_of(context.checksums(model, keys), context.checksums(voids, places))
+        for key in keys:
+            near.setdefault(key, []).append(Void(pieces, around))
+    return {
+        spec.block_named(key, BLOCK_PIXELS): {"voids": tuple(of_block)}
+        for key, of_block in near.items()
+    }
 
 
 def canopy_steps(plan: Plan) -> list[Step]:

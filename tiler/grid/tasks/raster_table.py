@@ -25,107 +25,39 @@ Rasters of pixels:
 from __future__ import annotations
 
 from tiler.config import AUTO_WATER
-from tiler.core.edits import OF_PIXELS
-from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
-from tiler.grid import (
-    fill_block,
-    find_voids,
-    grid_block,
-)
-from tiler.grid.tasks.gridding import Grid, RasterStep
-from tiler.grid.tasks.model_steps import canopy_steps, outline_steps, survey_steps
+from tiler.grid.tasks.model_steps import canopy_steps, outline_steps, survey_steps, void_steps
 from tiler.grid.tasks.product_steps import product_steps
-from tiler.grid.tasks.raster_names import (
-    ABOVE,
-    CANOPY_CELLS,
-    CANOPY_TERRAIN,
-    MODELS,
-    filled_raster,
-    final_raster,
-    nodata_of,
-)
-from tiler.grid.tasks.rasters import (
-    canopy_terrain_tasks,
-    coarse_terrain_tasks,
-    terrain_tasks,
-)
+from tiler.grid.tasks.raster_names import ABOVE, final_raster
 from tiler.grid.tasks.steps import Step
-from tiler.grid.tasks.survey import (
-    fill_tasks,
-    voids_tasks,
-)
+from tiler.grid.tasks.terrain import TERRAIN, TERRAIN_OF_CANOPIES, TERRAIN_OF_WATER, OnTin
 from tiler.grid.tasks.water_search import water_steps
 from tiler.plan import Plan
 
 
-def raster_table(plan: Plan) -> dict[str, RasterStep | Step]:
+def raster_table(plan: Plan) -> dict[str, OnTin | Step]:
     """Return all rasters that these settings allow, by name."""
-    config = plan.config
-    rows: list[RasterStep | Step] = [
-        RasterStep(
-            "dtm",
-            (),
-            grid_block,
-            Grid.PIXELS,
-            terrain_tasks,
-            nodata_of("dtm"),
-            edits=OF_PIXELS,
-            follows_lines=True,
-        ),
+    rows: list[OnTin | Step] = [
+        TERRAIN,
+        TERRAIN_OF_CANOPIES,
         *survey_steps(plan),
+        *void_steps(plan),
         *canopy_steps(plan),
-        RasterStep(
-            CANOPY_TERRAIN,
-            (CANOPY_CELLS,),
-            grid_block,
-            Grid.CANOPY,
-            canopy_terrain_tasks,
-            NODATA,
-            edits=OF_PIXELS,
-            follows_lines=True,
-        ),
         *outline_steps(plan),
         *product_steps(plan),
     ]
-    for model in MODELS if config.voids != "leave" else ():
-        voids = f"{model}-voids"
-        rows += [
-            RasterStep(voids, (model, "survey"), find_voids, Grid.COARSE, voids_tasks),
-            RasterStep(
-                filled_raster(model, config),
-                (model, "survey", voids),
-                fill_block,
-                Grid.PIXELS,
-                fill_tasks,
-                nodata_of(model),
-                edits=OF_PIXELS if model == "dtm" else (),
-            ),
-        ]
-    if config.water == AUTO_WATER:
-        rows += water_steps(plan)
-        rows.append(
-            RasterStep(
-                "water-terrain",
-                (),
-                grid_block,
-                Grid.COARSE,
-                coarse_terrain_tasks,
-                NODATA,
-                edits=OF_PIXELS,
-                follows_lines=True,
-            )
-        )
+    if plan.config.water == AUTO_WATER:
+        rows += [TERRAIN_OF_WATER, *water_steps(plan)]
     return {row.name: row for row in rows}
 
 
-def required_rasters(plan: Plan) -> list[RasterStep | Step]:
+def required_rasters(plan: Plan) -> list[OnTin | Step]:
     """Return the rasters to make, each after its inputs. The terrain and its inputs come first.
 
     Every run looks for places where the terrain is above all returns.
     """
     config, table = plan.config, raster_table(plan)
-    steps: dict[str, RasterStep | Step] = {}
+    steps: dict[str, OnTin | Step] = {}
 
     def add(name: str) -> None:
         for input_name in table[name].inputs:

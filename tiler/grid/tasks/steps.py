@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tiler.core.digests import digest_of
 from tiler.core.edits import ACTIONS
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
@@ -19,8 +18,7 @@ from tiler.grid.steps import Counts, MakeBlock, Position, Read, canopy_window, r
 from tiler.grid.tasks.gridding import Grid, GridContext
 from tiler.grid.tasks.survey import surveyed_blocks
 from tiler.runs.job import Job
-from tiler.schedule import Task
-from tiler.version import RULES
+from tiler.schedule import Task, calling
 
 Near = Mapping[Block, list[Cell]]
 """Blocks near points, each with the buckets that it reads."""
@@ -115,14 +113,17 @@ class Step:
                 empty=empty,
             )
             held = [_digest(read, context, near, work) for read in self.reads.values()]
-            yield Task(
+            n_pixels = block.height * block.width
+            yield Task.of(
                 self.stage,
                 block.name,
-                digest_of(RULES, self.name, spec, block, values, held),
-                run_block,
-                work,
+                calling(run_block, task=work).without("task"),
+                [self.name, spec, block, values],
+                held,
                 points=context.n_points(near.get(block, ())),
-                pixels=0 if widest else block.height * block.width,
+                pixels=0 if widest else n_pixels,
+                makes=n_pixels,
+                bounds=spec.block_bounds(block),
             )
 
 
@@ -181,6 +182,7 @@ def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> An
     alike = {
         "area": sources.area, "facets": sources.facets, "kind": sources.kind, "products": sources.pixels,
         "place": None,  # The digest of a task includes the block.
+        "coarse": None,  # The values of the block say what is read.
     }  # fmt: skip
     return alike[read.kind]
 

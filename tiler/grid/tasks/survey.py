@@ -1,4 +1,4 @@
-"""Tasks that find the extent of the survey, and that find and fill the voids of models, block by block."""
+"""Blocks of the steps that find the extent of the survey."""
 
 from __future__ import annotations
 
@@ -7,19 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, pairwise, product
 from typing import Any, NamedTuple
 
-from tiler.core.digests import digest_of
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
-from tiler.grid import (
-    FillBlock,
-    FindVoids,
-    Void,
-    VoidRasters,
-    blocks_of,
-)
+from tiler.grid.coarse import blocks_of
 from tiler.grid.pieces import Piece, Side, components, touching
-from tiler.grid.records import HolesRecord
-from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
-from tiler.schedule import Task
+from tiler.grid.tasks.gridding import GridContext, Place
 
 
 class MissingRun(NamedTuple):
@@ -178,61 +169,6 @@ def _facing(
     if cols is None or gap.first < cols[0] or gap.last > cols[-1]:
         touching_gaps.append(BEYOND_ALL)
     return touching_gaps
-
-
-def voids_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of coarse cells that overlaps the inside of the survey."""
-    spec, coarse = context.spec, context.coarse
-    model, survey = raster.inputs
-    rasters = VoidRasters(model, spec, survey, coarse, raster.name)
-    for block, counts in context.counts(survey).items():
-        if not counts["inside"]:
-            continue
-        work = FindVoids(name=raster.name, spec=coarse, block=block, rasters=rasters)
-        under = [
-            other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)
-        ]
-        yield context.block_task(
-            raster,
-            work,
-            [context.checksums(model, under), context.checksums(survey, [block.name])],
-        )
-
-
-def fill_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of a model. A task depends on everything around the voids in its block."""
-    spec = context.spec
-    model, survey, voids = raster.inputs
-    rasters = VoidRasters(model, spec, survey, context.coarse, voids)
-    records = context.records(voids, HolesRecord)
-    voids_of: dict[str, list[tuple[Void, str]]] = defaultdict(list)
-    for pieces in context.areas(voids, corners=True).areas.values():
-        runs = []
-        for piece in pieces:
-            runs += records[piece.row, piece.col].blocks[piece.label - 1]
-        model_blocks = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
-        void_blocks = sorted(block_names({(piece.row, piece.col) for piece in pieces}))
-        void_digest = digest_of(
-            context.checksums(model, model_blocks), context.checksums(voids, void_blocks)
-        )
-        for key in model_blocks:
-            voids_of[key].append((Void(pieces), void_digest))
-    for key in sorted(voids_of.keys() | context.made[model].keys()):
-        block_voids = voids_of.get(key, [])
-        block = spec.block_named(key, BLOCK_PIXELS)
-        work = FillBlock(
-            name=raster.name,
-            block=block,
-            rasters=rasters,
-            voids=tuple(void for void, _ in block_voids),
-            edits=context.corrections.edits_key,
-        )
-        inputs = [
-            context.checksums(model, [key]),
-            context.coarse_checksums(survey, block),
-            [void_digest for _, void_digest in block_voids],
-        ]
-        yield context.block_task(raster, work, inputs)
 
 
 def surveyed_blocks(context: GridContext, survey: str) -> list[Block]:

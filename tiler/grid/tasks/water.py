@@ -7,29 +7,26 @@ from dataclasses import replace
 
 from tiler.config import AUTO_WATER
 from tiler.core.area_index import AreaIndex
-from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Cell, row_by_row
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.records import records_of
 from tiler.core.water import LAKE, Water, Waters, lengths_along
 from tiler.core.words import counted
-from tiler.grid import DescribeBody, LevelWater, describe_body, level_water
 from tiler.grid.coarse import padded
-from tiler.grid.records import BodyRecord, LevelRecord
+from tiler.grid.records import LevelRecord
 from tiler.grid.tasks.gridding import GridContext, Place
 from tiler.grid.tasks.survey import block_names, near_places
 from tiler.grid.tasks.water_facts import report_levels
 from tiler.grid.tasks.water_search import area_sums
 from tiler.grid.water_banks import BANK_MARGIN
-from tiler.grid.water_find import MIN_LENGTH
+from tiler.grid.water_find import MIN_LENGTH, BodyCells, describe_body
+from tiler.grid.water_level import level_water
 from tiler.grid.water_pockets import POCKET_PIXELS
 from tiler.grid.water_search import SearchRasters
 from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task
-from tiler.version import RULES
+from tiler.schedule import Task, calling
 
 FINDING, STAGE = "water-search", "water"
 """Names of the stages: outlines of bodies of water, and levels of bodies."""
@@ -93,7 +90,7 @@ def _bodies_in_data(job: Job, context: GridContext) -> tuple[Water, ...]:
     """Return the bodies of water in the data, without levels, from the north-west."""
     tasks = list(_body_tasks(context))
     made = run_stage(job, FINDING, tasks) if tasks else {}
-    found = [record.body for record in records_of(BodyRecord, made)]
+    found = [stored["body"] for _, stored in made.values()]
     bodies = [Water.from_json(body) for body in found if body is not None]
     bodies.sort(key=lambda body: (-body.area.bounds.y1, body.area.bounds.x0, body.area.key))
     return tuple(replace(body, number=number) for number, body in enumerate(bodies, start=1))
@@ -112,18 +109,21 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
         # `finish_water` adds up the confidences of the cells in hundredths. Not all cells have
         # a confidence.
         confidence = round(hundredths / 100 / max(n_known, 1), 2)
-        work = DescribeBody(
-            pieces, CELLS, CROWNS, SearchRasters(*SOURCES), context.rule, coarse, confidence=confidence,
-            lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
-            island_m2=float(config.water_min_island),
+        cells = BodyCells(
+            pieces, CELLS, CROWNS, SearchRasters(*SOURCES), context.rule, coarse, float(config.water_min_island)
         )  # fmt: skip
+        call = calling(
+            describe_body,
+            cells=cells,
+            confidence=confidence,
+            lake_m2=float(config.water_min_lake),
+            river_width_m=float(config.water_min_river_width),
+        )
         near = block_names(near_places(coarse, places))
         rasters = [context.checksums(raster, near) for raster in (CELLS, CROWNS, *SOURCES)]
-        digest = digest_of(
-            RULES, work, *rasters, context.label_digests(_buckets_near(context, places))
-        )
+        labels = context.label_digests(_buckets_near(context, places))
         key = f"{block_names(places)[0]}a{name.label}"
-        yield Task(FINDING, key, digest, describe_body, work, pixels=n_cells)
+        yield Task.of(FINDING, key, call, rasters, labels, pixels=n_cells)
 
 
 def _buckets_near(context: GridContext, places: list[Place]) -> list[Cell]:
@@ -161,27 +161,27 @@ def level_tasks(context: GridContext, bodies: tuple[Water, ...]) -> Iterator[Tas
         )
         names = (*SOURCES[:2], CROWNS)
         cells = names if all(name in context.made for name in names) else None
-        work = LevelWater(
-            body, other_areas, "dtm", spec, cells, context.coarse, joins_pockets=auto
+        call = calling(
+            level_water,
+            body=body,
+            others=other_areas,
+            heights="dtm",
+            spec=spec,
+            cells=cells,
+            coarse=context.coarse,
+            joins_pockets=auto,
         )
-        inputs = [
-            context.checksums(
-                "dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS))
-            )
-        ]
-        if cells is not None:
-            blocks = [block.name for block in context.coarse.blocks_within(near, BLOCK_PIXELS)]
-            inputs += [context.checksums(name, blocks) for name in cells]
-        digest = digest_of(
-            RULES,
-            body.digest,
-            body.number,
-            auto,
-            [other.key for other in other_areas],
-            spec,
-            inputs,
+        pixels = [block.name for block in spec.blocks_within(near, BLOCK_PIXELS)]
+        blocks = [block.name for block in context.coarse.blocks_within(near, BLOCK_PIXELS)]
+        yield Task.of(
+            STAGE,
+            _key(body),
+            call.without("body", "others"),
+            [body.digest, body.number, *(other.key for other in other_areas)],
+            context.checksums("dtm", pixels),
+            [context.checksums(name, blocks) for name in cells or ()],
+            bounds=body.area.bounds,
         )
-        yield Task(STAGE, _key(body), digest, level_water, work)
 
 
 def _key(body: Water) -> str:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, NotRequired, TypedDict
 
 from tiler.core.digests import digest_of
 from tiler.errors import InputError
-from tiler.ingest.contents import DigestsRecord, ReadFiles, read_files
+from tiler.ingest.contents import read_files
 from tiler.ingest.tasks.points import Source
 from tiler.inputs import SourceInfo
 from tiler.io.locations import FileState, is_url, location
@@ -22,7 +22,7 @@ from tiler.observe.events import StageFinished, StageStarted, TaskDone, Warned
 from tiler.plan import chunks_of
 from tiler.redaction import without_secrets
 from tiler.runs.job import Job
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.schedule.worker import compute
 
 STAGE = "identify"
@@ -145,15 +145,11 @@ def file_digests(
         job.listener(
             TaskDone(stage, task.key, points=task.points, seconds=round(outcome.seconds, 3))
         )
-        record = (
-            DigestsRecord({}, {})
-            if outcome.record is None
-            else DigestsRecord.of(outcome.record)
-        )
-        for file_location, _ in task.arguments.files:
+        record = outcome.record or {"digests": {}, "errors": {}}
+        for file_location, _ in task.arguments["files"]:
             error = f"{file_location}: the process that reads it {outcome.error}; get the file again"
-            digest = record.digests.get(file_location)
-            yield file_location, FileContent(digest, record.errors.get(file_location, error))
+            digest = record["digests"].get(file_location)
+            yield file_location, FileContent(digest, record["errors"].get(file_location, error))
     seconds = round(time.monotonic() - start, 3)
     job.listener(StageFinished(stage, seconds))
 
@@ -182,6 +178,6 @@ def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
 
 
 def _task(stage: str, group: list[File]) -> Task:
-    work = ReadFiles(tuple((file_location, state) for file_location, state, _ in group))
-    digest = digest_of(work)
-    return Task(stage, digest, digest, read_files, work, sum(points for _, _, points in group))
+    files = tuple((file_location, state) for file_location, state, _ in group)
+    n_points = sum(points for _, _, points in group)
+    return Task.of(stage, digest_of(files), calling(read_files, files=files), points=n_points)

@@ -11,7 +11,6 @@ from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.records import SpoolRecord
 from tiler.ingest import (
-    AssembleBuckets,
     BucketParts,
     SpoolPiece,
     Strays,
@@ -24,7 +23,7 @@ from tiler.inputs import SourceInfo, header_bounds, pieces, window_pieces
 from tiler.inputs.extent import can_be_strays
 from tiler.io.locations import location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 from tiler.store import Commits
 
 GROUP = 4
@@ -75,7 +74,8 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
                 keep=keep,
                 selection=selection,
             )
-            yield Task("spool", key, digest_of(identity, buckets), spool_piece, work, count)
+            call = calling(spool_piece, work=work).without("work")
+            yield Task.of("spool", key, call, identity, buckets, points=count)
 
 
 def _pieces(
@@ -188,6 +188,9 @@ def assemble_tasks(
             [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules]
             for b in buckets
         ]
-        digest = digest_of(content, keep, flags, parents)
-        work = AssembleBuckets(buckets, keep, flags)
-        yield Task("assemble", group.name, digest, assemble_buckets, work, points)
+        call = calling(assemble_buckets, buckets=buckets, keep_classes=keep, skip_flags=flags)
+        call = call.without("buckets")
+        bounds = plan.buckets.hull(groups[group])
+        yield Task.of(
+            "assemble", group.name, call, content, parents, points=points, bounds=bounds
+        )

@@ -1,4 +1,4 @@
-"""Grouping of blocks of the terrain into tasks that make one TIN for several blocks.
+"""Rasters of heights on the TIN of the ground, and tasks that make one TIN for several blocks.
 
 A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points
 than many small TINs. Pixels and digests of a block do not depend on its group, so finished
@@ -8,19 +8,29 @@ blocks remain valid.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.lattice import Cell
-from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.core.edits import OF_PIXELS
+from tiler.core.lattice import Cell, Lattice
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
 from tiler.core.records import BucketRecord
-from tiler.grid import GridBlock, GridBlocks, grid_blocks, max_points_in_bucket
+from tiler.grid import (
+    GridBlock,
+    full_halo,
+    grid_block,
+    grid_blocks,
+    max_points_in_bucket,
+)
+from tiler.grid.tasks.gridding import Grid, GridContext, Place
+from tiler.grid.tasks.raster_names import CANOPY_CELLS, CANOPY_TERRAIN
+from tiler.grid.tasks.survey import near_places
 from tiler.plan import Plan
 from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
-from tiler.schedule import Task
+from tiler.schedule import Task, calling
 
 MAX_PIXELS = 16 * BLOCK_PIXELS**2
 """A task has at most this many pixels. They take 13 bytes each, little compared to the memory
@@ -34,6 +44,98 @@ so far."""
 
 Records = Mapping[Cell, BucketRecord]
 Ints = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class OnTin:
+    """Raster of heights on the TIN of the ground.
+
+    Attributes
+    ----------
+    name : str
+        Name of the raster in the store. The stage that makes it is ``grid-<name>``.
+    grid : Grid
+    inputs : tuple of str
+        Names of the rasters that are made before it.
+    over : callable
+        Function ``over(context)`` that returns the places of the blocks, or None for all that a facet can reach.
+    """
+
+    name: str
+    grid: Grid
+    inputs: tuple[str, ...] = ()
+    over: Callable[[GridContext], Collection[Place] | None] = lambda _: None
+    fill: float = NODATA
+
+    @property
+    def stage(self) -> str:
+        """Stage that makes the raster."""
+        return f"grid-{self.name}"
+
+    def tasks(self, context: GridContext) -> Iterator[Task]:
+        """Yield a task for each block within the reach of a facet."""
+        plan, facets, spec, places = (
+            context.plan, context.facets, context.spec_of(self.grid), self.over(context)
+        )  # fmt: skip
+        widest, corrections = full_halo(facets.max_edge), context.corrections
+        for block, near in context.near(spec, widest).items() if places != set() else ():
+            if places is not None and (block.row, block.col) not in places:
+                continue
+            work = GridBlock(
+                name=self.name,
+                spec=spec,
+                block=block,
+                rule=context.rule,
+                data=facets.data,
+                max_edge=facets.max_edge,
+                halo=facets.halo,
+                interpolation=plan.config.interpolation
+                if self.grid is not Grid.CANOPY
+                else "linear",
+                max_halo=widest,
+                thin=_thinning(self.grid, context),
+                percent=plan.config.surface_percent,
+                breaklines=corrections.lines_key,
+                max_points=plan.block_points,
+            )
+            extent = spec.block_bounds(block)
+            yield Task.of(
+                self.stage,
+                block.name,
+                calling(grid_block, work=work),
+                context.label_digests(near),
+                corrections.edit_digests(extent, OF_PIXELS),
+                corrections.line_digests_near(extent, plan),
+                makes=block.height * block.width,
+                points=context.n_points(near),
+                bounds=extent,
+            )
+
+
+def _thinning(grid: Grid, context: GridContext) -> Lattice | None:
+    """Return the cells in which one ground point makes the surface, or None if all do."""
+    plan = context.plan
+    if grid is Grid.CANOPY:
+        return context.canopy_cells.lattice
+    if plan.surface_cells is None:
+        return None
+    return Lattice(plan.frame.counts(plan.grid.resolution / plan.surface_cells))
+
+
+def _where_water_is_sought(context: GridContext) -> Collection[Place] | None:
+    return None if context.water_is_sought else set()
+
+
+def _near_canopies(context: GridContext) -> set[Place]:
+    found = context.counts(CANOPY_CELLS, Grid.CANOPY).items()
+    places = [(block.row, block.col) for block, counts in found if counts["filled"]]
+    return set(near_places(context.canopy_cells, places))
+
+
+TERRAIN = OnTin("dtm", Grid.PIXELS)
+TERRAIN_OF_CANOPIES = OnTin(CANOPY_TERRAIN, Grid.CANOPY, (CANOPY_CELLS,), _near_canopies)
+TERRAIN_OF_WATER = OnTin("water-terrain", Grid.COARSE, over=_where_water_is_sought)
+"""Terrain in coarse cells, which the search for water needs if pixels are larger."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +185,7 @@ def join_blocks(
     """
     if len(tasks) < 2 or plan.config.interpolation != "linear":
         return list(tasks)
-    layout = _Layout(plan, records, [task.arguments for task in tasks])
+    layout = _Layout(plan, records, [task.arguments["work"] for task in tasks])
     groups = _fitting(layout, min(plan.block_points, TIN_BYTES // GROUND_BYTES))
     groups = _balanced(layout, groups, workers)
     groups.sort(key=lambda group: -group.cost)
@@ -93,10 +195,11 @@ def join_blocks(
 def _joined(parts: Sequence[Task]) -> Task:
     if len(parts) == 1:
         return parts[0]
-    first, blocks = parts[0], GridBlocks(tuple(part.arguments for part in parts))
+    first = parts[0]
+    call = calling(grid_blocks, works=tuple(part.arguments["work"] for part in parts))
     points = sum(part.points for part in parts)
     name = f"{first.key}+{len(parts) - 1}"
-    return Task(first.stage, name, "", grid_blocks, blocks, points, parts=tuple(parts))
+    return Task.of(first.stage, name, call.without("works"), points=points, parts=tuple(parts))
 
 
 def _fitting(layout: _Layout, max_points: int) -> list[_Group]:
