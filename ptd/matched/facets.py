@@ -14,11 +14,9 @@ from ptd.frame import Scale
 from ptd.ground.criteria import across
 from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
-from ptd.tin.circles import Rule, facet_passes
-from ptd.tin.interpolation import plane_height
-from ptd.tin.layout import Int32Array
-from ptd.tin.location import locate
+from ptd.tin.facets import Rule, facet_passes, plane_height
 from ptd.tin.mesh import Tin
+from ptd.tin.triangles import Int32Array, locate
 
 MAX_CIRCUMRADIUS_M = 30.0
 """Largest circumradius of a facet that gives the height of the ground. Voids up to twice this
