@@ -25,16 +25,16 @@ from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.summits import REACH_CELLS, on_summits, without_thin
 from ptd.matched import bent_hull, growth
-from ptd.matched.bent_hull import ramp
-from ptd.matched.cells import CELL_M, EMPTY
-from ptd.matched.hull import LOWEST, Envelope, lower_envelope
-from ptd.matched.surroundings import (
+from ptd.matched.bent_hull import (
     RemainingCells,
     gaussian_radius,
+    ramp,
     share_radius,
     slope_radius,
     smoothed,
 )
+from ptd.matched.cells import CELL_M, EMPTY
+from ptd.matched.hull import LOWEST, Envelope, lower_envelope
 
 Float64 = npt.NDArray[np.float64]
 
