@@ -1,7 +1,10 @@
 """Installation of the plugin in a profile of QGIS, and its packaging as an archive."""
 
 from __future__ import annotations
-
+from email.utils import parseaddr
+from importlib.metadata import PackageNotFoundError, metadata
+from tiler.errors import ConfigError
+from __future__ import annotations
 import json
 import os
 import shutil
@@ -11,12 +14,49 @@ import zipfile
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-
-from cli.qgis.addresses import addresses, validate_addresses
 from cli.qgis.table import table
 from tiler.errors import ConfigError, write_error
 from tiler.io.atomic_files import atomic_path
 from tiler.version import __version__
+
+
+DISTRIBUTION = "tiler-dtm"
+URLS = {"homepage": "Homepage", "tracker": "Issues", "repository": "Repository"}
+"""Key of ``metadata.txt`` -> name in ``[project.urls]``."""
+EMAIL = "email"
+
+
+def addresses() -> dict[str, str]:
+    """Return the addresses of the project by their keys in ``metadata.txt``."""
+    try:
+        package_metadata = metadata(DISTRIBUTION)
+    except PackageNotFoundError:  # a checkout that is not installed
+        return {}
+    urls = dict(entry.split(", ", 1) for entry in package_metadata.get_all("Project-URL") or ())
+    address_by_key = {key: urls.get(name, "") for key, name in URLS.items()}
+    _, address_by_key[EMAIL] = parseaddr(
+        "".join(package_metadata.get_all("Author-email") or ())
+    )
+    return {key: address for key, address in address_by_key.items() if address}
+
+
+def validate_addresses(found: dict[str, str]) -> None:
+    """Raise ConfigError if an address is missing that the repository of QGIS plugins requires."""
+    missing = [f"{name} in [project.urls]" for key, name in URLS.items() if key not in found]
+    if EMAIL not in found:
+        missing.append("email in authors")
+    if missing:
+        raise ConfigError(
+            f"pyproject.toml: has no {', no '.join(missing)}, which the repository of QGIS plugins requires; "
+            "add the missing values and install tiler again, or leave out --upload"
+        )
+    for key, address in found.items():
+        if key != EMAIL and not address.startswith("https://"):
+            raise ConfigError(
+                f"pyproject.toml: {URLS[key]} in [project.urls] does not begin with https:// ({address}); "
+                "give an https address"
+            )
+
 
 FOLDER = "tiler_qgis"
 """Name of the plugin's folder, which is also the name of its Python package."""

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiler.simulate.landmarks import bridge
+from tiler.simulate.blocks import bridge
 from tiler.simulate.objects import Objects, Solid
-from tiler.simulate.plot import Plot
-from tiler.simulate.site import Site
-from tiler.simulate.terrain import Line, Terrain, Waves
-from tiler.simulate.water_bodies import (
+from tiler.simulate.site import Plot, Site
+from tiler.simulate.terrain import (
     FACE_SLOPE,
     Field,
     Floats,
+    Line,
     Masonry,
+    Terrain,
     WaterBody,
     Waters,
+    Waves,
     constant,
 )
 
