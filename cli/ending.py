@@ -1,7 +1,10 @@
-"""Exit codes and their meaning. Each error class has its own code (`tiler.errors`)."""
+"""How a command ends: exit codes, and the end of an interrupted command within seconds.
+
+Each error class has its own code (`tiler.errors`). A command may end by itself, and is killed if something hangs.
+"""
 
 from __future__ import annotations
-from __future__ import annotations
+
 import os
 import signal
 import socket
@@ -11,8 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import NoReturn
-import psutil
 
+import psutil
 
 DONE = 0
 USAGE = 2

@@ -1,15 +1,17 @@
-"""Groups of options in the help of commands with many options, and the short help of the frequent ones."""
+"""Help of commands with many options, in groups, and remedies for mistakes in a command line.
+
+The short help has the frequent options. Mistakes are unknown options, those of other programs, and options given twice.
+"""
 
 from __future__ import annotations
-from collections.abc import Sequence
-import click
-from cli.output import write_line
-from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Sequence
 from difflib import get_close_matches
+
 import click
 
+from cli.output import write_line
 
 OWN_WORDS = "its own"
 """Short help of options that differ between commands: the first words of their help."""
@@ -194,7 +196,7 @@ OTHER_PROGRAMS = {
 underscores."""
 
 
-def long_names(params: Sequence[click.Parameter]) -> list[str]:
+def _long_names(params: Sequence[click.Parameter]) -> list[str]:
     """Return the names of options that begin with two hyphens."""
     names = (name for p in params for name in (*p.opts, *p.secondary_opts))
     return [name for name in names if name.startswith("--")]
@@ -207,7 +209,7 @@ def abbreviations(
 
     A name of `OTHER_PROGRAMS` is not an abbreviation, since its users expect what it means elsewhere.
     """
-    names = long_names(params)
+    names = _long_names(params)
     words = {a.partition("=")[0] for a in arguments if a.startswith("--") and len(a) > 2}
     found = {}
     for word in words - {*names}:
@@ -232,7 +234,7 @@ def unknown_option(error: click.NoSuchOption, arguments: Sequence[str]) -> str:
     word = _plain(given)
     if word in OTHER_PROGRAMS:
         return _ELSEWHERE.format(given) + OTHER_PROGRAMS[word]
-    options = long_names(error.ctx.command.get_params(error.ctx)) if error.ctx else []
+    options = _long_names(error.ctx.command.get_params(error.ctx)) if error.ctx else []
     several = [name for name in options if name.startswith(f"--{word}")]
     if len(several) > 1:
         return f"{given} is the beginning of {' and '.join(several)}; write one of them"

@@ -1,24 +1,25 @@
-"""Output of results to stdout: JSON, tables (rich on a terminal, plain elsewhere) and lines of facts."""
+"""Output of results to stdout: JSON, tables (rich on a terminal, plain elsewhere) and lines of facts.
+
+Standard output and error may lose their reader without an error (``tiler ... | head``).
+"""
 
 from __future__ import annotations
+
 import codecs
-import json
-import sys
-from bisect import bisect
-from collections.abc import Mapping, Sequence
-from typing import Any
-import click
-from tiler.redaction import shown, stored, without_secrets
-from __future__ import annotations
 import errno
 import io
+import json
 import os
 import sys
-from collections.abc import Iterator
+from bisect import bisect
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO
-from tiler.errors import write_error
 
+import click
+
+from tiler.errors import write_error
+from tiler.redaction import shown, stored, without_secrets
 
 SHARES = (0.3, 0.75, 1.5)
 """Upper limits of the shades of a map, as shares of the median density."""

@@ -1,22 +1,24 @@
-"""Lines printed at the end of a job, made from its summary."""
+"""Lines printed at the end of a job, made from its summary: results with counts and paths, and what failed."""
 
 from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
-from tiler.core.units_text import length_text
-from tiler.core.words import counted
-from tiler.io.locations import joined
-from tiler.io.result_folder import BRIDGES, CLASSIFIED, OUTLINE, SHEETS, VIRTUAL, WATER
-from __future__ import annotations
-from collections.abc import Mapping, Sequence
-from typing import Any
-from tiler.core.units_text import length_text
-from tiler.core.words import counted
-from tiler.io.locations import joined
-from tiler.io.result_folder import written_rasters
-from tiler.observe.progress import duration_text, rate_text, size_text
 
+from tiler.core.units_text import length_text
+from tiler.core.words import counted
+from tiler.io.locations import joined
+from tiler.io.result_folder import (
+    BRIDGES,
+    CLASSIFIED,
+    OUTLINE,
+    SHEETS,
+    VIRTUAL,
+    WATER,
+    written_rasters,
+)
+from tiler.observe.progress import duration_text, rate_text, size_text
 
 MAX_EDITS = 10
 """Largest number of edits that are printed, one per line."""
@@ -24,7 +26,7 @@ MAX_EDITS = 10
 Summary = Mapping[str, Any]
 
 
-def made_lines(summary: Summary, out: str) -> Iterator[str]:
+def _made_lines(summary: Summary, out: str) -> Iterator[str]:
     """Yield a line for each result that is not a raster, and for the effect of each edit.
 
     The line of a result has its name, count and path.
@@ -94,7 +96,7 @@ def _water(bodies: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def ground_points(summary: Summary) -> int:
+def _ground_points(summary: Summary) -> int:
     """Return the number of points that the run classified as ground, after the edits.
 
     If no classified clouds were written, it is the number that the filter found.
@@ -148,7 +150,7 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         marked = f", {section['marked']:,} labels not certified" if section["marked"] else ""
         tiles = counted(section["tiles"], "tile")
         lines.append(
-            f"ground      {counted(ground_points(summary), 'point')}, in {tiles}{marked}"
+            f"ground      {counted(_ground_points(summary), 'point')}, in {tiles}{marked}"
         )
         if section["low_noise"]:
             lines.append(
@@ -165,7 +167,7 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         lines.append(f"{product.upper():12s}{joined(out, file)}, {size}")
     if rasters[1:]:
         lines.append(f"products    {', '.join(joined(out, file) for _, file in rasters[1:])}")
-    lines.extend(made_lines(summary, out))
+    lines.extend(_made_lines(summary, out))
     if problems := summary.get("problems"):
         lines.append(f"problems    {kinds_text(problems)}")
     if summary.get("report"):

@@ -1,24 +1,27 @@
-"""Installation of the plugin in a profile of QGIS, and its packaging as an archive."""
+"""Installation of the plugin in a profile of QGIS, and its packaging as an archive.
+
+The repository of QGIS plugins requires public addresses. They are defined only in `pyproject.toml`: in the table
+``[project.urls]`` and as ``email`` in ``authors``. Here they are read from the installed package.
+"""
 
 from __future__ import annotations
-from email.utils import parseaddr
-from importlib.metadata import PackageNotFoundError, metadata
-from tiler.errors import ConfigError
-from __future__ import annotations
+
 import json
 import os
 import shutil
 import sys
 import sysconfig
 import zipfile
+from email.utils import parseaddr
+from importlib.metadata import PackageNotFoundError, metadata
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+
 from cli.qgis.table import table
 from tiler.errors import ConfigError, write_error
 from tiler.io.atomic_files import atomic_path
 from tiler.version import __version__
-
 
 DISTRIBUTION = "tiler-dtm"
 URLS = {"homepage": "Homepage", "tracker": "Issues", "repository": "Repository"}
@@ -26,7 +29,7 @@ URLS = {"homepage": "Homepage", "tracker": "Issues", "repository": "Repository"}
 EMAIL = "email"
 
 
-def addresses() -> dict[str, str]:
+def _addresses() -> dict[str, str]:
     """Return the addresses of the project by their keys in ``metadata.txt``."""
     try:
         package_metadata = metadata(DISTRIBUTION)
@@ -40,7 +43,7 @@ def addresses() -> dict[str, str]:
     return {key: address for key, address in address_by_key.items() if address}
 
 
-def validate_addresses(found: dict[str, str]) -> None:
+def _validate_addresses(found: dict[str, str]) -> None:
     """Raise ConfigError if an address is missing that the repository of QGIS plugins requires."""
     missing = [f"{name} in [project.urls]" for key, name in URLS.items() if key not in found]
     if EMAIL not in found:
@@ -127,7 +130,7 @@ def package(target: Path, upload: bool = False) -> None:
         missing.
     """
     if upload:
-        validate_addresses(addresses())
+        _validate_addresses(_addresses())
     if target.exists() and not _is_package(target):
         raise ConfigError(
             f"{target}: already exists and is not a package of this plugin; give another name"
@@ -147,7 +150,7 @@ def package(target: Path, upload: bool = False) -> None:
 
 def _metadata(text: str) -> str:
     """Return the plugin's metadata with this version and the addresses of the project."""
-    values = {"version": __version__, **addresses()}
+    values = {"version": __version__, **_addresses()}
     lines = []
     for line in text.splitlines():
         key = line.partition("=")[0]
