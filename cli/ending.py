@@ -132,7 +132,6 @@ def end_at_once(code: int) -> NoReturn:
 
 
 def _end_children() -> None:
-    """Kill all descendants of this process."""
     with suppress(psutil.Error):
         for child in psutil.Process().children(recursive=True):
             with suppress(psutil.Error):

@@ -206,13 +206,10 @@ class _Patient(io.FileIO):
                 return super().write(data)
             except OSError as error:
                 self._lost = True
-                if not _reader_has_gone(error) and self._called == "stdout":
+                # Windows has no own error for a reader that has gone.
+                gone = isinstance(error, BrokenPipeError) or (
+                    os.name == "nt" and error.errno == errno.EINVAL
+                )
+                if not gone and self._called == "stdout":
                     raise write_error(self._called, error) from error
         return memoryview(data).nbytes
-
-
-def _reader_has_gone(error: OSError) -> bool:
-    # Windows has no own error for this.
-    return isinstance(error, BrokenPipeError) or (
-        os.name == "nt" and error.errno == errno.EINVAL
-    )

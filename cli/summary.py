@@ -96,15 +96,6 @@ def _water(bodies: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _ground_points(summary: Summary) -> int:
-    """Return the number of points that the run classified as ground, after the edits.
-
-    If no classified clouds were written, it is the number that the filter found.
-    """
-    points: int = summary.get("classes", {}).get("ground", summary["filter"]["ground"])
-    return points
-
-
 MAX_OF_KIND = 3
 """Number of lines about files that were left out, or about failed tasks."""
 
@@ -149,9 +140,9 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         section = summary["filter"]
         marked = f", {section['marked']:,} labels not certified" if section["marked"] else ""
         tiles = counted(section["tiles"], "tile")
-        lines.append(
-            f"ground      {counted(_ground_points(summary), 'point')}, in {tiles}{marked}"
-        )
+        # after the edits; without classified clouds, the number that the filter found
+        ground = summary.get("classes", {}).get("ground", section["ground"])
+        lines.append(f"ground      {counted(ground, 'point')}, in {tiles}{marked}")
         if section["low_noise"]:
             lines.append(
                 f"low noise   {counted(section['low_noise'], 'point')} below the ground"

@@ -218,10 +218,13 @@ def bent_hull(
     pliable = np.maximum(hull(PLIABLE), stiff)
     contrast, _ = _contrast(cells, ~terrain, pliable, sigma_m, CONTRAST_M)
     surface = pliable - ramp(contrast, CONTRAST) * (pliable - stiff)
-    left = np.maximum(cells.around(cells.there, RIDGE_M), MIN_SHARE_LEFT)
+    around = cells.around
+    there = np.maximum(around(cells.there, TERRAIN_M), 1e-3)
+    left = np.maximum(around(cells.there, RIDGE_M), MIN_SHARE_LEFT)
     for envelope in RIDGES:
-        slope = _slope_around(cells, surface)
-        share = _of_terrain(cells, terrain, surface, sigma_m)
+        slope = around(cells.slope(surface), TERRAIN_M) / there
+        above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
+        share = around(above & terrain, TERRAIN_M) / np.maximum(around(above, TERRAIN_M), 1e-3)
         crests = envelope.curvature > OPEN_GROUND
         if crests and (share <= RIDGE_SHARE[0]).all():
             continue
@@ -239,20 +242,3 @@ def bent_hull(
         clear = 1.0 - ramp(contrast, CREST_CONTRAST if crests else RIDGE_CONTRAST)
         surface = surface + ramp(share, RIDGE_SHARE) * clear * raised
     return surface
-
-
-def _slope_around(cells: RemainingCells, surface: Float64) -> Float64:
-    """Return the mean slope of the cells around each one."""
-    return cells.around(cells.slope(surface), TERRAIN_M) / np.maximum(
-        cells.around(cells.there, TERRAIN_M), 1e-3
-    )
-
-
-def _of_terrain(
-    cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64
-) -> Float64:
-    """Return the share of terrain among the cells above a surface, around each cell."""
-    above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
-    return cells.around(above & terrain, TERRAIN_M) / np.maximum(
-        cells.around(above, TERRAIN_M), 1e-3
-    )

@@ -73,7 +73,8 @@ def crowns(heights: Float64) -> Crowns:
         Heights in metres of cells of about 1 m, NaN where unknown. Blocks begin in the first row and column.
     """
     large = residuals(heights, LARGE)
-    filled = [block for block in _blocks(heights) if _share_held(large[block]) >= MIN_FILLED]
+    least = MIN_FILLED * BLOCK**2  # of a whole block, also at the edge of the raster
+    filled = [b for b in _blocks(heights) if np.count_nonzero(np.isfinite(large[b])) >= least]
     rough = [block for block in filled if np.nanmedian(large[block]) > ROUGH_M]
     if not rough:  # Nearly all rasters end here; the rest is half of the work.
         return Crowns(len(filled), [])
@@ -93,11 +94,6 @@ def _blocks(heights: Float64) -> Iterator[BlockSlices]:
     for row in range(0, heights.shape[0], BLOCK):
         for column in range(0, heights.shape[1], BLOCK):
             yield slice(row, row + BLOCK), slice(column, column + BLOCK)
-
-
-def _share_held(block: Float64) -> float:
-    """Return the number of known heights as a share of the cells of a whole block, also at the edge of the raster."""
-    return float(np.count_nonzero(np.isfinite(block))) / BLOCK**2
 
 
 def one_way(down: Float64, right: Float64) -> float:

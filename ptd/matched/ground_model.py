@@ -150,16 +150,6 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
     return means
 
 
-def _cell_size_m(least: float, most: float) -> float:
-    """Return the size of the cells in metres, rounded up to 0.01 m, for radii between two limits."""
-    return math.ceil(100.0 * most / round(most / least) - ROUNDED) / 100.0
-
-
-def _figures(field: Field, x: Int32, y: Int32) -> Float64:
-    """Return the figure at each point, or a single one if it is the same everywhere."""
-    return field.values[0, :1].copy() if field.even else values_at(field, x, y)
-
-
 @kernel
 def _limits(
     radius: Float64,
@@ -220,9 +210,13 @@ def votes(
     if asking.size == 0:
         return residual
     px, py = x[asking], y[asking]
-    radius, noise = (_figures(as_field(figure), px, py) for figure in (radius_m, sigma_m))
-    cell_m = _cell_size_m(float(radius.min()), float(radius.max()))
-    cells, most = CellLattice.of(cell_m, scale), math.ceil(radius.max() / cell_m - ROUNDED)
+    radius, noise = (  # a single figure if it is the same everywhere
+        figure.values[0, :1].copy() if figure.even else values_at(figure, px, py)
+        for figure in map(as_field, (radius_m, sigma_m))
+    )
+    least, widest = float(radius.min()), float(radius.max())
+    cell_m = math.ceil(100.0 * widest / round(widest / least) - ROUNDED) / 100.0
+    cells, most = CellLattice.of(cell_m, scale), math.ceil(widest / cell_m - ROUNDED)
     column, row = cells.column(int(px.min())) - most, cells.row(int(py.min())) - most
     width = cells.column(int(px.max())) - column + 1 + most
     height = cells.row(int(py.max())) - row + 1 + most

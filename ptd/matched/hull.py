@@ -387,7 +387,6 @@ def _least_fall(falls: Int64, first: int, tilt: int, block: int) -> int:
 
 @kernel
 def _raise(hull: Int32, top: int, profile: Int32) -> None:
-    """Raise a row of the hull to a paraboloid."""
     for k in range(profile.size):
         hull[k] = max(hull[k], np.int32(np.int32(top) + profile[k]))
 

@@ -34,6 +34,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, quotient
 from ptd.frame import CellGrid, CellLattice, Scale
+from ptd.gridding.ground_cells import box_sums
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
@@ -141,11 +142,7 @@ def around_cells(
 
 def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
     """Return sums over the squares with 2 r + 1 cells on a side, with values of 0 beyond the raster."""
-    padded = np.pad(values.astype(np.int64), ((r + 1, r), (r + 1, r)))
-    sums = padded.cumsum(axis=0).cumsum(axis=1)
-    k = 2 * r + 1
-    box_sums: Int64 = sums[k:, k:] - sums[:-k, k:] - sums[k:, :-k] + sums[:-k, :-k]
-    return box_sums
+    return box_sums(np.pad(values.astype(np.int64), r), r, r)
 
 
 UNIT = 2**16
@@ -466,7 +463,6 @@ def features_by_block(
 
 @kernel
 def _columns_and_rows(x: Int32, y: Int32, grid: CellGrid) -> tuple[Int32, Int32]:
-    """Return the column and row of each point in a grid."""
     p, q, ox, oy, west, south = grid
     column, row, inverse = np.empty(x.size, np.int32), np.empty(x.size, np.int32), 1.0 / p
     for k in range(x.size):

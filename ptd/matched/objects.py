@@ -230,12 +230,10 @@ share of such objects. The upper limit is larger, because pits lie below the roo
 
 
 def _around_cells(cell_m: float) -> int:
-    """Return the distance of the cells around an island's cells, in cells."""
     return max(round(AROUND_M / cell_m), 1)
 
 
 def _roof_rule(scale: Scale, cell_m: float) -> Plateaus:
-    """Return the rule by which the surface of an island is a plateau."""
     roof_rule = Plateaus.of(scale, MAX_ISLAND_WIDTH_M, cell_m=cell_m)
     view, slope = round(VIEW_M / cell_m), scale.counts_z(SLOPE * cell_m)
     return replace(roof_rule, view=view, slope=slope, unseen=UNSEEN_SHARE)

@@ -315,14 +315,11 @@ def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
     else:
         pieces.append(Piece(MATCHED_LOOK, "no pulses passed through plants"))
     if seen.overhang_looks:
-        pieces.append(_overhangs(seen.overhangs / seen.overhang_looks))
+        share = seen.overhangs / seen.overhang_looks
+        weight = OVERHANG_WEIGHT * math.log(EVEN_OVERHANG_SHARE / (share + 0.01))
+        weight = min(max(weight, -MAX_OVERHANG), MAX_OVERHANG)
+        pieces.append(Piece(weight, f"{percent(share)} % of the cells have overhangs"))
     return pieces
-
-
-def _overhangs(share: float) -> Piece:
-    weight = OVERHANG_WEIGHT * math.log(EVEN_OVERHANG_SHARE / (share + 0.01))
-    weight = min(max(weight, -MAX_OVERHANG), MAX_OVERHANG)
-    return Piece(weight, f"{percent(share)} % of the cells have overhangs")
 
 
 @dataclass(frozen=True)

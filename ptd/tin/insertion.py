@@ -37,7 +37,6 @@ class _Corner(NamedTuple):
 
 @kernel
 def _corner(vertices: Int32Array, vertex: int, x: int, y: int) -> _Corner:
-    """Return a vertex relative to (x, y)."""
     at = 4 * max(vertex, 0)
     return _Corner(vertex, vertices[at] - x, vertices[at + 1] - y)
 

@@ -315,7 +315,6 @@ def _mask(mask: Floats) -> Picture:
 
 
 def _range(values: Floats) -> tuple[float, float]:
-    """Return the lowest and highest value of the colour scale."""
     there = values[np.isfinite(values)]
     if there.size == 0:
         return 0.0, 1.0

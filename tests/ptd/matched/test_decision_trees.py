@@ -7,14 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ptd.matched import last_look
-from ptd.matched.last_look import (
-    LEAVES,
-    NODES,
-    UNIT,
-    DecisionTrees,
-    last_look_trees,
-    scores,
-)
+from ptd.matched.last_look import LEAVES, NODES, UNIT, DecisionTrees, last_look_trees, scores
 
 
 def random_trees(seed: int, n: int = 30) -> DecisionTrees:

@@ -10,13 +10,7 @@ from ptd.frame import Scale
 from ptd.matched import surface
 from ptd.matched.bent_hull import TRUNCATE, smoothed
 from ptd.matched.cells import EMPTY
-from ptd.matched.surface import (
-    EXTENDED_M,
-    NARROWEST,
-    Surface,
-    ground_surface,
-    reach_cells,
-)
+from ptd.matched.surface import EXTENDED_M, NARROWEST, Surface, ground_surface, reach_cells
 from tests.scenes.village import short_sighted_surface
 
 MM = Scale()
