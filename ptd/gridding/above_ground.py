@@ -1,8 +1,8 @@
-"""What stands on the ground: the highest return of each pixel for a surface model, and the feet of objects.
+"""Objects above the ground: the highest return of each pixel for a surface model, and ground points at their feet.
 
-A single high point that nothing nearby supports is no surface. Ground points next to an object
-that is much higher are remnants of its walls, as image matching leaves them: without the
-buildings, they would stay in the terrain as stumps.
+A single high point does not count if nothing nearby supports it. Ground points next to an object that
+is much higher are remnants of its walls, as image matching leaves them: without the buildings,
+they would stay in the terrain as stumps.
 """
 
 from __future__ import annotations

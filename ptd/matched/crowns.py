@@ -73,7 +73,8 @@ def crowns(heights: Float64) -> Crowns:
         Heights in metres of cells of about 1 m, NaN where unknown. Blocks begin in the first row and column.
     """
     large = residuals(heights, LARGE)
-    least = MIN_FILLED * BLOCK**2  # of a whole block, also at the edge of the raster
+    # Blocks at the edge of the raster are smaller, and need as many heights as whole ones.
+    least = MIN_FILLED * BLOCK**2
     filled = [b for b in _blocks(heights) if np.count_nonzero(np.isfinite(large[b])) >= least]
     rough = [block for block in filled if np.nanmedian(large[block]) > ROUGH_M]
     if not rough:  # Nearly all rasters end here; the rest is half of the work.

@@ -1,4 +1,4 @@
-"""What stands on the land: functions that place objects on a plot, one per kind of block, bridges and power lines."""
+"""Objects on the land: functions that fill a plot, one per kind of block, and bridges and power lines across blocks."""
 
 from __future__ import annotations
 
