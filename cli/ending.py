@@ -1,4 +1,7 @@
-"""End of an interrupted command within seconds: the command may end by itself, and is killed if something hangs."""
+"""How a command ends: exit codes, and the end of an interrupted command within seconds.
+
+Each error class has its own code (`tiler.errors`). A command may end by itself, and is killed if something hangs.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,22 @@ from typing import NoReturn
 
 import psutil
 
-from cli import exit_codes
+DONE = 0
+USAGE = 2
+PROCESSING = 4
+PARTIAL = 5
+INTERRUPTED = 130
+
+EPILOG = """\b
+Exit codes:
+  0    done
+  2    wrong usage or configuration, or refused by the plan
+  3    an input cannot be read, or its CRS cannot be used
+  4    processing failed
+  5    done, but files, parts of files or tiles were left out, or a required check failed
+  130  interrupted by Ctrl-C or SIGTERM; run the same command again to resume
+"""
+
 
 SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name)
@@ -114,7 +132,6 @@ def end_at_once(code: int) -> NoReturn:
 
 
 def _end_children() -> None:
-    """Kill all descendants of this process."""
     with suppress(psutil.Error):
         for child in psutil.Process().children(recursive=True):
             with suppress(psutil.Error):
@@ -127,5 +144,5 @@ def _watch(reading: socket.socket, done: threading.Event) -> None:
             _end_children()
             with suppress(OSError):
                 os.write(2, FORCED)
-            os._exit(exit_codes.INTERRUPTED)
+            os._exit(INTERRUPTED)
     reading.close()

@@ -14,11 +14,19 @@ from typing import Any
 
 import click
 
-from cli import exit_codes
-from cli.ending import InterruptState, end_at_once, ended_in_time
-from cli.hints import unknown_option
+from cli.ending import (
+    DONE,
+    EPILOG,
+    INTERRUPTED,
+    PROCESSING,
+    USAGE,
+    InterruptState,
+    end_at_once,
+    ended_in_time,
+)
+from cli.help import unknown_option
+from cli.output import open_streams
 from cli.session import Session
-from cli.streams import open_streams
 from tiler.errors import TilerError
 from tiler.version import __version__
 
@@ -87,7 +95,7 @@ class LazyGroup(click.Group):
 @click.group(
     cls=LazyGroup,
     invoke_without_command=True,
-    epilog=exit_codes.EPILOG,
+    epilog=EPILOG,
     context_settings={"max_content_width": 100},
 )
 @click.version_option(__version__, prog_name="tiler")
@@ -99,8 +107,8 @@ def group(context: click.Context) -> int:
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help(), err=True)
-        return exit_codes.USAGE
-    return exit_codes.DONE
+        return USAGE
+    return DONE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -124,8 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             code = _run(arguments, ending)
         except KeyboardInterrupt:  # a signal arrived while the line of an error was written
-            code = exit_codes.INTERRUPTED
-        if own_process and code == exit_codes.INTERRUPTED:
+            code = INTERRUPTED
+        if own_process and code == INTERRUPTED:
             end_at_once(code)
         return code
 
@@ -137,7 +145,7 @@ def _run(arguments: Sequence[str] | None, ending: InterruptState) -> int:
     try:
         code: Any = group.main(arguments, prog_name="tiler", standalone_mode=False, obj=session)
         sys.stdout.flush()
-        return code if isinstance(code, int) else exit_codes.DONE
+        return code if isinstance(code, int) else DONE
     except SystemExit:
         raise
     except BaseException as error:  # noqa: BLE001 - a decoder may panic with something that is not an Exception
@@ -163,7 +171,7 @@ def _end(error: BaseException, session: Session) -> int:
         warnings.simplefilter("ignore")  # unfinished work warns when it is deleted
         rest = "; run the same command again to resume" if session.resumes else ""
         session.tell(f"tiler: interrupted{rest}")
-        return exit_codes.INTERRUPTED
+        return INTERRUPTED
     text, code = _line_and_code(error)
     session.tell(f"tiler: error: {' '.join(text.split())}")
     return code
@@ -174,13 +182,13 @@ def _line_and_code(error: BaseException) -> tuple[str, int]:
         return str(error), error.exit_code
     if isinstance(error, click.UsageError):
         path = error.ctx.command_path if error.ctx else "tiler"
-        return f"{error.format_message().rstrip('.')}; see `{path} --help`", exit_codes.USAGE
+        return f"{error.format_message().rstrip('.')}; see `{path} --help`", USAGE
     if isinstance(error, click.ClickException):
-        return error.format_message(), exit_codes.USAGE
+        return error.format_message(), USAGE
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return (
         f"unexpected {text}; run the same command with -vv for the traceback",
-        exit_codes.PROCESSING,
+        PROCESSING,
     )
 
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cli.help_groups import MANY, help_all_option, write_options
-from cli.hints import abbreviations, repeated_options
+from cli.help import MANY, abbreviations, help_all_option, repeated_options, write_options
 from cli.output import write_line
 
 if TYPE_CHECKING:

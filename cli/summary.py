@@ -1,15 +1,23 @@
-"""Lines printed at the end of a job, made from its summary."""
+"""Lines printed at the end of a job, made from its summary: results with counts and paths, and what failed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from cli.made import ground_points, made_lines
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.io.locations import joined
-from tiler.io.result_folder import written_rasters
+from tiler.io.result_folder import (
+    BRIDGES,
+    CLASSIFIED,
+    OUTLINE,
+    SHEETS,
+    VIRTUAL,
+    WATER,
+    written_rasters,
+)
 from tiler.observe.progress import duration_text, rate_text, size_text
 
 MAX_OF_KIND = 3
@@ -56,9 +64,9 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         section = summary["filter"]
         marked = f", {section['marked']:,} labels not certified" if section["marked"] else ""
         tiles = counted(section["tiles"], "tile")
-        lines.append(
-            f"ground      {counted(ground_points(summary), 'point')}, in {tiles}{marked}"
-        )
+        # after the edits; without classified clouds, the number that the filter found
+        ground = summary.get("classes", {}).get("ground", section["ground"])
+        lines.append(f"ground      {counted(ground, 'point')}, in {tiles}{marked}")
         if section["low_noise"]:
             lines.append(
                 f"low noise   {counted(section['low_noise'], 'point')} below the ground"
@@ -74,7 +82,7 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         lines.append(f"{product.upper():12s}{joined(out, file)}, {size}")
     if rasters[1:]:
         lines.append(f"products    {', '.join(joined(out, file) for _, file in rasters[1:])}")
-    lines.extend(made_lines(summary, out))
+    lines.extend(_made_lines(summary, out))
     if problems := summary.get("problems"):
         lines.append(f"problems    {kinds_text(problems)}")
     if summary.get("report"):
@@ -198,3 +206,79 @@ def sigma_lines(found: Mapping[str, Any], unit: str) -> list[str]:
         rank = f"{found['area']:.3f} (0.5: random; best possible: {found['area_at_best']:.3f})"
         lines.append(f"        ranking of the pixels by sigma: {rank}")
     return lines
+
+
+MAX_EDITS = 10
+"""Largest number of edits that are printed, one per line."""
+
+Summary = Mapping[str, Any]
+
+
+def _made_lines(summary: Summary, out: str) -> Iterator[str]:
+    """Yield a line for each result that is not a raster, and for the effect of each edit.
+
+    The line of a result has its name, count and path.
+
+    Parameters
+    ----------
+    summary : mapping
+        Content of run.json.
+    out : str
+        Folder of the results.
+    """
+    from tiler.report.drawn import changed_text  # needs libraries that `tiler --help` does not
+
+    for name, text, file in _results(summary):
+        written = file is None or file in summary.get("outputs", {}) or file == CLASSIFIED
+        path_text = f", {joined(out, file)}" if file and written else ""
+        yield f"{name:12s}{text}{path_text}"
+    edits = summary.get("edits") or ()
+    for edit in edits[:MAX_EDITS]:
+        yield f"edit        {edit['number']} ({edit['action']}): {changed_text(edit)}"
+    if len(edits) > MAX_EDITS:
+        yield f"edits       {len(edits) - MAX_EDITS:,} more, in the report"
+
+
+def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
+    """Yield name, count and file of each result."""
+    unit = summary.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
+    if contours := summary.get("contours"):
+        interval = length_text(contours["interval"] * unit, unit)
+        lines = f"{counted(contours['lines'], 'line')} every {interval}"
+        yield "contours", lines, "contours.gpkg"
+    if spots := summary.get("spots"):
+        yield (
+            "spots",
+            f"{counted(spots['highs'], 'top')}, {counted(spots['lows'], 'bottom')}",
+            "spots.gpkg",
+        )
+    if "water" in summary:
+        yield "water", _water(summary["water"]), WATER
+    if "bridges" in summary:
+        number = len(summary["bridges"])
+        yield (
+            "bridges",
+            f"{counted(number, 'bridge')} left out" if number else "none found",
+            BRIDGES,
+        )
+    if polygons := (summary.get("outline") or {}).get("polygons"):
+        yield "outline", counted(polygons, "polygon"), OUTLINE
+    outputs = summary.get("outputs", {})
+    clouds = sum(path.startswith(f"{CLASSIFIED}/") for path in outputs)
+    if clouds:
+        yield (
+            "clouds",
+            counted(clouds, "classified cloud"),
+            VIRTUAL if VIRTUAL in outputs else CLASSIFIED,
+        )
+    if "sheets" in summary:
+        yield "sheets", counted(summary["sheets"], "sheet"), SHEETS
+
+
+def _water(bodies: Sequence[Mapping[str, Any]]) -> str:
+    """Return the number of water bodies by kind, as in ``1 lake, 2 rivers``."""
+    kinds = Counter(body["kind"] for body in bodies)
+    return (
+        ", ".join(counted(number, kind) for kind, number in sorted(kinds.items()))
+        or "none found"
+    )

@@ -134,7 +134,7 @@ def warm_gridding(
     interpolation: Literal["linear", "natural"], notify: Callable[[], None]
 ) -> None:
     """Compile the kernels of gridding if necessary, after a call of ``notify``."""
-    from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
+    from ptd.gridding import above_ground, ground_cells, nearest
     from ptd.tin import KnownWindow, Pixels, Tin, rasterise
 
     def make_rasters() -> None:
@@ -146,8 +146,8 @@ def warm_gridding(
             tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window
         )
         nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
-        highest_returns.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
-        wall_feet.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
+        above_ground.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
+        above_ground.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
         cells = ground_cells.CellWindow(1000, 1, 0, 59, 60, 60)
         ground_cells.plane_variance(xyz, cells, (2, 5))
         ground_cells.cell_counts(xyz, cells)

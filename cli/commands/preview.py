@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from cli.exit_codes import DONE, PARTIAL
+from cli.ending import DONE, PARTIAL
 from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
 from cli.output import print_json, write_line
 from cli.session import TilerCommand, current_session, shown_progress

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from cli import exit_codes
+from cli.ending import DONE, USAGE
 from cli.output import write_line
 from cli.qgis import installation
 from cli.session import TilerCommand
@@ -23,8 +23,8 @@ def command(context: click.Context) -> int:
     if context.invoked_subcommand is None:
         for line in context.get_help().splitlines():
             write_line(line, error=True)
-        return exit_codes.USAGE
-    return exit_codes.DONE
+        return USAGE
+    return DONE
 
 
 @command.command("install", cls=TilerCommand)

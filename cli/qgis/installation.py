@@ -1,4 +1,8 @@
-"""Installation of the plugin in a profile of QGIS, and its packaging as an archive."""
+"""Installation of the plugin in a profile of QGIS, and its packaging as an archive.
+
+The repository of QGIS plugins requires public addresses. They are defined only in `pyproject.toml`: in the table
+``[project.urls]`` and as ``email`` in ``authors``. Here they are read from the installed package.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,12 @@ import shutil
 import sys
 import sysconfig
 import zipfile
+from email.utils import parseaddr
+from importlib.metadata import PackageNotFoundError, metadata
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cli.qgis.addresses import addresses, validate_addresses
 from cli.qgis.table import table
 from tiler.errors import ConfigError, write_error
 from tiler.io.atomic_files import atomic_path
@@ -87,7 +92,7 @@ def package(target: Path, upload: bool = False) -> None:
         missing.
     """
     if upload:
-        validate_addresses(addresses())
+        _validate_addresses(_addresses())
     if target.exists() and not _is_package(target):
         raise ConfigError(
             f"{target}: already exists and is not a package of this plugin; give another name"
@@ -107,7 +112,7 @@ def package(target: Path, upload: bool = False) -> None:
 
 def _metadata(text: str) -> str:
     """Return the plugin's metadata with this version and the addresses of the project."""
-    values = {"version": __version__, **addresses()}
+    values = {"version": __version__, **_addresses()}
     lines = []
     for line in text.splitlines():
         key = line.partition("=")[0]
@@ -177,3 +182,41 @@ def _is_package(path: Path) -> bool:
             return bool(json.loads(archive.read(f"{FOLDER}/{TABLE}"))["made_by"] == MARK)
     except (OSError, zipfile.BadZipFile, ValueError, KeyError, TypeError):
         return False
+
+
+DISTRIBUTION = "tiler-dtm"
+URLS = {"homepage": "Homepage", "tracker": "Issues", "repository": "Repository"}
+"""Key of ``metadata.txt`` -> name in ``[project.urls]``."""
+EMAIL = "email"
+
+
+def _addresses() -> dict[str, str]:
+    """Return the addresses of the project by their keys in ``metadata.txt``."""
+    try:
+        package_metadata = metadata(DISTRIBUTION)
+    except PackageNotFoundError:  # a checkout that is not installed
+        return {}
+    urls = dict(entry.split(", ", 1) for entry in package_metadata.get_all("Project-URL") or ())
+    address_by_key = {key: urls.get(name, "") for key, name in URLS.items()}
+    _, address_by_key[EMAIL] = parseaddr(
+        "".join(package_metadata.get_all("Author-email") or ())
+    )
+    return {key: address for key, address in address_by_key.items() if address}
+
+
+def _validate_addresses(found: dict[str, str]) -> None:
+    """Raise ConfigError if an address is missing that the repository of QGIS plugins requires."""
+    missing = [f"{name} in [project.urls]" for key, name in URLS.items() if key not in found]
+    if EMAIL not in found:
+        missing.append("email in authors")
+    if missing:
+        raise ConfigError(
+            f"pyproject.toml: has no {', no '.join(missing)}, which the repository of QGIS plugins requires; "
+            "add the missing values and install tiler again, or leave out --upload"
+        )
+    for key, address in found.items():
+        if key != EMAIL and not address.startswith("https://"):
+            raise ConfigError(
+                f"pyproject.toml: {URLS[key]} in [project.urls] does not begin with https:// ({address}); "
+                "give an https address"
+            )

@@ -162,7 +162,7 @@ def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -
         window.west * window.p // window.q,
         (window.north - window.rows) * window.p // window.q,
     )
-    sums = integral(_sums(x, y, z, tuple(window), (*start, low)))
+    sums = _integral(_sums(x, y, z, tuple(window), (*start, low)))
     halves = np.asarray(half_widths, np.int64)
     variances: Float64 = _plane_variances(sums, tuple(window), start, max(half_widths), halves)
     return variances
@@ -187,7 +187,7 @@ def _counts(x: Int32, y: Int32, window: tuple[int, ...]) -> Int64:
     return counts
 
 
-def integral(cells: Int64) -> Int64:
+def _integral(cells: Int64) -> Int64:
     """Sums over all cells to the north and west, int64 [..., rows + 1, columns + 1], of int64 [..., rows, columns]."""
     sums = np.zeros((*cells.shape[:-2], cells.shape[-2] + 1, cells.shape[-1] + 1), np.int64)
     inner = sums[..., 1:, 1:]
@@ -209,7 +209,7 @@ def box_sums(cells: Int64, half: int, margin: int) -> Int64:
     -------
     int64 [rows - 2 * margin, columns - 2 * margin]
     """
-    sums = integral(cells)
+    sums = _integral(cells)
     rows, columns = (n - 2 * margin for n in cells.shape)
     first, last = margin - half, margin + half + 1
 

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from ptd.frame import Scale, Window
 from ptd.kernel import inlined, kernel
-from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.mesh import Tin
+from ptd.tin.triangles import Int32Array, Mesh, is_ghost
 
 UNCERTIFIED_CELL_M = 2.0
 """Smallest size of the cells of the raster of uncertified positions."""
@@ -36,7 +36,7 @@ class CheckedMesh(NamedTuple):
 
     Attributes
     ----------
-    vertices, triangles : int32 arrays, see `ptd.tin.layout`
+    vertices, triangles : int32 arrays, see `ptd.tin.triangles`
     uncertified : uint8 [triangles]
         Result of `UncertifiedRegion.triangles`.
     """

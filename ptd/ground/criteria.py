@@ -12,10 +12,14 @@ from typing import NamedTuple
 from ptd.frame import Scale
 from ptd.ground.certificates import UInt8
 from ptd.kernel import as_int64, kernel
-from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, is_ghost
-from ptd.tin.location import coincident_vertex, locate
-from ptd.tin.predicates import lexicographic_less
+from ptd.tin.facets import canonical_facet
+from ptd.tin.triangles import (
+    Int32Array,
+    coincident_vertex,
+    is_ghost,
+    lexicographic_less,
+    locate,
+)
 
 Measures = tuple[float, float, float, float]
 """Result of `facet_measures`."""

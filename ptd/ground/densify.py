@@ -18,9 +18,8 @@ from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.kernel import as_int64, kernel
 from ptd.tin.insertion import insert
-from ptd.tin.layout import STAMP, Int32Array, Mesh, is_ghost
-from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
+from ptd.tin.triangles import STAMP, Int32Array, Mesh, is_ghost, locate
 
 WAITING, VERTEX, REFUSED = 0, 1, 2
 """States of a candidate: to be tested, in the TIN, never to be tested (such as an outlier or a

@@ -16,12 +16,9 @@ from ptd.frame import Scale
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.criteria import across, facet_measures
 from ptd.kernel import kernel
-from ptd.tin.circles import Rule, facet_passes
-from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, Mesh
-from ptd.tin.location import coincident_vertex, locate
-from ptd.tin.locator import Locator, start_near
-from ptd.tin.mesh import Tin
+from ptd.tin.facets import Rule, canonical_facet, facet_passes
+from ptd.tin.mesh import Locator, Tin, start_near
+from ptd.tin.triangles import Int32Array, Mesh, coincident_vertex, locate
 
 Bool = npt.NDArray[np.bool_]
 Int64 = npt.NDArray[np.int64]

@@ -15,11 +15,16 @@ from ptd.ground.outliers import LowNoise
 from ptd.kernel import as_int64, inlined, kernel
 from ptd.passes import Model, Points, Stats
 from ptd.places import Field, everywhere, value_at
-from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, is_ghost, real_neighbour
-from ptd.tin.location import coincident_vertex, locate, walk
-from ptd.tin.locator import Locator, start_near
-from ptd.tin.mesh import Tin
+from ptd.tin.facets import canonical_facet
+from ptd.tin.mesh import Locator, Tin, start_near
+from ptd.tin.triangles import (
+    Int32Array,
+    coincident_vertex,
+    is_ghost,
+    locate,
+    real_neighbour,
+    walk,
+)
 
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""

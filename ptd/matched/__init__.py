@@ -4,35 +4,30 @@ Dense image matching gives many points. Their heights scatter to both sides and 
 blunders, single ones and clumps, so the lowest point of a cell is a poor estimate of the
 ground. The modules work on rasters of cells of 1 m, or 2 m in sparse clouds:
 
+evidence, penetration, survey
+    Source of a cloud (laser scanning or dense image matching), and the density, noise and cell
+    size of each place.
 cells
     One robust height per cell.
-hull
-    Highest surface below the cells that bends down no more than a given curvature.
-separable
-    The same hull from paraboloids around every cell, computed row by row.
+hull, bent_hull
+    Highest surface below the cells that bends down no more than a given curvature, and a hull
+    that bends as much as the cells show.
 objects
-    Large objects: connected surfaces that are surrounded by walls, each classified as a whole.
-surface
-    Ground surface: hulls of several curvatures, then the mean of the cells near them.
-surroundings
-    Sums, shares and slopes of the surroundings of each cell.
-canopy
-    Areas in which crowns hide the ground, and crowns that were classified as ground.
-growth
-    Growth of the ground up to the edges of terraces and banks.
-voting
-    Comparison of points with the surface, after a vote of their neighbours.
-last_look, decision_trees
-    Correction of labels from the surroundings of each point, by decision trees that were fitted
-    to known labels.
-passes, by_size
+    Large objects (connected surfaces that are surrounded by walls, each classified as a whole)
+    and islands of ground on them.
+surface, growth
+    Ground surface: hulls of several curvatures, then the mean of the cells near them, and the
+    growth of the ground up to the edges of terraces and banks.
+canopy, crowns
+    Areas in which crowns hide the ground, crowns that were classified as ground, heights of
+    trees.
+ground_model, last_look
+    Comparison of points with the surface after a vote of their neighbours, and correction of
+    labels from the surroundings of each point by decision trees.
+step, passes
     These steps as passes of `ptd.methods.auto.method`, also where cells of 1 m and cells of 2 m
     meet.
-place_figures
-    Density, noise and size of the cells of each place.
-survey, penetration
-    Source of a cloud: laser scanning or dense image matching.
-robust_cells, facets
+robust_cells
     The papers' methods on the same cells, and the comparison of all points with the TIN of the
     ground cells they find.
 

@@ -34,6 +34,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from ptd.gridding.ground_cells import box_sums
 from ptd.ground.morphology import Bool
 from ptd.matched.crowns import residuals
 from ptd.matched.surface import Surface
@@ -165,8 +166,9 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
     half = around.mean(wavy.astype(np.float64), there, WAVY_SQUARE_M) > WAVY_SHARE
     climbed = there & around.opened(closed, WAVY_SQUARE_M) & half
     wide = there & around.opened(closed, TALL_SIZE_M)
-    if wide.any():
-        wide &= ~_roofs(heights, tall, around)
+    if wide.any():  # not where many of the tall cells lie in one plane with their neighbours
+        plane = tall & (residuals(heights, PLANE_CELLS) < PLANE_M)
+        wide &= ~(around.mean(plane.astype(np.float64), tall, TALL_SIZE_M) > PLANE_SHARE)
     seen = _grown(heights, ground & ~wide & ~climbed & ~wavy, ground & climbed, cell_m)
     covered, crowns = (wide | climbed) & ~seen, climbed & ~seen
     left = ground & ~crowns
@@ -282,13 +284,6 @@ def _mean_around(residual: Float64, around: _Squares) -> Float64:
     return around.mean(residual, np.isfinite(residual), AROUND_M)
 
 
-def _roofs(heights: Float64, tall: Bool, around: _Squares) -> Bool:
-    """Return the cells around which many of the tall cells lie in one plane with their neighbours."""
-    plane = tall & (residuals(heights, PLANE_CELLS) < PLANE_M)
-    is_roof: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIZE_M) > PLANE_SHARE
-    return is_roof
-
-
 def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64]:
     """Describe the slopes around each cell.
 
@@ -296,7 +291,7 @@ def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64
     the length of the mean slope as a fraction of the mean length, and the length of the mean
     slope.
     """
-    far = _far(around.cell_m)
+    far = round(SLOPE_M / around.cell_m)  # to either side
     north, east = np.full(found.shape, np.nan), np.full(found.shape, np.nan)
     run = 2 * far * around.cell_m
     north[far:-far] = (found[2 * far :] - found[: -2 * far]) / run
@@ -383,20 +378,12 @@ class _Squares:
 def _sums(whole: Int64, size: int) -> Int64:
     """Return the sums over squares of an odd number of cells around each cell."""
     half = size // 2
-    for _ in range(2):
-        sums = np.cumsum(np.pad(whole, ((half + 1, half), (0, 0))), axis=0)
-        whole = (sums[size:] - sums[:-size]).T
-    return whole
+    return box_sums(np.pad(whole, half), half, half)
 
 
 def _odd_cells(metres: float, cell_m: float) -> int:
     """Return the number of cells on the side of a square, an odd number."""
     return 2 * round(metres / cell_m / 2 - 0.25) + 1
-
-
-def _far(cell_m: float) -> int:
-    """Return the distance, to either side and in cells, of the cells between which slopes are computed."""
-    return round(SLOPE_M / cell_m)
 
 
 def _steps(cell_m: float) -> int:

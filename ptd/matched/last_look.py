@@ -16,6 +16,8 @@ Features are whole numbers in millimetres or thousandths. They follow from sums 
 over windows of limited size on a lattice that is anchored at 0, so neither tiles nor the order
 of points change any result. A window is the smallest one with `MIN_POINTS` points, so it
 follows the density of the place.
+
+Decision trees compare whole numbers too, so they decide the same on each machine.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -30,12 +34,190 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, quotient
 from ptd.frame import CellGrid, CellLattice, Scale
+from ptd.gridding.ground_cells import box_sums
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
-from ptd.matched.cell_features import CELL_FEATURES, HIGH_MM, Around
 from ptd.matched.cells import by_cell
-from ptd.matched.decision_trees import UNIT, DecisionTrees, scores
 from ptd.passes import UInt8
+
+Float64 = npt.NDArray[np.float64]
+
+
+HIGH_MM = 1000
+"""Height above the surface up to which low plants are distinguished from what is certainly not
+ground."""
+
+
+@dataclass(frozen=True)
+class Around:
+    """Features of the cells of a surface and their surroundings.
+
+    Attributes
+    ----------
+    features : int32 [cells, 1 + len(CELL_FEATURES)]
+        Features by rows of cells. The first is the largest distance of ground from the surface, in millimetres.
+    columns : int
+        Number of cells in a row.
+    """
+
+    features: Int32
+    columns: int
+
+
+CELL_FEATURES = (
+    "noise", "slope", "bend_2", "bend_5", "bend_10", "low_5", "low_10", "high_5", "high_10", "ground_5",
+)  # fmt: skip
+"""Features of a cell. The first five are noise and slope of the surface, and its height above
+its mean within 2, 5 and 10 m. The others are the shares of low plants and of higher objects
+among the cells within 5 and 10 m, and of ground within 5 m."""
+CELL_REACH_M = 10.0
+"""Distance beyond which cells do not change these features."""
+STEEPEST = 5.0
+"""Limit at which slopes are cut off."""
+
+
+def reach_cells(cell_m: float) -> int:
+    """Return the distance in cells, including a point's own, beyond which the surface does not change its label."""
+    return math.ceil(CELL_REACH_M / cell_m) + 1
+
+
+def around_cells(
+    heights_m: Float64,
+    there: Bool,
+    ground_m: Float64,
+    sigma_m: Float64,
+    band_m: Float64,
+    cell_m: float,
+) -> Around:
+    """Compute the features of each cell.
+
+    Parameters
+    ----------
+    heights_m : float64 [rows, columns]
+        Heights of the cells in metres.
+    there : bool [rows, columns]
+        Mask of the cells that have a height.
+    ground_m : float64 [rows, columns]
+        Height of the surface in metres, NaN where unknown.
+    sigma_m, band_m : float64 [rows, columns]
+        Noise, and largest distance of ground from the surface, in metres.
+    cell_m : float
+        Size of the cells in metres.
+    """
+    known = there & ~np.isnan(ground_m)
+    surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(
+        np.int64
+    )
+    residual = np.where(known, np.rint(1000 * heights_m) - surface, 0).astype(np.int64)
+    band = np.maximum(np.rint(1000 * np.nan_to_num(band_m)), 1).astype(np.int64)
+
+    def share(which: Bool, metres: float) -> Int64:
+        r = round(metres / cell_m)
+        return 1000 * _boxes(which, r) // np.maximum(_boxes(known, r), 1)
+
+    def bend(metres: float) -> Int64:
+        r = round(metres / cell_m)
+        near = np.maximum(_boxes(known, r), 1)
+        bend_mm: Int64 = np.clip(
+            surface - _boxes(np.where(known, surface, 0), r) // near, -30_000, 30_000
+        )
+        return bend_mm
+
+    low = known & (residual > band) & (residual < HIGH_MM)
+    high = known & (residual >= HIGH_MM)
+    ground = known & (np.abs(residual) < band)
+    north, east = np.gradient(ground_m, cell_m)
+    slope = np.where(
+        known, np.nan_to_num(np.rint(1000 * np.minimum(np.hypot(north, east), STEEPEST))), 0
+    )
+    features = (
+        band, np.rint(1000 * sigma_m), slope, bend(2.0), bend(5.0), bend(CELL_REACH_M), share(low, 5.0),
+        share(low, CELL_REACH_M), share(high, 5.0), share(high, CELL_REACH_M), share(ground, 5.0),
+    )  # fmt: skip
+    return Around(
+        np.stack(features, axis=-1).reshape(-1, len(features)).astype(np.int32), there.shape[1]
+    )
+
+
+def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
+    """Return sums over the squares with 2 r + 1 cells on a side, with values of 0 beyond the raster."""
+    return box_sums(np.pad(values.astype(np.int64), r), r, r)
+
+
+UNIT = 2**16
+"""Fixed-point scale: leaves are log-odds multiplied by this number."""
+DEPTH = 3
+"""Number of questions between the root of a decision tree and each leaf."""
+NODES, LEAVES = 2**DEPTH - 1, 2**DEPTH
+
+
+class DecisionTrees(NamedTuple):
+    """Decision trees whose sum is the log-odds multiplied by `UNIT`.
+
+    Attributes
+    ----------
+    feature, threshold : int32 [trees * NODES]
+        Feature and threshold of each node. After node n of a tree comes node 2 n + 1 if the feature is at most the
+        threshold, else node 2 n + 2.
+    leaf : int32 [trees * LEAVES]
+        Log-odds of the leaves, which are the nodes from `NODES` on.
+    """
+
+    feature: Int32
+    threshold: Int32
+    leaf: Int32
+
+
+@cache
+def last_look_trees() -> DecisionTrees:
+    """Read the decision trees of `ptd.matched.last_look` from the file next to this module."""
+    with files(__package__).joinpath("last_look.npz").open("rb") as file, np.load(file) as kept:
+        return DecisionTrees(*(kept[name].astype(np.int32) for name in DecisionTrees._fields))
+
+
+@kernel
+def scores(features: Int32, trees: DecisionTrees) -> Int32:
+    """Return the sum of the leaves of each point, from its row of features: int32 [n].
+
+    All seven questions of a tree are evaluated, for several points at a time. Without branches
+    this is faster than evaluating the three that matter.
+    """
+    feature, threshold, leaf = trees
+    columns = features.T.copy()
+    sums = np.zeros(features.shape[0], np.int32)
+    for t in range(leaf.size // LEAVES):
+        f, limit, value = feature[t * NODES :], threshold[t * NODES :], leaf[t * LEAVES :]
+        x0, x1, x2, x3 = columns[f[0]], columns[f[1]], columns[f[2]], columns[f[3]]
+        x4, x5, x6 = columns[f[4]], columns[f[5]], columns[f[6]]
+        t0, t1, t2, t3, t4, t5, t6 = (
+            limit[0],
+            limit[1],
+            limit[2],
+            limit[3],
+            limit[4],
+            limit[5],
+            limit[6],
+        )
+        v0, v1, v2, v3, v4, v5, v6, v7 = (
+            value[0],
+            value[1],
+            value[2],
+            value[3],
+            value[4],
+            value[5],
+            value[6],
+            value[7],
+        )
+        for k in range(sums.size):
+            a, b, c = x0[k] <= t0, x1[k] <= t1, x2[k] <= t2
+            d, e, g, h = x3[k] <= t3, x4[k] <= t4, x5[k] <= t5, x6[k] <= t6
+            first, second = v0 if d else v1, v2 if e else v3
+            third, fourth = v4 if g else v5, v6 if h else v7
+            below, beyond = first if b else second, third if c else fourth
+            sums[k] += below if a else beyond
+    return sums
+
 
 CELL_M = 0.25
 """Size of the cells in which points are counted."""
@@ -72,8 +254,6 @@ NO_GROUND_MM = 2 * CLEAR_MM
 NOT_OF_CELLS = len(POINT_FEATURES) + len(WINDOW_FEATURES)
 FEATURES = (*POINT_FEATURES, *WINDOW_FEATURES, *CELL_FEATURES)
 """Features of a point in their order. Those of its cell are the last."""
-
-Float64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -283,7 +463,6 @@ def features_by_block(
 
 @kernel
 def _columns_and_rows(x: Int32, y: Int32, grid: CellGrid) -> tuple[Int32, Int32]:
-    """Return the column and row of each point in a grid."""
     p, q, ox, oy, west, south = grid
     column, row, inverse = np.empty(x.size, np.int32), np.empty(x.size, np.int32), 1.0 / p
     for k in range(x.size):

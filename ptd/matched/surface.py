@@ -25,16 +25,16 @@ from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.summits import REACH_CELLS, on_summits, without_thin
 from ptd.matched import bent_hull, growth
-from ptd.matched.bent_hull import ramp
-from ptd.matched.cells import CELL_M, EMPTY
-from ptd.matched.hull import LOWEST, Envelope, lower_envelope
-from ptd.matched.surroundings import (
+from ptd.matched.bent_hull import (
     RemainingCells,
     gaussian_radius,
+    ramp,
     share_radius,
     slope_radius,
     smoothed,
 )
+from ptd.matched.cells import CELL_M, EMPTY
+from ptd.matched.hull import LOWEST, Envelope, lower_envelope
 
 Float64 = npt.NDArray[np.float64]
 
@@ -167,7 +167,11 @@ def ground_surface(
     bare : bool [rows, columns], optional
         Cells that no canopy covers, where ridges above the hulls are put back. None by default.
     """
-    heights = _without_pockets(heights, replace(bent_hull.STIFF, cell_m=cell_m).cut_cells)
+    # A hull may cut through isolated groups of few cells.
+    group, _ = scipy.ndimage.label(heights != EMPTY, np.ones((3, 3)))
+    few = replace(bent_hull.STIFF, cell_m=cell_m).cut_cells
+    many = np.bincount(group.ravel())[group] > few
+    heights = np.where(many, heights, EMPTY).astype(np.int32)
     there = heights != EMPTY
     metres = 1.0 / scale.counts_z(1.0)
     cells = RemainingCells(np.where(there, heights * metres, 0.0), there, cell_m)
@@ -372,9 +376,3 @@ def _extended(
         if std_m == EXTENDED_M[0]:
             narrowing = np.where(np.isnan(heights), np.nan, narrowing)
     return Surface(heights, sigma, narrowing)
-
-
-def _without_pockets(heights: Int32, most: int) -> Int32:
-    """Return heights without isolated groups of at most ``most`` cells, which a hull may cut through."""
-    number, _ = scipy.ndimage.label(heights != EMPTY, np.ones((3, 3)))
-    return np.where(np.bincount(number.ravel())[number] > most, heights, EMPTY).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Exact, unique, incremental Delaunay TIN and its interpolation. Its arrays are described in `ptd.tin.layout`."""
+"""Exact, unique, incremental Delaunay TIN and its interpolation. Its arrays are described in `ptd.tin.triangles`."""
 
 from ptd.tin.gridding import KnownWindow, Pixels, TinRaster, pixel_owners, rasterise
 from ptd.tin.mesh import MAX_EXTENT, Tin

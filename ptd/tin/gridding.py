@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.tin import natural, raster
-from ptd.tin.circles import KnownBounds, Rule
-from ptd.tin.layout import Int32Array
+from ptd.tin.facets import KnownBounds, Rule
 from ptd.tin.mesh import MAX_EXTENT, Tin
-from ptd.tin.pixels import PixelCentres, UInt8Array
+from ptd.tin.raster import PixelCentres, UInt8Array
+from ptd.tin.triangles import Int32Array
 
 _MAX_Q = 2**9 - 1
 _ALL = 2**62  # exceeds the square of any edge

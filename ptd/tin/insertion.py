@@ -1,16 +1,203 @@
-"""Insertion of one point into the Delaunay TIN. Of several points at one position the lowest stays."""
+"""Insertion of one point into the Delaunay TIN (Bowyer, 1981, and Watson, 1981).
+
+The triangles in conflict with a new point form a disk without inner vertices, so the graph of
+their adjacencies is a tree. It is therefore enough to follow the contour of the disk: no
+triangle needs a mark, and the rim comes out in counter-clockwise order, ready to be linked to
+the new vertex. Of several points at one position the lowest stays.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
 
 from ptd.kernel import as_int64, kernel
-from ptd.tin.cavity import link_vertex
-from ptd.tin.layout import (
+from ptd.tin.triangles import (
     GHOST,
+    HEADER,
     N_TRIANGLES,
     N_VERTICES,
     Int32Array,
+    coincident_vertex,
+    cross_at,
+    ghost_conflict,
+    in_circle,
     next_edge,
+    previous_edge,
+    walk,
 )
-from ptd.tin.location import coincident_vertex, walk
-from ptd.tin.predicates import cross_at
+
+
+class _Corner(NamedTuple):
+    """Number of a vertex, -1 for the ghost, and its position relative to the new point."""
+
+    vertex: int
+    x: int
+    y: int
+
+
+@kernel
+def _corner(vertices: Int32Array, vertex: int, x: int, y: int) -> _Corner:
+    at = 4 * max(vertex, 0)
+    return _Corner(vertex, vertices[at] - x, vertices[at + 1] - y)
+
+
+@kernel
+def _conflict(a: _Corner, b: _Corner, d: _Corner) -> bool:
+    """`in_circle` for the triangle (a, d, b), one of whose vertices may be the ghost."""
+    if (a.vertex | b.vertex | d.vertex) >= 0:
+        return in_circle(a.x, a.y, d.x, d.y, b.x, b.y)
+    if d.vertex < 0:
+        return ghost_conflict(b.x, b.y, a.x, a.y)
+    if a.vertex < 0:
+        return ghost_conflict(d.x, d.y, b.x, b.y)
+    return ghost_conflict(a.x, a.y, d.x, d.y)
+
+
+@kernel
+def _collect(
+    vertices: Int32Array, triangles: Int32Array, scratch: Int32Array, x: int, y: int, first: int
+) -> int:
+    """Write the triangles in conflict with (x, y) and their rim to `scratch`, and change no other array.
+
+    With c = (scratch.size - HEADER) // 4, the triangles begin at HEADER, and the rim at HEADER
+    + 2 c. The rim has a pair per edge, counter-clockwise: the half-edge outside and the vertex
+    where it starts. From HEADER + c on lies the stack of edges that are still to be crossed.
+
+    Returns
+    -------
+    int
+        Number of triangles in conflict, or -1 if `scratch` is too small.
+    """
+    room = (scratch.size - HEADER) >> 2
+    bottom = HEADER + room
+    top = bottom + 2
+    rim = HEADER + 2 * room
+    n_conflicts = 1
+    row = 8 * first
+    scratch[HEADER] = first
+    scratch[bottom] = row + 2
+    scratch[bottom + 1] = row + 1
+    edge = row
+    start = _corner(vertices, triangles[row + 5], x, y)
+    while True:
+        end = _corner(vertices, triangles[previous_edge(edge) + 4], x, y)
+        while True:
+            outer = triangles[edge]
+            opposite = _corner(vertices, triangles[outer + 4], x, y)
+            if not _conflict(start, end, opposite):
+                break
+            if n_conflicts + 4 > room:
+                return -1
+            scratch[HEADER + n_conflicts] = outer >> 3
+            n_conflicts += 1
+            scratch[top] = previous_edge(outer)
+            top += 1
+            edge = next_edge(outer)
+            end = opposite
+        scratch[rim] = outer
+        scratch[rim + 1] = start.vertex
+        rim += 2
+        if top == bottom:
+            return n_conflicts
+        start = end
+        top -= 1
+        edge = scratch[top]
+
+
+@kernel
+def _fill(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    scratch: Int32Array,
+    n_conflicts: int,
+    vertex: int,
+    stamp: int,
+) -> None:
+    """Replace the triangles that `_collect` found by the fan from `vertex` to the rim."""
+    room = (scratch.size - HEADER) >> 2
+    rim = HEADER + 2 * room
+    n_triangles = counters[N_TRIANGLES]
+    n = n_conflicts + 2
+    scratch[HEADER + n - 2] = n_triangles
+    scratch[HEADER + n - 1] = n_triangles + 1
+    scratch[HEADER + n] = scratch[HEADER]
+    scratch[rim + 2 * n + 1] = scratch[rim + 1]
+    counters[N_TRIANGLES] = n_triangles + 2
+    before = 8 * scratch[HEADER + n - 1]
+    row = 8 * scratch[HEADER]
+    a = scratch[rim + 1]
+    vertices[4 * vertex + 3] = row >> 3
+    for i in range(n):
+        after = 8 * scratch[HEADER + i + 1]
+        outer = scratch[rim + 2 * i]
+        b = scratch[rim + 2 * i + 3]
+        triangles[row] = outer
+        triangles[row + 1] = after + 2
+        triangles[row + 2] = before + 1
+        triangles[row + 3] = stamp
+        triangles[row + 4] = vertex
+        triangles[row + 5] = a
+        triangles[row + 6] = b
+        triangles[row + 7] = 0
+        triangles[outer] = row
+        if a >= 0:
+            vertices[4 * a + 3] = row >> 3
+        before = row
+        row = after
+        a = b
+
+
+@kernel
+def _link_large(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    vertex: int,
+    first: int,
+    stamp: int,
+) -> None:
+    """`link_vertex` for a cavity that does not fit the scratch of `counters`."""
+    size = counters.size
+    n_conflicts = -1
+    scratch = np.empty(size, np.int32)
+    while n_conflicts < 0:
+        size *= 4
+        scratch = np.empty(size, np.int32)
+        n_conflicts = _collect(
+            vertices, triangles, scratch, vertices[4 * vertex], vertices[4 * vertex + 1], first
+        )
+    _fill(vertices, triangles, counters, scratch, n_conflicts, vertex, stamp)
+
+
+@kernel
+def link_vertex(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    vertex: int,
+    first: int,
+    stamp: int,
+) -> None:
+    """Link a vertex whose coordinates are stored and that no triangle has yet.
+
+    Parameters
+    ----------
+    vertices, triangles, counters : int32 arrays, see `ptd.tin.triangles`
+    vertex : int
+        Number of the vertex. No other vertex may lie at its position.
+    first : int
+        A triangle that contains it, as `ptd.tin.triangles.walk` gives it.
+    stamp : int
+        Written to each triangle that is created or changed.
+    """
+    x = vertices[4 * vertex]
+    y = vertices[4 * vertex + 1]
+    n_conflicts = _collect(vertices, triangles, counters, x, y, first)
+    if n_conflicts < 0:
+        _link_large(vertices, triangles, counters, vertex, first, stamp)
+    else:
+        _fill(vertices, triangles, counters, counters, n_conflicts, vertex, stamp)
 
 
 @kernel
@@ -94,7 +281,7 @@ def insert(
 
     Parameters
     ----------
-    vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
+    vertices, triangles, counters : int32 arrays, see `ptd.tin.triangles`
         A TIN with at least one real triangle.
     x, y, z : int
         Position in counts. Differences of x and of y within one TIN have to stay below 2**26: not checked

@@ -14,18 +14,27 @@ import math
 import numpy as np
 
 from ptd.kernel import as_int64, kernel
-from ptd.tin.circles import KnownBounds, circle_inside, facet_certified, unbounded
-from ptd.tin.interpolation import (
+from ptd.tin.facets import (
     Float64Array,
+    KnownBounds,
     canonical_facet,
+    circle_inside,
+    facet_certified,
     facet_plane,
     height_on,
     plane_height,
+    unbounded,
 )
-from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, is_ghost, next_edge, previous_edge
-from ptd.tin.pixels import PixelCentres, UInt8Array
-from ptd.tin.predicates import lexicographic_less
-from ptd.tin.raster import NO_OWNER
+from ptd.tin.raster import NO_OWNER, PixelCentres, UInt8Array
+from ptd.tin.triangles import (
+    HEADER,
+    N_TRIANGLES,
+    Int32Array,
+    is_ghost,
+    lexicographic_less,
+    next_edge,
+    previous_edge,
+)
 
 # Shewchuk's error bound of the in-circle determinant with rounded differences and products is
 # slightly above 10 units of rounding. A position that close to a circle takes a negligible

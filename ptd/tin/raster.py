@@ -1,4 +1,4 @@
-"""Gridding of a TIN: which facet owns each pixel centre, and what height that gives.
+"""Gridding of a TIN: which facet owns each pixel centre, what height that gives, and how far the data around are known.
 
 Rasters have row 0 in the north. The centre of the pixel with the global indices (column, iy)
 lies at ((2 column + 1) p / (2 q), (2 iy + 1) p / (2 q)) absolute counts, p / q counts being the
@@ -18,13 +18,105 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ptd.kernel import as_int64, kernel
-from ptd.tin.circles import KnownBounds, Rule, facet_certified, facet_passes
-from ptd.tin.interpolation import Float64Array, Plane, facet_plane, height_on
-from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, Mesh, next_edge
-from ptd.tin.pixels import OWNED, PixelCentres, UInt8Array, mark_near_sides, settle_marks
-from ptd.tin.predicates import lexicographic_less
+from ptd.tin.facets import (
+    Float64Array,
+    KnownBounds,
+    Plane,
+    Rule,
+    facet_certified,
+    facet_passes,
+    facet_plane,
+    height_on,
+)
+from ptd.tin.triangles import (
+    N_TRIANGLES,
+    N_VERTICES,
+    Int32Array,
+    Mesh,
+    lexicographic_less,
+    next_edge,
+)
+
+UInt8Array = npt.NDArray[np.uint8]
+
+
+# Bits of a mark while the facets are scanned.
+_NEAR = 1
+_FAR = 2
+_OWNED = 4
+
+
+class PixelCentres(NamedTuple):
+    """Pixel centres: int64, in local units of 1 / `scale` count.
+
+    Attributes
+    ----------
+    x0, y0
+        Centre of pixel (0, 0).
+    step
+        Distance of the centres; columns go to the east, rows to the south.
+    scale
+        Units in a count, less than 2**10.
+    """
+
+    x0: int
+    y0: int
+    step: int
+    scale: int
+
+
+@kernel
+def _known_within(
+    lattice: PixelCentres, sides: KnownBounds, column: int, row: int, reach: float
+) -> bool:
+    """Whether the window extends `reach` counts to all four sides of a pixel's centre."""
+    x = float(lattice.x0 + column * lattice.step) / lattice.scale
+    y = float(lattice.y0 - row * lattice.step) / lattice.scale
+    across = x - reach >= sides.west and x + reach <= sides.east
+    return across and y - reach >= sides.south and y + reach <= sides.north
+
+
+@kernel
+def _mark_near_sides(
+    marks: UInt8Array, lattice: PixelCentres, rule: Rule, sides: KnownBounds
+) -> None:
+    """Set the bits of pixels near unknown data.
+
+    Set `_NEAR` where unknown data could change a pixel without a facet, and `_FAR` where they
+    could change one with a facet.
+    """
+    slack = 1.0 + 2.0**-20
+    far = 2.0 * rule.max_radius * slack + 2.0
+    near = min(far, math.sqrt(float(rule.max_edge2)) * slack + 2.0)
+    for row in range(marks.shape[0]):
+        for column in range(marks.shape[1]):
+            mark = 0
+            if not _known_within(lattice, sides, column, row, near):
+                mark |= _NEAR
+            if not _known_within(lattice, sides, column, row, far):
+                mark |= _FAR
+            marks[row, column] = mark
+
+
+@kernel
+def _settle_marks(marks: UInt8Array) -> None:
+    """Replace the bits of each pixel by its final mark: 1 if unknown data could change it, else 0.
+
+    The circle of a facet that passes reaches at most twice `max_radius` from its pixel, and may
+    hold unknown data. A pixel without such a facet could get one from unknown data. But the
+    corners of that facet would lie at most the length of its longest edge from the pixel. If
+    all of them were known, the circle would be empty of known data too, and the facet would be
+    a triangle of this TIN. So a smaller reach suffices there.
+    """
+    for row in range(marks.shape[0]):
+        for column in range(marks.shape[1]):
+            mark = marks[row, column]
+            asked = _FAR if mark & _OWNED else _NEAR
+            marks[row, column] = 1 if mark & asked else 0
+
 
 NO_OWNER = -1  # owner of a pixel without one; an owner -2 - v is vertex v
 
@@ -93,7 +185,7 @@ def _own_vertices(
         if final:
             marks[row, column] = 0
         elif owned:
-            marks[row, column] |= OWNED
+            marks[row, column] |= _OWNED
 
 
 @kernel
@@ -219,7 +311,7 @@ def _own_facet(
                 if final:
                     marks[row, column] = 0
                 elif owned:
-                    marks[row, column] |= OWNED
+                    marks[row, column] |= _OWNED
             ea += da
             eb += db
             ec += dc
@@ -244,7 +336,7 @@ def scan(
 
     Parameters
     ----------
-    vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
+    vertices, triangles, counters : int32 arrays, see `ptd.tin.triangles`
         An empty TIN, or one of collinear points, owns nothing.
     owners : int32 [rows, columns], or [0, 0] to omit it
         Output: number of the passing facet, `NO_OWNER`, or -2 - v for vertex v.
@@ -260,9 +352,9 @@ def scan(
     rows, columns = marks.shape
     owners[:, :] = NO_OWNER
     heights[:, :] = np.nan
-    mark_near_sides(marks, lattice, rule, sides)
+    _mark_near_sides(marks, lattice, rule, sides)
     if counters[N_TRIANGLES] == 0:
-        settle_marks(marks)
+        _settle_marks(marks)
         return
     x0, y0, step, scale = lattice
     inverse = 1.0 / float(step)
@@ -289,4 +381,4 @@ def scan(
         box = (top, bottom, left, right)
         _own_facet(mesh, t, outputs, box, lattice, rule, sides)
     _own_vertices(mesh, counters[N_VERTICES], outputs, lattice, rule, sides)
-    settle_marks(marks)
+    _settle_marks(marks)

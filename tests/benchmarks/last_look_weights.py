@@ -30,7 +30,7 @@ import numpy as np
 import ptd
 from ptd.cells import Int32
 from ptd.matched import last_look
-from ptd.matched.decision_trees import DEPTH, LEAVES, NODES, UNIT, DecisionTrees, scores
+from ptd.matched.last_look import DEPTH, LEAVES, NODES, UNIT, DecisionTrees, scores
 from tests.benchmarks.measuring import GROUND, dtm_rmse_m
 from tests.benchmarks.scan_scenes import scan_scenes
 from tests.benchmarks.scorecard import DATA

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ptd.matched.decision_trees import UNIT, scores
-from ptd.matched.last_look import FEATURES
+from ptd.matched.last_look import FEATURES, UNIT, scores
 from tests.benchmarks import last_look_weights
 from tests.benchmarks.last_look_weights import (
     SETTINGS,

@@ -19,7 +19,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from ptd.tin import Pixels, Tin, rasterise
-from ptd.tin.order import curve_order
+from ptd.tin.bulk import curve_order
 
 KINDS = ("random", "grid", "clusters", "scan lines")
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray]

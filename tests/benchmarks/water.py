@@ -21,7 +21,7 @@ from tiler.config import RunConfig
 from tiler.core.mask_values import WATER
 from tiler.pipeline import run
 from tiler.simulate import Site, describe_scene
-from tiler.simulate.cloud import ORIGIN
+from tiler.simulate.files import ORIGIN
 
 BORDER_M = 4
 """Pixels so near to the border of the survey are not counted."""

@@ -15,8 +15,7 @@ import click
 import pytest
 
 from cli.commands.run import command as run
-from cli.help_groups import GROUPS, OWN
-from cli.hints import OTHER_PROGRAMS
+from cli.help import GROUPS, OTHER_PROGRAMS, OWN
 from cli.main import COMMANDS, STAGES, LazyGroup, group, main
 from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import ConfigError, InputError, LockedError, ProcessingError, StoreError

@@ -174,7 +174,7 @@ def test_nothing_is_packaged_for_upload_without_the_addresses(
         line for line in FACTS.splitlines() if not line.endswith(tuple(taken_out(lacking)))
     ]
     facts = message_from_string("\n".join(lines))
-    monkeypatch.setattr("cli.qgis.addresses.metadata", lambda name: facts)
+    monkeypatch.setattr("cli.qgis.installation.metadata", lambda name: facts)
     target = tmp_path / "a.zip"
     code = main(["qgis", "package", "--upload", str(target)])
     if lacking is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ptd.matched.place_figures import with_cell_sizes
+from ptd.matched.survey import with_cell_sizes
 from ptd.places import name_of
 
 

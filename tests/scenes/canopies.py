@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiler.simulate import DimSensor, SimulatedPoints, Site, Terrain, survey
-from tiler.simulate.plot import Plot
+from tiler.simulate.site import Plot
 from tiler.simulate.terrain import Waves
 
 STEP_M = 5.0

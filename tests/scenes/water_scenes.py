@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tiler.simulate.catalogue import SCENES, SceneSpec
-from tiler.simulate.cloud import CloudWriter
+from tiler.simulate.files import CloudWriter
 from tiler.simulate.points import survey
 
 UNCLASSIFIED, GROUND, WATER = 1, 2, 9

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptd.gridding.highest_returns import NOTHING
+from ptd.gridding.above_ground import NOTHING
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid.drawn_near import EditsNear, WatersNear

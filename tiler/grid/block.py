@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.gridding.idw import inverse_distance
+from ptd.gridding.nearest import inverse_distance
 from ptd.tin import KnownWindow, Pixels, Tin, TinRaster, rasterise
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.edits import OF_PIXELS

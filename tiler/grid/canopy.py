@@ -10,9 +10,8 @@ import numpy.typing as npt
 import scipy
 
 from ptd.frame import Scale
-from ptd.matched.by_size import size_of_cells
 from ptd.matched.cells import CELL_M
-from ptd.matched.step import COVERED
+from ptd.matched.step import COVERED, size_of_cells
 from ptd.passes import Points
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Lattice

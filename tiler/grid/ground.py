@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.gridding.wall_feet import near_objects
+from ptd.gridding.above_ground import near_objects
 from tiler.core.classes import GROUND, NOISE, UNCERTIFIED_BIT, WITHHELD_FLAG
 from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.edits import OF_POINTS, ground_with

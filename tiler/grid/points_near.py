@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.gridding.highest_returns import NOTHING, HighestReturns
+from ptd.gridding.above_ground import NOTHING, HighestReturns
 from ptd.gridding.nearest import nearest_points
 from tiler.core.classes import WATER
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame

@@ -16,7 +16,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.gridding.highest_returns import NOTHING
+from ptd.gridding.above_ground import NOTHING
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock

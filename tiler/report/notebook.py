@@ -133,7 +133,6 @@ def _steps(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _rounded(value: float | None) -> str:
-    """Return a figure with three decimals."""
     return f"{value:.3f}" if isinstance(value, float) else value_text(value)
 
 

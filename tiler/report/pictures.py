@@ -129,7 +129,9 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
         return None
     longer = LONGER_SIDE
     while True:
-        pictures = _draw(rasters, run, longer)
+        with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
+            extent = _extent(rasters["dtm"])
+            pictures = Pictures(extent, tuple(_each(rasters, extent, run, longer)))
         taken = sum(len(picture.uri) * 3 // 4 for picture in pictures.pictures)
         if taken <= MAX_BYTES:
             return pictures
@@ -144,12 +146,6 @@ def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         heights = _read(dtm, longer, Resampling.average)
         return _hillshade(heights, _extent(dtm), run)
-
-
-def _draw(rasters: Mapping[str, str], run: Mapping[str, Any], longer: int) -> Pictures:
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
-        extent = _extent(rasters["dtm"])
-        return Pictures(extent, tuple(_each(rasters, extent, run, longer)))
 
 
 def _each(
@@ -315,7 +311,6 @@ def _mask(mask: Floats) -> Picture:
 
 
 def _range(values: Floats) -> tuple[float, float]:
-    """Return the lowest and highest value of the colour scale."""
     there = values[np.isfinite(values)]
     if there.size == 0:
         return 0.0, 1.0

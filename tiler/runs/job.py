@@ -15,8 +15,8 @@ from tiler.io.result_folder import RUN, local_folder, written_rasters
 from tiler.observe.events import Detail, Listener, Note
 from tiler.plan import Plan
 from tiler.redaction import stored
-from tiler.report import write_run_file
 from tiler.report.notebook import run_markup
+from tiler.report.runfile import write_run_file
 from tiler.report.sections import ResolvedSetting, noted, settled
 from tiler.runs.compiling import Compiler
 from tiler.runs.executors import Executors

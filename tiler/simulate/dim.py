@@ -14,8 +14,14 @@ from scipy import ndimage
 from scipy.special import ndtri
 
 from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
-from tiler.simulate.colour import SHADOW_REACH_M, colours, shadows
-from tiler.simulate.matched_surface import PIXEL_M, MatchedSurface, render_surface
+from tiler.simulate.matched_surface import (
+    PIXEL_M,
+    SHADOW_REACH_M,
+    MatchedSurface,
+    colours,
+    render_surface,
+    shadows,
+)
 from tiler.simulate.objects import BUILDING, LOW_VEGETATION
 from tiler.simulate.points import Box, SimulatedPoints
 from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, TEXTURE, generator, smooth_noise

@@ -1,23 +1,132 @@
-"""Scenes as files: a cloud with reference classes, and its reference terrain next to it."""
+"""Scenes as files: a cloud with reference classes, and its reference terrain next to it.
+
+The demo has four clouds of one simulated city.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import os
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import laspy
 import numpy as np
+import pyproj
 
+from tiler.core.classes import UNCLASSIFIED
+from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError, ProcessingError
 from tiler.io.atomic_files import clear_partial, partial_path, replace_file
+from tiler.io.raster_files import RasterMetadata, plain_geotiff
 from tiler.observe.events import Listener, StageFinished, StageStarted, TaskDone, ignore_events
+from tiler.simulate.als import AlsSensor
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
-from tiler.simulate.cloud import CloudWriter, write_dtm
-from tiler.simulate.points import CLASS_NAMES, Sensor, patches, survey_patch
+from tiler.simulate.points import (
+    CLASS_NAMES,
+    Sensor,
+    SimulatedPoints,
+    UInt8s,
+    patches,
+    survey_patch,
+)
 from tiler.simulate.site import Site
-from tiler.simulate.sites import SITES
+from tiler.simulate.sites import SITES, city
+from tiler.simulate.terrain import Terrain
+
+CRS = "EPSG:32632"
+ORIGIN = (500_000.0, 5_400_000.0)
+"""Coordinates of a site's south-west corner in `CRS`, metres."""
+
+PULSE_S = 1e-5
+"""Time between pulses, seconds."""
+
+
+class CloudWriter:
+    """Writer of a LAZ or LAS file: LAS 1.4, point format 6, or 7 with colours, in millimetres.
+
+    The header contains neither the current date nor a version, so the same points give the same
+    bytes.
+
+    Parameters
+    ----------
+    path : Path
+        File to write. An existing file is replaced.
+    colour, compressed : bool
+    pulsed : bool
+        Whether the points are returns of pulses. Points from images have no GPS time.
+    """
+
+    def __init__(
+        self, path: Path, colour: bool = False, compressed: bool = True, pulsed: bool = True
+    ) -> None:
+        header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
+        header.scales = np.full(3, 0.001)
+        header.offsets = np.array([*ORIGIN, 0.0])
+        header.creation_date = datetime.date(2020, 1, 1)
+        header.generating_software = "tiler simulate"
+        header.add_crs(pyproj.CRS(CRS))
+        self.points = 0
+        self._pulses, self._pulsed = 0, pulsed
+        self._header = header
+        self._file: Any = laspy.open(path, "w", header=header, do_compress=compressed)
+
+    def __enter__(self) -> CloudWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def write(self, points: SimulatedPoints, classes: UInt8s | None = None) -> None:
+        """Append points. If given, ``classes`` (uint8, shape (n,)) replaces their labels."""
+        if not len(points):
+            return
+        las = laspy.ScaleAwarePointRecord.zeros(len(points), header=self._header)
+        for name, column in zip("XYZ", points.xyz.T, strict=True):
+            las[name] = np.rint(column * 1000).astype(np.int32)
+        las["classification"] = classes if classes is not None else points.label
+        las["return_number"], las["number_of_returns"] = points.number, points.count
+        las["scan_angle"] = np.round(points.angle_deg / 0.006).astype(np.int16)
+        pulse = self._pulses + np.cumsum(points.number == 1)
+        las["point_source_id"] = np.ones(len(points), np.uint16)
+        if self._pulsed:
+            las["gps_time"] = pulse * PULSE_S
+        if points.rgb is not None:
+            las["red"], las["green"], las["blue"] = points.rgb.T
+        self._file.write_points(las)
+        self._pulses = int(pulse[-1])
+        self.points += len(points)
+
+
+def _write_dtm(path: Path, site: Site, pixel_m: float) -> None:
+    """Write the reference height at the centre of each pixel, float32, block by block.
+
+    Parameters
+    ----------
+    path : Path
+        GeoTIFF to write. An existing file is replaced.
+    site : Site
+    pixel_m : float
+        Side of a pixel, metres.
+    """
+    columns, rows = (int(np.ceil(extent / pixel_m)) for extent in (site.side_m, site.north_m))
+    top = rows * pixel_m
+    x = (np.arange(columns) + 0.5) * pixel_m
+    transform = (pixel_m, 0.0, ORIGIN[0], 0.0, -pixel_m, ORIGIN[1] + top)
+    look = RasterMetadata(CRS, "metre", "true terrain height", {})
+    with plain_geotiff(path, rows, columns, transform, look) as raster:
+        for row in range(0, rows, BLOCK_PIXELS):
+            y = top - (np.arange(row, min(row + BLOCK_PIXELS, rows)) + 0.5) * pixel_m
+            for column in range(0, columns, BLOCK_PIXELS):
+                heights = site.terrain.height_at(
+                    x[None, column : column + BLOCK_PIXELS], y[:, None]
+                )
+                raster.write(heights.astype(np.float32), row, column)
+
 
 DEFAULT_SIDE_M = {"als": 500.0, "dim": 150.0}
 DENSITY_RANGE = {"als": (0.05, 100.0), "dim": (1.0, 1000.0)}
@@ -177,7 +286,7 @@ def write_scene(
         counts = _write_cloud(
             part, path.suffix.lower() == ".laz", site, spec.make_sensor(), listener
         )
-        write_dtm(dtm_part, site, pixel_m)
+        _write_dtm(dtm_part, site, pixel_m)
         replace_file(part, path)
         replace_file(dtm_part, dtm)
     except OSError as error:
@@ -229,3 +338,87 @@ def _within(option: str, value: float, low: float, high: float, unit: str) -> fl
     if not low <= value <= high:
         raise ConfigError(f"{option} {value:g}: must be between {low:g} and {high:g} {unit}")
     return value
+
+
+PARTS = ("sw", "se", "nw", "ne")
+
+
+@dataclass(frozen=True)
+class DemoScene:
+    """Files and terrain that `demo_city` wrote.
+
+    Attributes
+    ----------
+    paths, truth_paths : tuple of Path
+        Four clouds with classes 0 and 1, and the same points with the reference classes.
+    dtm_path : Path
+        GeoTIFF of the reference terrain, float32.
+    terrain : Terrain
+        Formula of the terrain, in metres from `tiler.simulate.files.ORIGIN`.
+    points : int
+        Number of points in all four clouds.
+    """
+
+    paths: tuple[Path, ...]
+    truth_paths: tuple[Path, ...]
+    dtm_path: Path
+    terrain: Terrain
+    points: int
+
+
+def demo_files(folder: Path) -> list[Path]:
+    """List the files of `demo_city`: clouds, clouds with reference classes, and terrain."""
+    names = [f"city_{name}.laz" for name in PARTS]
+    truth = folder / "truth"
+    return [*(folder / n for n in names), *(truth / n for n in names), truth / "dtm.tif"]
+
+
+def demo_city(
+    folder: Path | str,
+    seed: int = 1,
+    side_m: float = 600.0,
+    sensor: AlsSensor | None = None,
+    dtm_m: float = 1.0,
+) -> DemoScene:
+    """Write the city of a seed into a folder.
+
+    The files are ``city_{sw,se,nw,ne}.laz``, clouds of the same names in ``truth/``, and
+    ``truth/dtm.tif``.
+
+    Parameters
+    ----------
+    folder : path
+        Folder to write to. It is created if necessary, and files of these names are replaced.
+    seed : int
+        The same seed gives the same bytes.
+    side_m : float
+        Side of the city in metres, at least 100.
+    sensor : AlsSensor, optional
+    dtm_m : float
+        Pixel size of the reference terrain, metres.
+    """
+    folder = Path(folder)
+    (folder / "truth").mkdir(parents=True, exist_ok=True)
+    site, sensor = city(seed, side_m), sensor or AlsSensor()
+    files = demo_files(folder)
+    paths, truth_paths, dtm_path = tuple(files[:4]), tuple(files[4:8]), files[8]
+    with ExitStack() as open_files:
+        clouds, truths = (
+            [open_files.enter_context(CloudWriter(path)) for path in group]
+            for group in (paths, truth_paths)
+        )
+        # Patches outside the city would cost much time and only complete its outermost metre or
+        # two.
+        for index in patches(sensor, side_m, rim=False):
+            points = survey_patch(site, sensor, *index)
+            part = (points.xyz[:, 0] >= side_m / 2) + 2 * (points.xyz[:, 1] >= side_m / 2)
+            for number in range(len(PARTS)):
+                inside = points.take(part == number)
+                clouds[number].write(
+                    inside, np.where(inside.label == UNCLASSIFIED, 0, 1).astype(np.uint8)
+                )
+                truths[number].write(inside)
+    _write_dtm(dtm_path, site, dtm_m)
+    return DemoScene(
+        paths, truth_paths, dtm_path, site.terrain, sum(cloud.points for cloud in clouds)
+    )

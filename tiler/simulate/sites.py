@@ -9,7 +9,7 @@ import numpy as np
 from tiler.errors import ConfigError
 from tiler.simulate import blocks
 from tiler.simulate.als import AlsSensor
-from tiler.simulate.landmarks import bridge, power_line
+from tiler.simulate.blocks import bridge, power_line
 from tiler.simulate.objects import Objects
 from tiler.simulate.points import Sensor, UInt8s, survey
 from tiler.simulate.site import Site

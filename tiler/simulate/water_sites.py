@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiler.simulate.landmarks import bridge
+from tiler.simulate.blocks import bridge
 from tiler.simulate.objects import Objects, Solid
-from tiler.simulate.plot import Plot
-from tiler.simulate.site import Site
-from tiler.simulate.terrain import Line, Terrain, Waves
-from tiler.simulate.water_bodies import (
+from tiler.simulate.site import Plot, Site
+from tiler.simulate.terrain import (
     FACE_SLOPE,
     Field,
     Floats,
+    Line,
     Masonry,
+    Terrain,
     WaterBody,
     Waters,
+    Waves,
     constant,
 )
 
@@ -44,13 +45,11 @@ def bank_trees(plot: Plot) -> None:
         place = np.array([x]), np.array([y])
         shore = float(waters.shore_m(*place)[0])
         on_bank = max(0.5, crown - OVERHANG_M) < shore < BANK_TREES_M
-        if on_bank and not _built(waters, place, plot.ground(x, y)):
+        if not on_bank:
+            continue
+        ground = plot.ground(x, y)
+        if not any(block.height_at(*place)[0] > ground - 0.5 for block in waters.masonry):
             plot.tree(x, y, tall, widest=crown, rooted=0.1)
-
-
-def _built(waters: Waters, place: tuple[Floats, Floats], height: float) -> bool:
-    """Return whether the terrain at a position is masonry, given its ``height`` there."""
-    return any(block.height_at(*place)[0] > height - 0.5 for block in waters.masonry)
 
 
 def weir(seed: int, side_m: float) -> Site:

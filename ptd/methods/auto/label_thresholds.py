@@ -14,8 +14,15 @@ from ptd.ground.labelling import Bands
 from ptd.ground.noise_sums import Roughness
 from ptd.matched.evidence import DIM
 from ptd.matched.ground_model import GROUND_M
-from ptd.matched.place_figures import CELL_SIGMA, CELL_SIZE, DENSITY, known
-from ptd.matched.survey import ReturnStatistics, Survey, surveyed
+from ptd.matched.survey import (
+    CELL_SIGMA,
+    CELL_SIZE,
+    DENSITY,
+    ReturnStatistics,
+    Survey,
+    known,
+    surveyed,
+)
 from ptd.methods.auto.params import AutoParameters
 from ptd.passes import State
 from ptd.places import PLACES, Figures, field, span

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.kernel import kernel
-from ptd.tin.interpolation import real_facets
-from ptd.tin.layout import VERTEX, Int32Array
+from ptd.tin.facets import real_facets
 from ptd.tin.mesh import Tin
+from ptd.tin.triangles import VERTEX, Int32Array
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]

@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.kernel import kernel
-from ptd.tin.layout import Int32Array, Mesh, next_edge
 from ptd.tin.mesh import Tin
+from ptd.tin.triangles import Int32Array, Mesh, next_edge
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]

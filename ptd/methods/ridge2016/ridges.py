@@ -19,9 +19,9 @@ from ptd.frame import Scale
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.kernel import as_int64, kernel
 from ptd.methods.ridge2016.sorted_cells import StackIndex, Stacks, lowest_within
-from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, Mesh, is_ghost
+from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin
+from ptd.tin.triangles import Int32Array, Mesh, is_ghost
 
 Bool = npt.NDArray[np.bool_]
 AROUND = 9
@@ -173,7 +173,7 @@ def ridge_facet(
 
     Parameters
     ----------
-    vertices, triangles : int32 arrays, see `ptd.tin.layout`
+    vertices, triangles : int32 arrays, see `ptd.tin.triangles`
     t : int
     data : bool [vertices]
         False for virtual seeds. The slope of a facet with a virtual corner is artificial, so it proves no ridge.

@@ -19,10 +19,9 @@ from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.labelling import is_terrain
 from ptd.kernel import as_int64, kernel
 from ptd.methods.ridge2016.sorted_cells import Stacks
-from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Mesh, is_ghost
-from ptd.tin.location import locate
+from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin
+from ptd.tin.triangles import Mesh, is_ghost, locate
 
 Bool = npt.NDArray[np.bool_]
 

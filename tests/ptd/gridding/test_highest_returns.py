@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.gridding.highest_returns import NOTHING, HighestReturns
+from ptd.gridding.above_ground import NOTHING, HighestReturns
 
 ROWS, COLUMNS = 6, 7
 

@@ -6,8 +6,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from ptd.gridding.idw import NEIGHBOURS, inverse_distance
-from ptd.gridding.wall_feet import near_objects
+from ptd.gridding.above_ground import near_objects
+from ptd.gridding.nearest import NEIGHBOURS, inverse_distance
 from ptd.tin import Pixels
 
 PIXELS = Pixels(100, 1, -2, 20, 22, 18)

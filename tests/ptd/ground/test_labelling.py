@@ -14,8 +14,7 @@ from ptd.ground.criteria import FacetLimits
 from ptd.ground.labelling import Bands, LabelRule, _by_height, label_points
 from ptd.ground.outliers import LowNoise
 from ptd.places import Field, everywhere
-from ptd.tin.locator import Locator
-from ptd.tin.mesh import Tin
+from ptd.tin.mesh import Locator, Tin
 from tests.ptd.tin.meshes import outside, triangle_at
 
 LIMITS = FacetLimits.of(Scale(), distance_m=1.4, angle_deg=6.0, terrain_deg=88.0)

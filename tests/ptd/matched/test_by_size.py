@@ -7,10 +7,10 @@ import pytest
 
 import ptd
 from ptd.frame import Scale, Window
-from ptd.matched.by_size import size_of_cells
 from ptd.matched.cells import cell_heights
 from ptd.matched.passes import SurfacePass
-from ptd.matched.place_figures import (
+from ptd.matched.step import size_of_cells
+from ptd.matched.survey import (
     BOTH,
     CELL_SIZE,
     CELL_SIZES_M,
@@ -87,7 +87,7 @@ def test_a_place_gets_what_it_would_get_if_all_cells_had_its_size(
         name: figures[CELL_SIZE]
         for name, figures in mixed.decisions["statistics"]["places"].items()
     }
-    monkeypatch.setattr("ptd.matched.place_figures.cell_size_m", lambda density_m2: size_m)
+    monkeypatch.setattr("ptd.matched.survey.cell_size_m", lambda density_m2: size_m)
     alike = ptd.classify(xyz, kind="dim").classification
     column = np.floor(xyz[:, 0] / PLACE_M).astype(int)
     of_size = np.array([own[name_of(c, 0)] == size_m for c in range(7)])[column]

@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 from ptd.api import _counts, do_passes
 from ptd.frame import Window
 from ptd.matched.canopy import AMID_M
-from ptd.matched.canopy_pass import BORDER_M, CanopyPass
-from ptd.matched.cell_features import CELL_REACH_M
 from ptd.matched.cells import SPARSE_CELL_M
+from ptd.matched.ground_model import REACH_M
+from ptd.matched.last_look import CELL_REACH_M
+from ptd.matched.passes import BORDER_M, CanopyPass
 from ptd.matched.step import COVERED
-from ptd.matched.voting import REACH_M
 from ptd.methods.auto.method import Auto
 from ptd.passes import Model, Pass, RunHints
 from tests.benchmarks.measuring import dtm_rmse_m

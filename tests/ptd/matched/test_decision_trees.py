@@ -6,15 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ptd.matched import decision_trees, last_look
-from ptd.matched.decision_trees import (
-    LEAVES,
-    NODES,
-    UNIT,
-    DecisionTrees,
-    last_look_trees,
-    scores,
-)
+from ptd.matched import last_look
+from ptd.matched.last_look import LEAVES, NODES, UNIT, DecisionTrees, last_look_trees, scores
 
 
 def random_trees(seed: int, n: int = 30) -> DecisionTrees:
@@ -56,6 +49,6 @@ def test_one_tree_of_known_answers() -> None:
 def test_trees_of_the_last_look_are_small_and_know_its_features() -> None:
     found = last_look_trees()
     assert last_look_trees() is found
-    assert Path(decision_trees.__file__).with_name("last_look.npz").stat().st_size < 20_000
+    assert Path(last_look.__file__).with_name("last_look.npz").stat().st_size < 20_000
     assert 0 <= found.feature.min() <= found.feature.max() < len(last_look.FEATURES)
     assert found.leaf.size * NODES == found.feature.size * LEAVES

@@ -7,9 +7,9 @@ import pytest
 
 import ptd
 from ptd.frame import Scale
-from ptd.matched import islands as module
+from ptd.matched import objects as module
 from ptd.matched.cells import EMPTY
-from ptd.matched.islands import _surroundings, islands, reach_cells, without_islands
+from ptd.matched.objects import _surroundings, island_reach_cells, islands, without_islands
 from ptd.matched.surface import Surface
 
 MM = Scale()
@@ -131,9 +131,9 @@ def test_nothing_beyond_the_reach_has_a_part(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     """Nor has a surface that continues beyond it: it is too wide for an island, and for one that rays pass."""
-    monkeypatch.setattr(module, "MAX_WIDTH_M", 16.0)
+    monkeypatch.setattr(module, "MAX_ISLAND_WIDTH_M", 16.0)
     monkeypatch.setattr(module, "VIEW_M", 12.0)
-    rng, reach = np.random.default_rng(seed), reach_cells(1.0)
+    rng, reach = np.random.default_rng(seed), island_reach_cells(1.0)
     side = 2 * reach + 70
     row, column = np.mgrid[:side, :side]
     roofs = (row % 40 < 24) & (column % 37 < 20)

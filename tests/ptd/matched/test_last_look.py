@@ -10,9 +10,15 @@ import pytest
 import ptd
 from ptd.frame import CellLattice, Scale
 from ptd.matched import last_look
-from ptd.matched.cell_features import CELL_FEATURES, Around
-from ptd.matched.decision_trees import DecisionTrees
-from ptd.matched.last_look import FEATURES, NO_GROUND_MM, REACH_M, Heights
+from ptd.matched.last_look import (
+    CELL_FEATURES,
+    FEATURES,
+    NO_GROUND_MM,
+    REACH_M,
+    Around,
+    DecisionTrees,
+    Heights,
+)
 from ptd.methods.auto.method import Auto
 from tests.scenes.village import village
 

@@ -9,7 +9,7 @@ import pytest
 
 import ptd
 from ptd.frame import Scale, Window
-from ptd.matched import bent_hull, facets, surface
+from ptd.matched import bent_hull, robust_cells, surface
 from ptd.matched.robust_cells import NearGroundPass
 from ptd.methods import METHODS, make_params
 from ptd.passes import Points
@@ -75,11 +75,11 @@ def test_next_to_no_points_give_no_error(name: str, n: int) -> None:
 @pytest.fixture
 def short_sighted(monkeypatch: pytest.MonkeyPatch) -> NearGroundPass:
     """The last pass with narrow facets and surroundings, so that small scenes have places beyond its reach."""
-    monkeypatch.setattr(facets, "MAX_CIRCUMRADIUS_M", 4.0)
+    monkeypatch.setattr(robust_cells, "MAX_CIRCUMRADIUS_M", 4.0)
     monkeypatch.setattr(bent_hull, "CONTRAST_M", 2.0)
     monkeypatch.setattr(surface, "NOISE_M", 2.0)
     monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))
-    reach_m = facets.reach_m() + surface.noise_reach_cells(1.0) + 3.0
+    reach_m = robust_cells.facet_reach_m() + surface.noise_reach_cells(1.0) + 3.0
     return replace(NearGroundPass(), influence_radius_m=reach_m)
 
 

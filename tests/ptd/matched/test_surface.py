@@ -8,15 +8,9 @@ from scipy.ndimage import maximum_filter
 
 from ptd.frame import Scale
 from ptd.matched import surface
+from ptd.matched.bent_hull import TRUNCATE, smoothed
 from ptd.matched.cells import EMPTY
-from ptd.matched.surface import (
-    EXTENDED_M,
-    NARROWEST,
-    Surface,
-    ground_surface,
-    reach_cells,
-)
-from ptd.matched.surroundings import TRUNCATE, smoothed
+from ptd.matched.surface import EXTENDED_M, NARROWEST, Surface, ground_surface, reach_cells
 from tests.scenes.village import short_sighted_surface
 
 MM = Scale()

@@ -11,7 +11,7 @@ import pytest
 import ptd
 from ptd.frame import Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
-from ptd.matched import bent_hull, canopy, cell_features, islands, objects, passes, surface
+from ptd.matched import bent_hull, canopy, last_look, objects, passes, surface
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
 from tests.ptd.tiling import classify_tiled
@@ -57,14 +57,14 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
         for size_m in passes.CELL_SIZES_M
     )
     later.append(replace(passes.PASSES[3], influence_radius_m=beyond))
-    monkeypatch.setattr(islands, "MAX_WIDTH_M", 6.0)
-    monkeypatch.setattr(islands, "VIEW_M", 8.0)
+    monkeypatch.setattr(objects, "MAX_ISLAND_WIDTH_M", 6.0)
+    monkeypatch.setattr(objects, "VIEW_M", 8.0)
     reach_m = max(
         size_m
         * (
             surface.reach_cells(size_m)
-            + islands.reach_cells(size_m)
-            + cell_features.reach_cells(size_m)
+            + objects.island_reach_cells(size_m)
+            + last_look.reach_cells(size_m)
         )
         for size_m in passes.CELL_SIZES_M
     )

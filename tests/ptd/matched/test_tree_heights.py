@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ptd.frame import CellLattice, Scale
-from ptd.matched.tree_heights import measure_trees, tree_heights, tree_heights_on_cells
+from ptd.matched.crowns import measure_trees, tree_heights, tree_heights_on_cells
 from ptd.places import PLACE_M, name_of
 
 SCALE = Scale(Fraction(1, 100), Fraction(1, 100), (-12_345, 678))

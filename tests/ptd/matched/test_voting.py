@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import CellGrid, Scale
-from ptd.matched.voting import (
+from ptd.matched.ground_model import (
     ALIKE_M,
     ALIKE_SIGMAS,
     PARTS,

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ptd.tin import Tin, interpolation
+from ptd.tin import Tin, facets
 from ptd.tin.insertion import insert
-from ptd.tin.layout import is_ghost
-from ptd.tin.location import locate
+from ptd.tin.triangles import is_ghost, locate
 
 
 def insert_point(tin: Tin, x: int, y: int, z: int, stamp: int = 0) -> int:
@@ -35,9 +34,9 @@ def corners_of(tin: Tin, triangle: int) -> tuple[int, ...]:
 
 def real_triangles(tin: Tin) -> npt.NDArray[np.int32]:
     """Vertices of the real triangles, int32 (m, 3), sorted by their positions."""
-    facets = interpolation.real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
+    real = facets.real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
     rank = np.empty(tin.n_vertices, np.int32)
     rank[np.lexsort((tin.vertices[:, 1], tin.vertices[:, 0]))] = np.arange(
         tin.n_vertices, dtype=np.int32
     )
-    return facets[np.lexsort(rank[facets].T[::-1])]
+    return real[np.lexsort(rank[real].T[::-1])]

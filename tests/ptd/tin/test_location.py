@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.tin import Tin
-from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.triangles import coincident_vertex, locate
 from tests.ptd.tin import reference
 from tests.ptd.tin.meshes import corners_of, outside, real_triangles
 from tests.ptd.tin.strategies import Points, columns, point_sets

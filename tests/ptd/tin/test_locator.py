@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptd.tin.locator import Locator
-from ptd.tin.mesh import Tin
+from ptd.tin.mesh import Locator, Tin
 
 
 def test_a_walk_starts_at_a_triangle_of_the_nearest_cell_of_its_row_that_holds_a_vertex() -> (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.tin.order import curve_order, round_order
+from ptd.tin.bulk import curve_order, round_order
 
 
 def test_neighbours_on_the_curve_are_neighbours_on_the_grid() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from ptd.tin.predicates import cross_at, in_circle, lexicographic_less
+from ptd.tin.triangles import cross_at, in_circle, lexicographic_less
 from tests.ptd.tin import reference
 
 far = 2**26 - 1

@@ -14,7 +14,7 @@ from tests.tiler.report import results
 from tiler.core.records import to_json
 from tiler.core.sigma_groups import EDGES_M
 from tiler.grid.sigma import sigma_result
-from tiler.report.expected import AtCheckpoints, at_checkpoints, expected
+from tiler.report.accuracy import AtCheckpoints, at_checkpoints, expected
 
 
 def text_of(run: dict, checked: AtCheckpoints | None = None) -> str:

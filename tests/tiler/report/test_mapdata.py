@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.tiler.report import results
-from tiler.report import mapdata
-from tiler.report.mapdata import map_data, with_earlier_times
+from tiler.report import html
+from tiler.report.html import map_data, with_earlier_times
 
 
 def test_times_of_earlier_runs_are_the_last_that_were_told(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_the_pass_that_labels_comes_first_and_what_does_not_fit_is_left_out(
     titles = [stage["title"] for stage in map_data(content, None, {})["stages"]]
     first = "filter: seeds, densification, labels"
     assert titles == ["filter, pass 2", first, "grid: terrain", "grid: density"]
-    monkeypatch.setattr(mapdata, "MAX_TILES", 11)
+    monkeypatch.setattr(html, "MAX_TILES", 11)
     assert [s["name"] for s in map_data(content, None, {})["stages"]] == ["filter1", "filter0"]
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiler.report.document import Node
-from tiler.report.profiles import BANKS, HEIGHT, WATER, WIDTH, profile, round_steps
+from tiler.report.drawn import BANKS, HEIGHT, WATER, WIDTH, profile, round_steps
 
 
 def river(*stations: tuple[float, float, int, float | None, float | None]) -> dict[str, Any]:

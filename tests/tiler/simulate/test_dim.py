@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from tiler.simulate import DimSensor, Site, Terrain, survey
-from tiler.simulate.colour import ROCK, SHADE, ground_materials, shadows
-from tiler.simulate.matched_surface import PIXEL_M, render_surface
+from tiler.simulate.matched_surface import (
+    PIXEL_M,
+    ROCK,
+    SHADE,
+    ground_materials,
+    render_surface,
+    shadows,
+)
 from tiler.simulate.objects import Crown, Objects, PlantPatch, Solid
 from tiler.simulate.points import SimulatedPoints
 

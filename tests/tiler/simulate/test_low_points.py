@@ -13,12 +13,12 @@ from tiler.simulate import (
     AlsSensor,
     Site,
     Terrain,
+    als,
     describe_scene,
-    low_points,
     make_site,
     survey,
 )
-from tiler.simulate.low_points import Mirror, mirrors_near
+from tiler.simulate.als import Mirror, mirrors_near
 from tiler.simulate.points import SimulatedPoints, survey_patch
 from tiler.simulate.terrain import Line
 
@@ -151,7 +151,7 @@ def test_number_of_mirrored_planes_is_their_rate():
 
 def test_a_plane_continues_across_the_border_of_patches(monkeypatch: pytest.MonkeyPatch):
     mirror = Mirror(Line(102.0, 97.0, 30.0), 60.0, 50.0, 4.0, 0.5, 0.0, 0)
-    monkeypatch.setattr(low_points, "mirrors_near", lambda *_: [mirror])
+    monkeypatch.setattr(als, "mirrors_near", lambda *_: [mirror])
     points = survey(flat(200.0), replace(CLEAN, mirrors_km2=1.0))
     x, y, _ = points.xyz.T
     low, inside = points.label == 7, mirror.inside(x, y)

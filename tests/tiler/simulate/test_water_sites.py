@@ -16,7 +16,7 @@ from tiler.simulate import (
     write_scene,
 )
 from tiler.simulate.points import SimulatedPoints
-from tiler.simulate.water_bodies import Masonry, WaterBody, Waters, constant
+from tiler.simulate.terrain import Masonry, WaterBody, Waters, constant
 
 CLEAN = AlsSensor(overlap_m=0.0, sigma_m=0.0, low_singles_km2=0, low_groups_km2=0, high_km2=0)
 LEVEL = 95.0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ptd.matched.canopy_pass import CanopyPass
 from ptd.matched.crowns import Crowns
+from ptd.matched.passes import CanopyPass
 from tiler.core.raster import RasterSpec
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled

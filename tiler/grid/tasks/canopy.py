@@ -10,9 +10,9 @@ from fractions import Fraction
 import numpy as np
 import shapely
 
-from ptd.matched.canopy_pass import BLOCK_M, CanopyPass
 from ptd.matched.cells import CELL_M
 from ptd.matched.evidence import percent
+from ptd.matched.passes import BLOCK_M, CanopyPass
 from ptd.methods import METHODS
 from tiler.config import VOID_CANOPY
 from tiler.core.lattice import Cell

@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay
 
 from ptd import classify
 from ptd.frame import Scale, Window
-from ptd.matched import facets, surface
+from ptd.matched import robust_cells, surface
 from ptd.matched.robust_cells import NearGroundPass
 from ptd.methods.classic import Classic
 from ptd.methods.dong2017.greenness import gli_bins
@@ -79,8 +79,8 @@ def test_on_cells_green_ground_is_kept_and_cars_are_removed(scene: Town) -> None
 
 def test_tiles_do_not_show_on_cells(small: Town, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of tiles that see only a part of the town have the labels and seeds of the whole."""
-    monkeypatch.setattr(facets, "MAX_CIRCUMRADIUS_M", 6.0)
-    shorter = facets.reach_m() + surface.noise_reach_cells(1.0) + 3.0
+    monkeypatch.setattr(robust_cells, "MAX_CIRCUMRADIUS_M", 6.0)
+    shorter = robust_cells.facet_reach_m() + surface.noise_reach_cells(1.0) + 3.0
     passes = (
         *Dong2017(tins=1).passes[:-1],
         replace(NearGroundPass(), influence_radius_m=shorter),

@@ -16,8 +16,7 @@ from ptd.ground.criteria import FacetLimits
 from ptd.ground.labelling import LabelRule, label_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.methods.ridge2016.thinned_densification import GrowthCounter, densify_thinned
-from ptd.tin.locator import Locator
-from ptd.tin.mesh import Tin
+from ptd.tin.mesh import Locator, Tin
 from tests.scenes.densification import CORNERS, EVERYTHING, passes, scene
 
 Points = list[tuple[int, ...]]
