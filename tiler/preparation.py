@@ -25,6 +25,7 @@ def import_reading() -> None:
 def import_stages() -> None:
     """Import the work of all stages."""
     import tiler.export.stage
+    import tiler.grid.stage
 
 
 def import_method() -> None:

@@ -182,7 +182,7 @@ def _digest(read: Read, context: GridContext, near: Near, work: MakeBlock) -> An
     alike = {
         "area": sources.area, "facets": sources.facets, "kind": sources.kind, "products": sources.pixels,
         "place": None,  # The digest of a task includes the block.
-        "coarse": None,  # The values of the block say what is read.
+        "coarse": sources.coarse,  # The values of the block have the digests of what is read.
     }  # fmt: skip
     return alike[read.kind]
 

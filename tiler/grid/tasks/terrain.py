@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +60,8 @@ class OnTin:
         Names of the rasters that are made before it.
     over : callable
         Function ``over(context)`` that returns the places of the blocks, or None for all that a facet can reach.
+    fill : float
+        Value of pixels without a height.
     """
 
     name: str
@@ -74,52 +77,48 @@ class OnTin:
 
     def tasks(self, context: GridContext) -> Iterator[Task]:
         """Yield a task for each block within the reach of a facet."""
-        plan, facets, spec, places = (
-            context.plan, context.facets, context.spec_of(self.grid), self.over(context)
-        )  # fmt: skip
-        widest, corrections = full_halo(facets.max_edge), context.corrections
+        plan, corrections, spec = context.plan, context.corrections, context.spec_of(self.grid)
+        widest, places = full_halo(context.facets.max_edge), self.over(context)
+        shared = self._shared(context)
         for block, near in context.near(spec, widest).items() if places != set() else ():
             if places is not None and (block.row, block.col) not in places:
                 continue
-            work = GridBlock(
-                name=self.name,
-                spec=spec,
-                block=block,
-                rule=context.rule,
-                data=facets.data,
-                max_edge=facets.max_edge,
-                halo=facets.halo,
-                interpolation=plan.config.interpolation
-                if self.grid is not Grid.CANOPY
-                else "linear",
-                max_halo=widest,
-                thin=_thinning(self.grid, context),
-                percent=plan.config.surface_percent,
-                breaklines=corrections.lines_key,
-                max_points=plan.block_points,
-            )
             extent = spec.block_bounds(block)
             yield Task.of(
                 self.stage,
                 block.name,
-                calling(grid_block, work=work),
+                calling(grid_block, work=GridBlock(block=block, max_halo=widest, **shared)),
                 context.label_digests(near),
                 corrections.edit_digests(extent, OF_PIXELS),
                 corrections.line_digests_near(extent, plan),
-                makes=block.height * block.width,
                 points=context.n_points(near),
+                makes=block.height * block.width,
                 bounds=extent,
             )
 
+    def _shared(self, context: GridContext) -> dict[str, Any]:
+        """Return the values that all blocks have in common."""
+        plan, facets = context.plan, context.facets
+        of_canopies = self.grid is Grid.CANOPY
+        return {
+            "name": self.name,
+            "spec": context.spec_of(self.grid),
+            "rule": context.rule,
+            "data": facets.data,
+            "max_edge": facets.max_edge,
+            "halo": facets.halo,
+            "interpolation": "linear" if of_canopies else plan.config.interpolation,
+            "thin": context.canopy_cells.lattice if of_canopies else _thinning(plan),
+            "percent": plan.config.surface_percent,
+            "breaklines": context.corrections.lines_key,
+            "max_points": plan.block_points,
+        }
 
-def _thinning(grid: Grid, context: GridContext) -> Lattice | None:
+
+def _thinning(plan: Plan) -> Lattice | None:
     """Return the cells in which one ground point makes the surface, or None if all do."""
-    plan = context.plan
-    if grid is Grid.CANOPY:
-        return context.canopy_cells.lattice
-    if plan.surface_cells is None:
-        return None
-    return Lattice(plan.frame.counts(plan.grid.resolution / plan.surface_cells))
+    share = plan.surface_cells
+    return None if share is None else Lattice(plan.frame.counts(plan.grid.resolution / share))
 
 
 def _where_water_is_sought(context: GridContext) -> Collection[Place] | None:
