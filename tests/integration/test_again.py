@@ -24,12 +24,12 @@ from tests.invariants.runs import (
 from tests.scenes.finished import Finished
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
+from tiler.core.records import TileRecord
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
-from tiler.filter.tasks import passes
 from tiler.grid.roofs import Advice
-from tiler.grid.tasks import gridding, steps
 from tiler.simulate import DemoScene
+from tiler.store import TileStore
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
 
@@ -134,8 +134,7 @@ def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScen
 def test_other_rules_of_a_checkout_filter_and_grid_but_do_not_ingest(
     out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (passes, gridding, steps):
-        monkeypatch.setattr(module, "RULES", "0.1.0-other")
+    monkeypatch.setattr("tiler.schedule.task.RULES", "0.1.0-other")
     made = {"filter0", *GROUND, *PIXELS, *POINTS}
     assert made <= again(demo, out).keys() <= made | {"export", "catalogue"}
 
@@ -290,12 +289,12 @@ def test_a_tile_that_fails_leaves_no_old_labels(
     _, (_, record) = max(the_store(out).committed("filter0").items())
     broken = record["cells"]
 
-    def work(store_url: str, arguments: FilterTile) -> dict[str, Any]:
-        if [[cell.ix, cell.iy] for cell in arguments.cells] == broken:
+    def fails(store: TileStore, *, work: FilterTile) -> TileRecord:
+        if [[cell.ix, cell.iy] for cell in work.cells] == broken:
             raise ProcessingError("this tile fails")
-        return filter_tile(store_url, arguments)
+        return filter_tile(store, work=work)
 
-    monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", work)
+    monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", fails)
     # Kernels and neighbours are sound: the run goes on, says so, and knows nothing of the tile.
     result = do(
         list(demo.paths), out, parameters={"iteration_distance": "1.39"}, tile_size="128"
@@ -320,10 +319,10 @@ def test_a_tile_that_fails_leaves_no_old_labels(
 def test_a_tile_that_fails_stops_a_strict_run(
     demo: DemoScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def work(store_url: str, arguments: FilterTile) -> dict[str, Any]:
+    def fails(*_: Any, **__: Any) -> TileRecord:
         raise ZeroDivisionError("no tile succeeds")
 
-    monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", work)
+    monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", fails)
     with pytest.raises(
         ProcessingError, match="ZeroDivisionError: no tile succeeds .*--on-error skip"
     ):

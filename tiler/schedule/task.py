@@ -101,13 +101,21 @@ class Task:
     bounds: Bounds | None = None
 
     @classmethod
-    def of(cls, stage: str, key: str, call: Call, *held: Any, **given: Any) -> Self:
+    def of(
+        cls,
+        stage: str,
+        key: str,
+        call: Call,
+        *held: Any,
+        rules: str | None = None,
+        **given: Any,
+    ) -> Self:
         """Return the task of a call.
 
-        Its digest is made from the values and from ``held``, the digests of what the work reads. ``given`` are other
-        attributes.
+        Its digest is made from the values and from ``held``, the digests of what the work reads. ``rules`` is
+        the version of the rules, by default `RULES`. ``given`` are other attributes.
         """
-        digest = digest_of(RULES, call.held, *held)
+        digest = digest_of(rules or RULES, call.held, *held)
         return cls(stage, key, digest, call.work, call.values, **given)
 
     @property

@@ -25,6 +25,7 @@ from tiler.io.locations import location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
 from tiler.schedule import Task, calling
 from tiler.store import Commits
+from tiler.version import INGEST_RULES
 
 GROUP = 4
 """Number of buckets along a side of the group that an assembly task writes."""
@@ -75,7 +76,9 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
                 selection=selection,
             )
             call = calling(spool_piece, work=work).without("work")
-            yield Task.of("spool", key, call, identity, buckets, points=count)
+            yield Task.of(
+                "spool", key, call, identity, buckets, rules=INGEST_RULES, points=count
+            )
 
 
 def _pieces(
@@ -192,5 +195,12 @@ def assemble_tasks(
         call = call.without("buckets")
         bounds = plan.buckets.hull(groups[group])
         yield Task.of(
-            "assemble", group.name, call, content, parents, points=points, bounds=bounds
+            "assemble",
+            group.name,
+            call,
+            content,
+            parents,
+            rules=INGEST_RULES,
+            points=points,
+            bounds=bounds,
         )
