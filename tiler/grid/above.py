@@ -12,9 +12,8 @@ import scipy
 from ptd.gridding.above_ground import NOTHING
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.grid.drawn_near import EditsNear, WatersNear
+from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.pieces import label_block
-from tiler.grid.points_near import PointsNear
 from tiler.grid.steps import Counts
 
 Bools = npt.NDArray[np.bool_]

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from tiler.grid.block_surroundings import linear
 from tiler.grid.canopy import OPEN, SIGHT_M
-from tiler.grid.pixel_cells import linear
 from tiler.grid.reach import distances, opened
 from tiler.grid.steps import Counts, Position, canopy_window
 from tiler.store import Steps, between_centres

@@ -18,7 +18,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.nodata import NODATA
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.points_near import PointsNear
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.steps import Counts, Position
 
 Bools = npt.NDArray[np.bool_]

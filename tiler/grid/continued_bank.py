@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.reach import Floats
+from tiler.grid.reach import Float64
 
 N_BANK_CELLS = 20
 """The bank is continued by a plane through this many of its cells with ground, the nearest
@@ -27,8 +27,8 @@ Indices = npt.NDArray[np.int64]
 
 
 def continued_bank(
-    cells: Indices, bank: Indices, above: Floats, reach: float
-) -> tuple[Floats, Floats]:
+    cells: Indices, bank: Indices, above: Float64, reach: float
+) -> tuple[Float64, Float64]:
     """Extrapolate the bank to other cells. Each cell has its own plane through the nearest cells of the bank.
 
     Parameters
@@ -77,12 +77,12 @@ def _nearest(
 
 
 def _planes(
-    offsets: Indices, heights: Floats, used: npt.NDArray[np.bool_]
-) -> tuple[Floats, Floats]:
+    offsets: Indices, heights: Float64, used: npt.NDArray[np.bool_]
+) -> tuple[Float64, Float64]:
     """Return height and slope of the planes through the used cells at offsets, at the offset 0."""
     number = np.maximum(used.sum(axis=1), 1)
 
-    def mean(values: Floats) -> Floats:
+    def mean(values: Float64) -> Float64:
         return np.asarray(np.where(used, values, 0.0).sum(axis=1) / number, np.float64)
 
     y, x, z = offsets[:, :, 0].astype(np.float64), offsets[:, :, 1].astype(np.float64), heights

@@ -18,9 +18,9 @@ import scipy
 
 from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import Bools, block_runs, padded
 from tiler.grid.pieces import Piece, cells_in, label_block, part_of
-from tiler.grid.points_near import PointsNear
 from tiler.grid.reach import box_around, within
 from tiler.grid.returns import histograms
 from tiler.grid.steps import Counts, Position

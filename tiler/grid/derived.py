@@ -19,9 +19,8 @@ from tiler.core.mask_values import (
     WATER,
 )
 from tiler.core.products import SURVEYED
+from tiler.grid.block_surroundings import PointsNear, WatersNear
 from tiler.grid.canopy import OPEN
-from tiler.grid.drawn_near import WatersNear
-from tiler.grid.points_near import PointsNear
 from tiler.grid.steps import Counts
 
 Bools = npt.NDArray[np.bool_]

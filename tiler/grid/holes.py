@@ -8,7 +8,7 @@ import scipy
 
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.raster import Block, within
-from tiler.grid.drawn_near import EditsNear
+from tiler.grid.block_surroundings import EditsNear
 from tiler.grid.steps import Counts
 
 CELL_PIXELS = 32

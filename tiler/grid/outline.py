@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from tiler.core.products import BEYOND, SURVEYED, VOID
 from tiler.core.raster import NODATA
+from tiler.grid.block_surroundings import EditsNear, WatersNear
 from tiler.grid.canopy import OPEN
-from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.holes import hole_cells, holes_of_block
 from tiler.grid.steps import Counts
 

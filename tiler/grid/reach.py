@@ -10,7 +10,7 @@ import numpy.typing as npt
 import scipy
 
 Bools = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
+Float64 = npt.NDArray[np.float64]
 
 STRIP_ROWS = 256
 """Rows per strip, or twice the radius if that is more."""
@@ -59,7 +59,7 @@ def within_square(cells: Bools, radius: int) -> Bools:
     return near
 
 
-def distances(cells: Bools, radius: float) -> Floats:
+def distances(cells: Bools, radius: float) -> Float64:
     """Return the distance of each cell from the nearest set cell, in cells, infinite beyond a radius."""
     near_distances = np.full(cells.shape, np.inf)
     for part, distance in _strips(cells, radius):
@@ -77,7 +77,7 @@ def box_around(cells: Bools, pad: int) -> tuple[slice, slice]:
     return slices[0], slices[1]
 
 
-def _strips(cells: Bools, radius: float) -> Iterator[tuple[tuple[slice, slice], Floats]]:
+def _strips(cells: Bools, radius: float) -> Iterator[tuple[tuple[slice, slice], Float64]]:
     """Yield the parts with set cells near them, and their distances, which are correct up to the radius."""
     margin = max(math.floor(radius), 0)
     step = max(STRIP_ROWS, 2 * margin)

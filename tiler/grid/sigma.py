@@ -14,7 +14,7 @@ from tiler.core.mask_values import CANOPY, FILLED, WATER
 from tiler.core.sigma_groups import COVERED_SHARE, EDGES_M, GROUPS
 from tiler.core.terrain_results import SigmaGroup, SigmaResult
 from tiler.grid.below_canopy import BEND_M
-from tiler.grid.points_near import PointsNear
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.sigma_measures import Measures, measures_of
 from tiler.grid.sigma_model import standard_error_m
 from tiler.grid.steps import Counts

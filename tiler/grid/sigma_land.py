@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from ptd.gridding.shape import gradients
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.pixel_cells import PixelCells, linear
+from tiler.grid.block_surroundings import PixelCells, linear
 
 CELL_M = 3.4
 """Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17

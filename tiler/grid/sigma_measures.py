@@ -13,7 +13,7 @@ from ptd.gridding.ground_cells import CellWindow, box_sums, cell_counts, plane_v
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.points_near import PointsNear
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.sigma_land import Land
 
 CELL_M = Fraction(1)

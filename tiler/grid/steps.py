@@ -15,11 +15,10 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import padded
-from tiler.grid.drawn_near import EditsNear, WatersNear
 from tiler.grid.ground import GroundSelection
-from tiler.grid.points_near import PointsNear
 from tiler.grid.work import BlockWork, Facets
 from tiler.store import TileStore, coarse_values, coarse_window, read_cells
 

@@ -23,8 +23,7 @@ from tiler.core.points import PointBlock
 from tiler.core.products import BEYOND, VOID
 from tiler.core.raster import Block
 from tiler.grid.block import full_halo, rasterise_window
-from tiler.grid.drawn_near import WatersNear
-from tiler.grid.points_near import PointsNear
+from tiler.grid.block_surroundings import PointsNear, WatersNear
 from tiler.grid.steps import Counts
 from tiler.grid.work import Facets
 

@@ -19,8 +19,8 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.grid.block import heights_in_units, pixels_of
+from tiler.grid.block_surroundings import EditsNear
 from tiler.grid.coarse import Bools, Floats, block_runs, blocks_of, blocks_under, covered
-from tiler.grid.drawn_near import EditsNear
 from tiler.grid.pieces import AROUND, Labels, Piece, cells_in, label_block
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells, coarse_window

@@ -18,10 +18,10 @@ import scipy
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.raster import within as within_window
+from tiler.grid.block_surroundings import pixel_indices
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.ground import GroundSelection, read_ground_and_objects
-from tiler.grid.points_near import pixel_indices
-from tiler.grid.reach import Floats, within, within_square
+from tiler.grid.reach import Float64, within, within_square
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import LEVEL_M
 from tiler.grid.water_search import inner_window
@@ -69,8 +69,8 @@ class Shore(NamedTuple):
         Mask of the cells at upright banks whose land has many points, see `dense_quays`.
     """
 
-    field: Floats
-    level: Floats
+    field: Float64
+    level: Float64
     is_dense_quay: Bools
 
 
@@ -136,22 +136,22 @@ def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
     return shapely.union_all(shore_polygons(field[inner_window(inner, margin)], fine, inner))
 
 
-def highest_near(level: Floats) -> Floats:
+def highest_near(level: Float64) -> Float64:
     """Return the highest level in the square around each cell.
 
     Some levels are too low, because a few points lie below the water surface.
     """
-    highest: Floats = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
+    highest: Float64 = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
     return highest
 
 
-def dense_quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
+def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
     """Return a mask of the cells at upright banks near which fine cells of land have `ENOUGH_POINTS` on average.
 
     Parameters are those of `tiler.grid.water_shore.heights_above_water`.
     """
 
-    def total(values: npt.NDArray[Any]) -> Floats:
+    def total(values: npt.NDArray[Any]) -> Float64:
         """Return the sum of whole numbers in the square around each cell."""
         mean = scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE)
         return np.asarray(np.rint(mean * NEAR_SIDE**2))
@@ -180,7 +180,7 @@ def finer_window(window: Block) -> Block:
     )
 
 
-def finer_field(field: Floats) -> Floats:
+def finer_field(field: Float64) -> Float64:
     """Interpolate a field linearly between the middles of coarse cells, float64 (2 h, 2 w)."""
     for axis in (0, 1):
         cells = np.moveaxis(field, axis, 0)
@@ -196,14 +196,14 @@ def each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return values.repeat(FINER, axis=0).repeat(FINER, axis=1)
 
 
-def _near_shore(field: Floats, radius: int) -> Bools:
+def _near_shore(field: Float64, radius: int) -> Bools:
     """Return a mask of the cells that have both land and water within ``radius`` cells, also diagonally."""
     return within_square(field < 0, radius) & within_square(field >= 0, radius)
 
 
 def fine_cells(
     store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bools
-) -> tuple[Floats, Bools]:
+) -> tuple[Float64, Bools]:
     """Return the mean height of the ground points of each cell in metres, and a mask of the cells with points.
 
     Heights are NaN for cells without ground points. Points of objects also count for the mask. Only buckets with
@@ -231,7 +231,7 @@ def fine_cells(
     return heights * float(frame.metres_z), number + objects > 0
 
 
-def high_banks(field: Floats, above: Floats) -> Bools:
+def high_banks(field: Float64, above: Float64) -> Bools:
     """Return a mask of the cells of water with high ground that is connected with the land.
 
     Parameters
@@ -245,7 +245,9 @@ def high_banks(field: Floats, above: Floats) -> Bools:
     return _spread(land, high, BANK_REACH_FINE_CELLS)
 
 
-def quay_water(field: Floats, is_dense_quay: Bools, above: Floats, has_points: Bools) -> Bools:
+def quay_water(
+    field: Float64, is_dense_quay: Bools, above: Float64, has_points: Bools
+) -> Bools:
     """Return a mask of the cells at upright banks that are water and connected with the water.
 
     They have no points, because water returns few pulses, or their ground is at most `LEVEL_M`

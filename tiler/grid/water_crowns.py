@@ -19,11 +19,11 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.raster import Block
+from tiler.grid.block_surroundings import PointsNear, pixel_indices
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.continued_bank import continued_bank
 from tiler.grid.ground import read_ground_and_objects
-from tiler.grid.points_near import PointsNear, pixel_indices
-from tiler.grid.reach import Floats, box_around, within, within_square
+from tiler.grid.reach import Float64, box_around, within, within_square
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 
@@ -70,7 +70,7 @@ def plants_near_water(
     sure: Float32,
     planes: Float32,
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     points: PointsNear,
     place: Position,
     *,
@@ -110,7 +110,7 @@ def crowns_margin(size_m: float) -> int:
 
 
 def _crowns(
-    points: PointsNear, window: Block, examined: Bools, terrain: Floats
+    points: PointsNear, window: Block, examined: Bools, terrain: Float64
 ) -> npt.NDArray[np.int64]:
     """Return the value of each cell of a window, see `plants_near_water`.
 
@@ -141,7 +141,7 @@ def plant_kinds(
     xyz: npt.NDArray[np.int32],
     cells: npt.NDArray[np.int64],
     objects: Bools,
-    terrain: Floats,
+    terrain: Float64,
     metres_z: Fraction,
 ) -> npt.NDArray[np.int64]:
     """Return the value of each cell, int64 (h, w), see `plants_near_water`.
@@ -192,7 +192,7 @@ def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
     return np.asarray((crowns == HIDDEN) | (crowns == HIDDEN + REED))
 
 
-def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
+def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Float64:
     """Return the RMS vertical distance of the points of each cell from the plane through them, float64 (size,).
 
     The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points, or
@@ -219,7 +219,7 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
         np.minimum.at(lowest[axis], cells, offsets[axis])
     x, y, z = offsets - lowest[:, cells]
 
-    def total(values: npt.NDArray[np.int64]) -> Floats:
+    def total(values: npt.NDArray[np.int64]) -> Float64:
         return np.bincount(cells, values.astype(np.float64), count).astype(np.float64)
 
     n = np.bincount(cells, minlength=count).astype(np.float64)
@@ -256,7 +256,7 @@ def _mostly(chosen: Bools, known: Bools) -> Bools:
 
 
 def beneath_crowns(
-    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats
+    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Float64
 ) -> Bools:
     """Return a mask of the cells beneath crowns that are water.
 
@@ -288,14 +288,14 @@ def beneath_crowns(
     return connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
 
 
-def _ground_share(crowns: npt.NDArray[Any], side: int) -> Floats:
+def _ground_share(crowns: npt.NDArray[Any], side: int) -> Float64:
     """Return the share of cells with ground among the cells with crowns, in a square around each cell.
 
     The square has ``side`` rows and columns, or one more if that is even.
     """
     odd_side = side // 2 * 2 + 1
 
-    def share(mask: Bools) -> Floats:
+    def share(mask: Bools) -> Float64:
         """Return the share of the cells of a mask in the square around each cell."""
         return np.asarray(
             scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")

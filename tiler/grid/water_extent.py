@@ -10,7 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from tiler.grid.coarse import Bools
-from tiler.grid.reach import Floats, box_around, opened, within
+from tiler.grid.reach import Float64, box_around, opened, within
 from tiler.grid.water_cells import WaterCells
 
 LEVEL_M = 0.15
@@ -46,7 +46,7 @@ SPECK_CELLS = 4
 """A speck has at most this many cells."""
 
 
-def smoothed(ground: Floats) -> Floats:
+def smoothed(ground: Float64) -> Float64:
     """Remove pits and peaks of one or two cells: take the median of three cells along rows and columns, twice."""
     known = ~np.isnan(ground)
     box = box_around(known, 0)
@@ -60,7 +60,7 @@ def smoothed(ground: Floats) -> Floats:
     return smooth_ground
 
 
-def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
+def water_heights(cells: WaterCells, wet: Bools) -> Float64 | None:
     """Return the water level near each cell in metres, or None if the water has no returns.
 
     The level comes from the nearest cells of water with returns. The outermost cells of the
@@ -78,12 +78,12 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     nearest = scipy.ndimage.distance_transform_edt(
         ~known, return_distances=False, return_indices=True
     )
-    levels: Floats = (total / np.where(known, number, 1.0))[tuple(nearest)] * LEVEL_STEP_M
+    levels: Float64 = (total / np.where(known, number, 1.0))[tuple(nearest)] * LEVEL_STEP_M
     return levels
 
 
 def extended_to_shore(
-    cells: WaterCells, water: Bools, level: Floats | None, max_steps: int
+    cells: WaterCells, water: Bools, level: Float64 | None, max_steps: int
 ) -> Bools:
     """Extend water by up to ``max_steps`` cells over connected low cells of the domain.
 
@@ -107,7 +107,7 @@ def extended_to_shore(
 
 
 def close_bridge_gaps(
-    ground: Floats, water: Bools, size_m: float, longest_island: int, below_deck: Bools
+    ground: Float64, water: Bools, size_m: float, longest_island: int, below_deck: Bools
 ) -> Bools:
     """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
@@ -151,7 +151,7 @@ def without_islands(water: Bools, min_cells: float) -> Bools:
 
 
 def without_border_islands(
-    cells: WaterCells, water: Bools, level: Floats, min_cells: float
+    cells: WaterCells, water: Bools, level: Float64, min_cells: float
 ) -> Bools:
     """Fill flat land of fewer than ``min_cells`` cells between water and the border of the survey.
 

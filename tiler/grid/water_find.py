@@ -19,7 +19,7 @@ from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Piece, cells_of, components
-from tiler.grid.reach import Floats, box_around
+from tiler.grid.reach import Float64, box_around
 from tiler.grid.steps import Counts
 from tiler.grid.water_banks import (
     BANK_MARGIN,
@@ -307,9 +307,9 @@ class _Surroundings(NamedTuple):
     cells: WaterCells
     wet: Bools
     box: tuple[slice, slice]
-    level: Floats | None
+    level: Float64 | None
     no_bank: Bools
-    field: Floats
+    field: Float64
 
 
 def _surroundings(

@@ -10,7 +10,7 @@ import numpy as np
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
-from tiler.grid.reach import Floats, box_around
+from tiler.grid.reach import Float64, box_around
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import beneath_crowns
@@ -67,7 +67,7 @@ def finish_water(
     planes: Float32,
     crowns: Float32,
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,
@@ -75,7 +75,7 @@ def finish_water(
     river_width_m: float,
     island_m2: float,
     decks: Decks,
-) -> tuple[Floats, Counts]:
+) -> tuple[Float64, Counts]:
     """Label the final water of a block.
 
     Parameters

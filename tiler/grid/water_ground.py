@@ -9,9 +9,9 @@ import scipy
 from tiler.core.classes import WATER
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA
+from tiler.grid.block_surroundings import PointsNear, pixel_indices
 from tiler.grid.coarse import blocks_under, padded
 from tiler.grid.ground import surface_points
-from tiler.grid.points_near import PointsNear, pixel_indices
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells
 

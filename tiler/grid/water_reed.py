@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tiler.grid.coarse import Bools
 from tiler.grid.continued_bank import continued_bank
-from tiler.grid.reach import Floats, within
+from tiler.grid.reach import Float64, within
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import CROWN_M, LOW_M, REED, connected, is_hidden
 
@@ -30,7 +30,9 @@ It is not known well where a flatter bank reaches the level.
 """
 
 
-def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
+def among_reed(
+    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Float64
+) -> Bools:
     """Return a mask of the cells with reed that are water.
 
     Reed that is connected with water is water up to the line at which the continued bank
@@ -55,7 +57,7 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
     return connected(reed, wet, reach)
 
 
-def has_no_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
+def has_no_bank(crowns: npt.NDArray[Any], above: Float64) -> Bools:
     """Return a mask of the cells whose ground height is not that of the bank. It is valid only for cells of water.
 
     In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes

@@ -20,7 +20,7 @@ from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Labels, Piece, areas_within, label_block
-from tiler.grid.reach import Floats, box_around
+from tiler.grid.reach import Float64, box_around
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     RING_M,
@@ -83,7 +83,7 @@ class SearchRead(NamedTuple):
     """
 
     occupancy: Float32
-    ground: Floats
+    ground: Float64
     domain: Float32
     place: Position
 
@@ -97,13 +97,13 @@ class SearchRead(NamedTuple):
 
 def find_areas(
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,
     n_merged: int,
     usual: float | None,
-) -> tuple[Floats, Counts]:
+) -> tuple[Float64, Counts]:
     """Label the candidates for water in a block.
 
     Parameters
@@ -153,7 +153,7 @@ def label_areas(cells: Bools, *masks: Bools) -> tuple[Labels, dict[str, Any]]:
 def count_rims(
     areas: Float32,
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,
@@ -216,7 +216,7 @@ def inner_window(block: Block, margin: int) -> Slices:
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
-def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Floats:
+def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Float64:
     """Read the heights of the terrain in a window in metres, NaN for cells without a height."""
     heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
     heights[heights == NODATA] = np.nan
@@ -259,7 +259,7 @@ class AreasAround:
     """
 
     cells: WaterCells
-    ground: Floats
+    ground: Float64
     numbers: Labels
     names: list[Piece]
     window: Block

@@ -10,7 +10,7 @@ import scipy
 
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.coarse import Bools
-from tiler.grid.reach import Floats
+from tiler.grid.reach import Float64
 from tiler.grid.water_cells import WaterCells
 
 REACH_CELLS = 40
@@ -45,8 +45,8 @@ AROUND = np.ones((3, 3), np.bool_)
 
 
 def heights_above_water(
-    cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool = False
-) -> Floats:
+    cells: WaterCells, wet: Bools, level: Float64 | None, is_lowered: bool = False
+) -> Float64:
     """Return a field of heights relative to the level of the water. Its zero line is the shore.
 
     In cells of land next to water, the field has the height of the bank. In the outermost cells of the water, it has
@@ -89,7 +89,7 @@ def heights_above_water(
     return field
 
 
-def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats]:
+def _banks(above: Float64, wet: Bools, has_returns: Bools) -> tuple[Bools, Float64]:
     """Return a mask of the outermost cells of the water that are bank, and the heights of the bank there.
 
     In these cells, both the ground and the extrapolated bank are above the water. The ground
@@ -102,7 +102,7 @@ def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats
         return wet & has_returns & (heights > MIN_HEIGHT_M), heights
 
 
-def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
+def _cut_cells(cells: WaterCells, above: Float64, wet: Bools) -> Bools:
     """Return a mask of the outermost cells of a high, level bank that are mostly water, as at a quay.
 
     Water returns few pulses. So such a cell has few returns compared to the mean of the next
@@ -117,7 +117,7 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     return is_cut
 
 
-def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
+def quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
     """Return a mask of the outermost cells of upright banks. Parameters are those of `heights_above_water`."""
     is_quay = np.zeros_like(wet)
     for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size_m):
@@ -126,7 +126,7 @@ def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
 
 
 def _upright_sides(
-    above: Floats, wet: Bools, size_m: float
+    above: Float64, wet: Bools, size_m: float
 ) -> Iterator[tuple[int, int, Bools]]:
     """Yield axis and step of each side (`SIDES`), and a mask of the cells with an upright bank on that side.
 
@@ -142,7 +142,7 @@ def _upright_sides(
         yield axis, step, upright & np.roll(wet, -step, axis) & ~wet
 
 
-def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
+def _extrapolated_bank(above: Float64, wet: Bools) -> tuple[Float64, Float64]:
     """Return two heights above the water for each of its outermost cells, NaN for all other cells.
 
     The first is the height of the bank next to the cell. The second is the height in the cell
@@ -166,7 +166,7 @@ def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
     return heights[0], heights[1]
 
 
-def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:
+def shore_polygons(field: Float64, coarse: RasterSpec, window: Block) -> list[Any]:
     """Return polygons in absolute counts of the water of a window, where ``field`` is below 0.
 
     ``field`` is a result of `heights_above_water`.

@@ -12,11 +12,11 @@ import numpy as np
 
 from tiler.grid.coarse import Bools
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M
-from tiler.grid.reach import Floats
+from tiler.grid.reach import Float64
 from tiler.grid.water_shore import BANK_WIDTH_CELLS, SIDES
 
 
-def bank_rises(ground: Floats, wet: Bools, measured: Bools) -> Floats:
+def bank_rises(ground: Float64, wet: Bools, measured: Bools) -> Float64:
     """Return the rises in metres from the land at the shore to the next cells behind it, float64 (n,).
 
     Parameters
@@ -33,11 +33,11 @@ def bank_rises(ground: Floats, wet: Bools, measured: Bools) -> Floats:
     for axis, step in SIDES:
         next_heights = np.roll(bank, 2 * step, axis)
         rises_by_side.append((next_heights - np.roll(bank, step, axis))[measured])
-    rises: Floats = np.concatenate(rises_by_side)
+    rises: Float64 = np.concatenate(rises_by_side)
     return rises[~np.isnan(rises)]
 
 
-def lower_level(heights: Floats, rises: Floats) -> float | None:
+def lower_level(heights: Float64, rises: Float64) -> float | None:
     """Return the lower level of a lake in metres, or None if it has one level or its bank is too flat.
 
     Parameters

@@ -60,7 +60,7 @@ class GridBlock(Facets, BlockWork):
     ----------
     rule : GroundSelection
     max_halo : int or None
-        Largest halo in counts; None for `tiler.grid.full_halo`.
+        Largest halo in counts; None for `tiler.grid.block.full_halo`.
     thin : Lattice or None
         Cells in which only one ground point is used: the point at ``percent`` of their heights, or the central point if
         ``percent`` is None. All blocks of a run have the same cells, since other cells make another surface.

@@ -14,8 +14,8 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec, north_west
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
-from tiler.grid import GroundSelection
 from tiler.grid.block import full_halo, heights_of_blocks
+from tiler.grid.ground import GroundSelection
 
 METRE = Fraction(1000)
 

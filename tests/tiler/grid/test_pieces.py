@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from tiler.grid import pieces
 from tiler.grid.pieces import AROUND, Piece, join_pieces, label_block
-from tiler.grid.tasks import survey as survey_tasks
 from tiler.grid.tasks.survey import outside_of
 
 SIDE = 4
@@ -21,8 +19,8 @@ SIDE = 4
 @pytest.fixture(autouse=True, scope="module")
 def small_blocks() -> object:
     patch = pytest.MonkeyPatch()
-    patch.setattr(pieces, "BLOCK_PIXELS", SIDE)
-    patch.setattr(survey_tasks, "BLOCK_PIXELS", SIDE)
+    patch.setattr("tiler.grid.pieces.BLOCK_PIXELS", SIDE)
+    patch.setattr("tiler.grid.tasks.survey.BLOCK_PIXELS", SIDE)
     yield
     patch.undo()
 

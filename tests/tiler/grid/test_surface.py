@@ -19,8 +19,8 @@ from tiler.core.lattice import Lattice
 from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.derived import distance
-from tiler.grid.points_near import PointsNear
 from tiler.grid.steps import Read
 from tiler.grid.surface import raised_to, surface_heights
 from tiler.grid.surface import surface as surface_of

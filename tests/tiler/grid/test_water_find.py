@@ -12,8 +12,8 @@ from tiler.core.lattice import Lattice
 from tiler.core.products import BEYOND, SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.water import Water
-from tiler.grid import GroundSelection
 from tiler.grid.centreline import polygon_of
+from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Piece
 from tiler.grid.water_find import BodyCells, describe_body
 from tiler.grid.water_search import SearchRasters

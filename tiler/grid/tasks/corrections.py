@@ -14,7 +14,7 @@ from typing import Any
 from tiler.core.breaklines import Breaklines
 from tiler.core.edits import DrawnDeck, Edits
 from tiler.core.lattice import Bounds, Cell
-from tiler.grid import full_halo
+from tiler.grid.block import full_halo
 from tiler.plan import Plan
 
 

@@ -14,8 +14,8 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.filter import LABELS
-from tiler.grid import GroundSelection
 from tiler.grid.coarse import coarse_raster
+from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Joined, join_pieces
 from tiler.grid.records import BlockRecord
 from tiler.grid.steps import Counts, Sources

@@ -14,6 +14,7 @@ from tiler.core.records import records_of
 from tiler.core.terrain_results import SurfaceResult
 from tiler.grid.above import above, min_pixels
 from tiler.grid.block import full_halo
+from tiler.grid.block_surroundings import reach_pixels
 from tiler.grid.derived import (
     density,
     distance,
@@ -22,7 +23,6 @@ from tiler.grid.derived import (
     mask,
     slope,
 )
-from tiler.grid.points_near import reach_pixels
 from tiler.grid.records import BlockRecord
 from tiler.grid.sigma import sigma, sigma_result
 from tiler.grid.sigma_land import land_margin

@@ -15,7 +15,7 @@ import scipy
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.terrain_results import VoidResult, VoidsResult
-from tiler.grid import CELL_PIXELS
+from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.tasks.gridding import GridContext
 from tiler.runs.job import Job
 from tiler.store import Commits
