@@ -29,7 +29,7 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
 from tiler.filter.tile import LABELS
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded
-from tiler.grid.ground import GroundSelection
+from tiler.grid.records import GroundSelection
 from tiler.grid.sigma_land import land_margin
 from tiler.grid.sigma_measures import measures_of
 from tiler.grid.stage import MATCHED_EROSION

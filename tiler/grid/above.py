@@ -13,7 +13,7 @@ from ptd.gridding.above_ground import NOTHING
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
-from tiler.grid.pieces import label_block
+from tiler.grid.coarse import label_block
 from tiler.grid.steps import Counts
 
 Bools = npt.NDArray[np.bool_]
@@ -62,7 +62,7 @@ def above(
     counts : dict
         ``wrong``: number of pixels in which the terrain is above all returns, also of those in places that are too
         small. ``labels``, ``sides``: number of places, and their labels along the sides of the block (see
-        `tiler.grid.pieces`). ``places``: [pixels, row, col, last_row, last_col, height] of each place, with the
+        `tiler.grid.coarse`). ``places``: [pixels, row, col, last_row, last_col, height] of each place, with the
         largest height of its terrain above the returns in metres. ``cells``: see `_cells`.
     """
     above_m, below_m = heights_above(points, terrain, waters.inside | edits.flat, reach, spike)

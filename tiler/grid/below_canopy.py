@@ -20,7 +20,7 @@ import scipy
 
 from tiler.grid.block_surroundings import linear
 from tiler.grid.canopy import OPEN, SIGHT_M
-from tiler.grid.reach import distances, opened
+from tiler.grid.coarse import distances, opened
 from tiler.grid.steps import Counts, Position, canopy_window
 from tiler.store import Steps, between_centres
 

@@ -26,10 +26,8 @@ from tiler.core.lattice import Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.core.records import JoinedRecord
 from tiler.errors import ProcessingError
-from tiler.grid.checksum import checksum
-from tiler.grid.records import TerrainRecord
-from tiler.grid.thinning import max_points_in_bucket, surface_ground
-from tiler.grid.work import Facets, GridBlock
+from tiler.grid.ground import max_points_in_bucket, surface_ground
+from tiler.grid.records import Facets, GridBlock, TerrainRecord, checksum
 from tiler.store import TileStore
 
 

@@ -23,7 +23,8 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.grid.block import pixels_of
 from tiler.grid.coarse import padded
-from tiler.grid.ground import GroundSelection, read_ground, read_objects, surface_points
+from tiler.grid.ground import read_ground, read_objects, surface_points
+from tiler.grid.records import GroundSelection
 from tiler.store import TileStore, read_cells
 
 Float64 = npt.NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.reach import Float64
+from tiler.grid.coarse import Float64
 
 N_BANK_CELLS = 20
 """The bank is continued by a plane through this many of its cells with ground, the nearest

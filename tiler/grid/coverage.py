@@ -19,9 +19,17 @@ import scipy
 from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.grid.block_surroundings import PointsNear
-from tiler.grid.coarse import Bools, block_runs, padded
-from tiler.grid.pieces import Piece, cells_in, label_block, part_of
-from tiler.grid.reach import box_around, within
+from tiler.grid.coarse import (
+    Bools,
+    Piece,
+    block_runs,
+    box_around,
+    cells_in,
+    label_block,
+    padded,
+    part_of,
+    within,
+)
 from tiler.grid.returns import histograms
 from tiler.grid.steps import Counts, Position
 
@@ -87,7 +95,7 @@ def open_areas(
     -------
     values : float64 (height, width)
     counts : dict
-        ``sides``, ``labels``: labels along the sides of the block and their number (`tiler.grid.pieces`). ``gaps``:
+        ``sides``, ``labels``: labels along the sides of the block and their number (`tiler.grid.coarse`). ``gaps``:
         pairs of a gap width in cells and the number of windows with it. ``filled``: number of cells.
     """
     pad = margin_of(max_gap)

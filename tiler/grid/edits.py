@@ -6,7 +6,8 @@ import numpy as np
 
 from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints
 from tiler.core.lattice import Cell
-from tiler.grid.ground import GroundSelection, read_classes
+from tiler.grid.ground import read_classes
+from tiler.grid.records import GroundSelection
 from tiler.grid.steps import Counts
 from tiler.store import TileStore
 

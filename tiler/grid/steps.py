@@ -16,10 +16,8 @@ from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
-from tiler.grid.checksum import checksum
 from tiler.grid.coarse import padded
-from tiler.grid.ground import GroundSelection
-from tiler.grid.work import BlockWork, Facets
+from tiler.grid.records import BlockWork, Facets, GroundSelection, checksum
 from tiler.store import TileStore, coarse_values, coarse_window, read_cells
 
 Bools = npt.NDArray[np.bool_]

@@ -24,8 +24,8 @@ from tiler.core.products import BEYOND, VOID
 from tiler.core.raster import Block
 from tiler.grid.block import full_halo, rasterise_window
 from tiler.grid.block_surroundings import PointsNear, WatersNear
+from tiler.grid.records import Facets
 from tiler.grid.steps import Counts
-from tiler.grid.work import Facets
 
 Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]

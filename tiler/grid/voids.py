@@ -20,8 +20,19 @@ from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.grid.block import heights_in_units, pixels_of
 from tiler.grid.block_surroundings import EditsNear
-from tiler.grid.coarse import Bools, Floats, block_runs, blocks_of, blocks_under, covered
-from tiler.grid.pieces import AROUND, Labels, Piece, cells_in, label_block
+from tiler.grid.coarse import (
+    AROUND,
+    Bools,
+    Floats,
+    Labels,
+    Piece,
+    block_runs,
+    blocks_of,
+    blocks_under,
+    cells_in,
+    covered,
+    label_block,
+)
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells, coarse_window
 
@@ -61,7 +72,7 @@ def find_voids(heights: PixelsUnder, survey: Floats, place: Position) -> tuple[L
     labels : int32 (height, width)
         Labels from 1, which differ from block to block; 0 in cells without a hole.
     counts : dict
-        ``sides`` and ``labels``: labels along the sides of the block, and their number (`tiler.grid.pieces`).
+        ``sides`` and ``labels``: labels along the sides of the block, and their number (`tiler.grid.coarse`).
         ``blocks``: for each label, runs of the nearby blocks of the model (`block_runs`).
     """
     coarse, pixels, block = place.spec, place.sources.pixels, place.block

@@ -19,9 +19,9 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.raster import within as within_window
 from tiler.grid.block_surroundings import pixel_indices
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.ground import GroundSelection, read_ground_and_objects
-from tiler.grid.reach import Float64, within, within_square
+from tiler.grid.coarse import Bools, Float64, padded, within, within_square
+from tiler.grid.ground import read_ground_and_objects
+from tiler.grid.records import GroundSelection
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import LEVEL_M
 from tiler.grid.water_search import inner_window

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.reach import distances, opened
+from tiler.grid.coarse import distances, opened
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]

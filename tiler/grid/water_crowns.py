@@ -20,10 +20,9 @@ import scipy
 
 from tiler.core.raster import Block
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
-from tiler.grid.coarse import Bools, padded
+from tiler.grid.coarse import Bools, Float64, box_around, padded, within, within_square
 from tiler.grid.continued_bank import continued_bank
 from tiler.grid.ground import read_ground_and_objects
-from tiler.grid.reach import Float64, box_around, within, within_square
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.coarse import Bools
-from tiler.grid.reach import Float64, box_around, opened, within
+from tiler.grid.coarse import Bools, Float64, box_around, opened, within
 from tiler.grid.water_cells import WaterCells
 
 LEVEL_M = 0.15

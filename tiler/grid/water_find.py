@@ -16,10 +16,8 @@ from tiler.core.products import BEYOND
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
 from tiler.grid.centreline import area_of
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.ground import GroundSelection
-from tiler.grid.pieces import Piece, cells_of, components
-from tiler.grid.reach import Float64, box_around
+from tiler.grid.coarse import Bools, Float64, Piece, box_around, cells_of, components, padded
+from tiler.grid.records import GroundSelection
 from tiler.grid.steps import Counts
 from tiler.grid.water_banks import (
     BANK_MARGIN,

@@ -9,8 +9,7 @@ import numpy as np
 
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.centreline import area_of
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.reach import Float64, box_around
+from tiler.grid.coarse import Bools, Float64, box_around, padded
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import beneath_crowns

@@ -18,9 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from tiler.grid.coarse import Bools
-from tiler.grid.pieces import Piece
-from tiler.grid.reach import Float64, distances, opened
+from tiler.grid.coarse import Bools, Float64, Piece, distances, opened
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     GIVEN_SHARE,

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.grid.coarse import Bools
+from tiler.grid.coarse import Bools, Float64, within
 from tiler.grid.continued_bank import continued_bank
-from tiler.grid.reach import Float64, within
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import CROWN_M, LOW_M, REED, connected, is_hidden
 

@@ -18,9 +18,16 @@ import scipy
 
 from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.pieces import Labels, Piece, areas_within, label_block
-from tiler.grid.reach import Float64, box_around
+from tiler.grid.coarse import (
+    Bools,
+    Float64,
+    Labels,
+    Piece,
+    areas_within,
+    box_around,
+    label_block,
+    padded,
+)
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     RING_M,
@@ -139,7 +146,7 @@ def label_areas(cells: Bools, *masks: Bools) -> tuple[Labels, dict[str, Any]]:
     -------
     labels : int32 (height, width)
     counts : dict
-        ``labels``, ``sides``: number of labels, and the labels along the sides of the block (`tiler.grid.pieces`).
+        ``labels``, ``sides``: number of labels, and the labels along the sides of the block (`tiler.grid.coarse`).
         ``sizes``: for each label, its number of cells, and the number of those in each mask.
     """
     labels, sides = label_block(cells, corners=False)
@@ -171,7 +178,7 @@ def count_rims(
     n_merged : int
         See `find_areas`.
     joins : sequence of (Piece, Piece)
-        Result of `tiler.grid.pieces.Joined.joins`.
+        Result of `tiler.grid.coarse.Joined.joins`.
 
     Returns
     -------

@@ -9,8 +9,7 @@ import numpy as np
 import scipy
 
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.coarse import Bools
-from tiler.grid.reach import Float64
+from tiler.grid.coarse import Bools, Float64
 from tiler.grid.water_cells import WaterCells
 
 REACH_CELLS = 40

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiler.grid.coarse import Bools
+from tiler.grid.coarse import Bools, Float64
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M
-from tiler.grid.reach import Float64
 from tiler.grid.water_shore import BANK_WIDTH_CELLS, SIDES
 
 

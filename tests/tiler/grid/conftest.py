@@ -17,9 +17,8 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import block_heights, grid_block
-from tiler.grid.ground import GroundSelection
+from tiler.grid.records import Facets, GridBlock, GroundSelection
 from tiler.grid.steps import MakeBlock, Read, Sources, run_block
-from tiler.grid.work import Facets, GridBlock
 from tiler.store import StoreMeta, TileStore, create_store
 
 FINAL = GroundSelection("final")

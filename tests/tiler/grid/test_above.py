@@ -199,7 +199,7 @@ def test_places_across_blocks_are_joined(make_scene, monkeypatch: pytest.MonkeyP
     assert [area for area, _, _ in whole] == [40.0, 12.0, 12.0]
     spec = spec_of(scene)
     for side in (8, 16):
-        monkeypatch.setattr("tiler.grid.pieces.BLOCK_PIXELS", side)
+        monkeypatch.setattr("tiler.grid.coarse.BLOCK_PIXELS", side)
         of_blocks = {block: above_block(scene, spec, block) for block in spec.blocks(side)}
         places = places_of(of_blocks, spec, Fraction(1))
         assert [(p.area_m2, p.bounds, p.height_m) for p in places] == whole

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from tiler.grid.pieces import AROUND, Piece, join_pieces, label_block
+from tiler.grid.coarse import AROUND, Piece, join_pieces, label_block
 from tiler.grid.tasks.survey import outside_of
 
 SIDE = 4
@@ -19,7 +19,7 @@ SIDE = 4
 @pytest.fixture(autouse=True, scope="module")
 def small_blocks() -> object:
     patch = pytest.MonkeyPatch()
-    patch.setattr("tiler.grid.pieces.BLOCK_PIXELS", SIDE)
+    patch.setattr("tiler.grid.coarse.BLOCK_PIXELS", SIDE)
     patch.setattr("tiler.grid.tasks.survey.BLOCK_PIXELS", SIDE)
     yield
     patch.undo()

@@ -8,7 +8,7 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.grid.reach import distances, opened, within, within_square
+from tiler.grid.coarse import distances, opened, within, within_square
 
 
 @given(
@@ -22,7 +22,7 @@ def test_strips_are_as_the_whole(
 ) -> None:
     cells = np.random.default_rng(seed).random(shape) < share
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.grid.reach.STRIP_ROWS", 7)
+        patch.setattr("tiler.grid.coarse.STRIP_ROWS", 7)
         found, far = within(cells, radius), distances(cells, radius)
     if not cells.any():
         assert not found.any()

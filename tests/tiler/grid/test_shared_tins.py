@@ -13,9 +13,8 @@ from tests.scenes.records import bucket_record
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import grid_block
-from tiler.grid.ground import GroundSelection
+from tiler.grid.records import GridBlock, GroundSelection
 from tiler.grid.tasks.terrain import join_blocks
-from tiler.grid.work import GridBlock
 from tiler.runs.stage_runner import _outcomes
 from tiler.schedule import Outcome, SerialExecutor, Task
 

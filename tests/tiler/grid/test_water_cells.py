@@ -101,7 +101,7 @@ def test_the_land_around_may_be_compared_in_pieces(
     given = cells(VALLEY, RIVER, left)
     whole = [(body.tolist(), sure) for body, sure in bodies(given)]
     monkeypatch.setattr("tiler.grid.water_cells.CELLS_PER_BATCH", 7)
-    monkeypatch.setattr("tiler.grid.reach.STRIP_ROWS", 9)
+    monkeypatch.setattr("tiler.grid.coarse.STRIP_ROWS", 9)
     assert whole
     assert [(body.tolist(), sure) for body, sure in bodies(given, pieces=5)] == whole
 

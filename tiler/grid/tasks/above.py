@@ -11,7 +11,7 @@ from tiler.core.terrain_results import AbovePlace, AboveResult
 from tiler.core.units_text import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.grid.above import ABOVE_M, MIN_PLACE_M2, min_pixels
-from tiler.grid.pieces import join_pieces
+from tiler.grid.coarse import join_pieces
 from tiler.grid.steps import Counts
 from tiler.runs.job import Job
 

@@ -27,7 +27,7 @@ from tiler.grid.bridges.examine import (
     examined_bounds,
     find_deck_cells,
 )
-from tiler.grid.pieces import components
+from tiler.grid.coarse import components
 from tiler.grid.records import DeckRecord
 from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult

@@ -14,14 +14,11 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.filter import LABELS
-from tiler.grid.coarse import coarse_raster
-from tiler.grid.ground import GroundSelection
-from tiler.grid.pieces import Joined, join_pieces
-from tiler.grid.records import BlockRecord
+from tiler.grid.coarse import Joined, coarse_raster, join_pieces
+from tiler.grid.records import BlockRecord, Facets, GroundSelection
 from tiler.grid.steps import Counts, Sources
 from tiler.grid.tasks.canopy import CanopyCells
 from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.work import Facets
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
 from tiler.store import Commits

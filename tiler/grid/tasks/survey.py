@@ -8,8 +8,7 @@ from itertools import chain, pairwise, product
 from typing import Any, NamedTuple
 
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
-from tiler.grid.coarse import blocks_of
-from tiler.grid.pieces import Piece, Side, components, touching
+from tiler.grid.coarse import Piece, Side, blocks_of, components, touching
 from tiler.grid.tasks.gridding import GridContext, Place
 
 

@@ -14,8 +14,7 @@ from typing import Any
 
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.grid.coarse import padded
-from tiler.grid.pieces import Joined, Piece, around
+from tiler.grid.coarse import Joined, Piece, around, padded
 from tiler.grid.returns import usual_returns
 from tiler.grid.steps import Counts, Read
 from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
