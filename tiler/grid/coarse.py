@@ -1,4 +1,11 @@
-"""Coarse cells, in blocks that are anchored at CRS coordinate 0: their connected areas, and what is near them."""
+"""Coarse cells, in blocks that are anchored at CRS coordinate 0: their connected areas, and what is near them.
+
+Decisions on coarse cells are made block by block, each with a margin of its neighbours. So the decision at a position
+does not depend on what else is in the run.
+
+A task labels the areas of its block and records the labels along the block's sides. The coordinator joins areas that
+touch, so that an array of the whole raster is never needed.
+"""
 
 from __future__ import annotations
 

@@ -20,11 +20,10 @@ from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.block_surroundings import PointsNear
-from tiler.grid.derived import distance
+from tiler.grid.derived import distance, raised_to, surface_heights
+from tiler.grid.derived import surface as surface_of
 from tiler.grid.records import Facets
 from tiler.grid.steps import Read
-from tiler.grid.surface import raised_to, surface_heights
-from tiler.grid.surface import surface as surface_of
 
 PIXEL = Fraction(2000)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tiler.grid.returns import histograms, usual_returns
+from tiler.grid.coverage import histograms, usual_returns
 from tiler.grid.water_cells import (
     ENOUGH_RETURNS,
     CellCounts,

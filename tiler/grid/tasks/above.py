@@ -10,8 +10,8 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.core.terrain_results import AbovePlace, AboveResult
 from tiler.core.units_text import length_text, small_area_text
 from tiler.core.words import counted
-from tiler.grid.above import ABOVE_M, MIN_PLACE_M2, min_pixels
 from tiler.grid.coarse import join_pieces
+from tiler.grid.flaws import ABOVE_M, MIN_PLACE_M2, min_pixels
 from tiler.grid.steps import Counts
 from tiler.runs.job import Job
 
@@ -36,7 +36,7 @@ def places_of(
     Parameters
     ----------
     of_blocks : mapping
-        Block -> counts of `tiler.grid.above.above`.
+        Block -> counts of `tiler.grid.flaws.above`.
     spec : RasterSpec
     pixel_m2 : Fraction
         Area of a pixel.

@@ -7,9 +7,8 @@ from ptd.matched.passes import CanopyPass
 from tiler.core.raster import RasterSpec
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid.crowns import crown_advice, find_crowns
+from tiler.grid.flaws import Advice, crown_advice, find_crowns, find_roofs
 from tiler.grid.records import BlockRecord
-from tiler.grid.roofs import Advice, find_roofs
 from tiler.grid.steps import Counts
 from tiler.observe.events import Warned
 from tiler.runs.job import Job

@@ -11,7 +11,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.terrain_results import Implausible
 from tiler.core.units_text import length_text
-from tiler.grid.above import BELOW_M, CELLS_PER_BLOCK
+from tiler.grid.flaws import BELOW_M, CELLS_PER_BLOCK
 from tiler.grid.steps import Counts
 from tiler.observe.events import Warned
 from tiler.plan import KEEP

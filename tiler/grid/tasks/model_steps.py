@@ -10,11 +10,10 @@ from ptd.matched.cells import CELL_M
 from tiler.config import AUTO_WATER, VOID_CANOPY
 from tiler.core.digests import digest_of
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.grid.below_canopy import below_canopy, crowns_margin
-from tiler.grid.canopy import canopy, canopy_reach
+from tiler.grid.canopy import below_canopy, canopy, canopy_reach, crowns_margin
 from tiler.grid.coarse import Runs, blocks_of
 from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
-from tiler.grid.outline import outline
+from tiler.grid.derived import outline
 from tiler.grid.steps import Read
 from tiler.grid.tasks.gridding import (
     GAP_M,

@@ -12,7 +12,6 @@ from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.raster import Block
 from tiler.core.records import records_of
 from tiler.core.terrain_results import SurfaceResult
-from tiler.grid.above import above, min_pixels
 from tiler.grid.block import full_halo
 from tiler.grid.block_surroundings import reach_pixels
 from tiler.grid.derived import (
@@ -22,13 +21,12 @@ from tiler.grid.derived import (
     hillshade,
     mask,
     slope,
+    surface,
 )
+from tiler.grid.flaws import above, min_pixels
 from tiler.grid.records import BlockRecord
-from tiler.grid.sigma import sigma, sigma_result
-from tiler.grid.sigma_land import land_margin
-from tiler.grid.sigma_measures import reach_of
+from tiler.grid.sigma import land_margin, reach_of, sigma, sigma_result
 from tiler.grid.steps import Counts, Read
-from tiler.grid.surface import surface
 from tiler.grid.tasks.above import report_above
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.implausible import report_implausible

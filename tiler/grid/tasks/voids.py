@@ -15,8 +15,8 @@ import scipy
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.terrain_results import VoidResult, VoidsResult
-from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.tasks.gridding import GridContext
+from tiler.grid.voids import CELL_PIXELS
 from tiler.runs.job import Job
 from tiler.store import Commits
 
@@ -58,7 +58,7 @@ def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
 
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
-    """Merge touching cells with holes (see `tiler.grid.holes.hole_cells`) into voids, the largest first."""
+    """Merge touching cells with holes (see `tiler.grid.voids.hole_cells`) into voids, the largest first."""
     table = np.array(list(cells), np.int64).reshape(-1, 8)
     if not len(table):
         return []

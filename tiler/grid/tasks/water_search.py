@@ -15,7 +15,7 @@ from typing import Any
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid.coarse import Joined, Piece, around, padded
-from tiler.grid.returns import usual_returns
+from tiler.grid.coverage import usual_returns
 from tiler.grid.steps import Counts, Read
 from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
 from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values
