@@ -16,8 +16,8 @@ from tests.scenes.halls import ROWS, with_hall
 from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.water import LAKE, Water, Waters
-from tiler.grid.centreline import area_of
 from tiler.grid.flaws import TOO_WIDE, crown_advice, crowns_in_block, roofs_in_terrain, thinned
+from tiler.grid.river import area_of
 from tiler.store import TileStore
 
 

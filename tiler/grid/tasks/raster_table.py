@@ -6,7 +6,7 @@ Besides the products there are rasters that are only in the store. Rasters of co
 - ``survey-open`` and ``survey``: labels of the open areas that remain after gaps are closed, and the extent of the
   survey (see `tiler.grid.coverage`).
 - ``domain-open`` and ``domain``: the same, but wider gaps are closed, because they may be water.
-- ``water-...``: the steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`).
+- ``water-...``: the steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_extent`).
   ``water-sure`` and ``water-plane-sure`` are confidences. ``water-rims`` and ``water-plane-rims`` have no cells, but a
   record for each block.
 - ``<name>-voids``: the voids of a model that are to be filled.

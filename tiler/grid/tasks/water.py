@@ -18,11 +18,10 @@ from tiler.grid.tasks.gridding import GridContext, Place
 from tiler.grid.tasks.survey import block_names, near_places
 from tiler.grid.tasks.water_facts import report_levels
 from tiler.grid.tasks.water_search import area_sums
-from tiler.grid.water_banks import BANK_MARGIN
 from tiler.grid.water_find import MIN_LENGTH, BodyCells, describe_body
-from tiler.grid.water_level import level_water
-from tiler.grid.water_pockets import POCKET_PIXELS
+from tiler.grid.water_level import POCKET_PIXELS, level_water
 from tiler.grid.water_search import SearchRasters
+from tiler.grid.water_shore import BANK_MARGIN
 from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage

@@ -20,11 +20,16 @@ from tiler.grid.steps import Counts, Read
 from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
 from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values
 from tiler.grid.tasks.survey import near_places
-from tiler.grid.water_cells import ENOUGH_RETURNS, CellCounts, Rim, water_confidence
-from tiler.grid.water_crowns import crowns_margin, plants_near_water
+from tiler.grid.water_cells import (
+    ENOUGH_RETURNS,
+    NEAR_CELLS,
+    CellCounts,
+    Rim,
+    ground_cells,
+    water_confidence,
+)
+from tiler.grid.water_extent import finish_margin, finish_water
 from tiler.grid.water_find import MIN_LENGTH
-from tiler.grid.water_finish import finish_margin, finish_water
-from tiler.grid.water_ground import NEAR_CELLS, ground_cells
 from tiler.grid.water_planes import (
     DAM_M,
     SHORE_CELLS,
@@ -33,6 +38,7 @@ from tiler.grid.water_planes import (
     find_planes,
     keep_planes,
 )
+from tiler.grid.water_plants import crowns_margin, plants_near_water
 from tiler.grid.water_search import MARGIN, count_rims, find_areas, keep_areas
 from tiler.plan import Plan
 
