@@ -3,7 +3,7 @@
 A coarse cell is occupied if it contains a surface point. Gaps up to a certain width belong to the survey: 20 m, or
 more where points are sparse (`gaps_of`). They are closed by a disk of that diameter. Enclosed areas of any width
 belong to the survey too. All other cells are outside. Each block is closed separately, with a margin. Its open areas
-are joined with those of its neighbours to find the enclosed areas (`tiler.grid.tasks.survey`).
+are joined with those of its neighbours to find the enclosed areas (`tiler.grid.tasks.steps`).
 
 Gaps that are closed, but wider than four times the spacing of the points around them, are places without returns
 (`bare_cells`).

@@ -2,7 +2,7 @@
 
 The level is estimated from the returns of the water if their heights differ little. Otherwise it is a low percentile
 of the heights of the shore. A lake has one level. A river has a level at each position along its centreline
-(`tiler.grid.profile`).
+(`tiler.grid.river`).
 
 The shore follows coarse cells. A cell with masonry or a steep bank counts as land, but its pixels next to the water
 may be water. Such a pixel is water if it lies below the level and higher terrain closes off the pocket around it. Low

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from tiler.grid.coarse import Bools, Float64, Piece, distances, opened
+from tiler.grid.coarse import AROUND, Bools, Float64, Piece, distances, opened
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
@@ -61,7 +61,6 @@ A dam may lie in between.
 """
 BESIDE_M = DAM_M + 20
 """Cells up to this distance from a plane are read, in metres."""
-AROUND = np.ones((3, 3), np.bool_)
 
 
 class Plane(NamedTuple):

@@ -23,7 +23,7 @@ from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded
 from tiler.grid.flaws import ABOVE_M, above, heights_above, min_pixels
 from tiler.grid.steps import Read
-from tiler.grid.tasks.above import places_of, report_above
+from tiler.grid.tasks.findings import places_of, report_above
 from tiler.store import read_cells
 
 PIXEL = Fraction(1000)

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
 from tiler.grid.coarse import AROUND, Piece, join_pieces, label_block
-from tiler.grid.tasks.survey import outside_of
+from tiler.grid.tasks.steps import outside_of
 
 SIDE = 4
 """Cells of a block."""
@@ -20,7 +20,7 @@ SIDE = 4
 def small_blocks() -> object:
     patch = pytest.MonkeyPatch()
     patch.setattr("tiler.grid.coarse.BLOCK_PIXELS", SIDE)
-    patch.setattr("tiler.grid.tasks.survey.BLOCK_PIXELS", SIDE)
+    patch.setattr("tiler.grid.tasks.steps.BLOCK_PIXELS", SIDE)
     yield
     patch.undo()
 

@@ -19,7 +19,7 @@ from tiler.grid.coarse import Piece, coarse_raster
 from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
 from tiler.grid.derived import mask as mask_of
 from tiler.grid.steps import Read
-from tiler.grid.tasks.survey import outside_of
+from tiler.grid.tasks.steps import outside_of
 from tiler.grid.voids import PART_PIXELS, Void, fill_voids, find_voids
 
 SIDE, LIMIT = 240_000, 16_000

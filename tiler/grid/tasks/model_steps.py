@@ -16,25 +16,32 @@ from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, surv
 from tiler.grid.derived import outline
 from tiler.grid.steps import Read
 from tiler.grid.tasks.gridding import (
-    GAP_M,
-    Grid,
-    GridContext,
-    canopy_cell_m,
-    coarse_cell_m,
-)
-from tiler.grid.tasks.raster_names import (
     BELOW_CANOPY,
     CANOPY,
     CANOPY_CELLS,
     CANOPY_TERRAIN,
+    GAP_M,
     MODELS,
+    Grid,
+    GridContext,
+    canopy_cell_m,
+    coarse_cell_m,
     filled_raster,
     final_raster,
     nodata_of,
     outlined_models,
 )
-from tiler.grid.tasks.steps import NONE, Near, Step, Values, all_of, any_of
-from tiler.grid.tasks.survey import block_names, enclosed_by, near_points
+from tiler.grid.tasks.steps import (
+    NONE,
+    Near,
+    Step,
+    Values,
+    all_of,
+    any_of,
+    block_names,
+    enclosed_by,
+    near_points,
+)
 from tiler.grid.voids import Void, fill_voids, find_voids
 from tiler.plan import Plan
 

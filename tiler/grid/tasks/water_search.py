@@ -18,8 +18,7 @@ from tiler.grid.coarse import Joined, Piece, around, padded
 from tiler.grid.coverage import usual_returns
 from tiler.grid.steps import Counts, Read
 from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
-from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values
-from tiler.grid.tasks.survey import near_places
+from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values, near_places
 from tiler.grid.water_cells import (
     ENOUGH_RETURNS,
     NEAR_CELLS,
