@@ -44,7 +44,7 @@ from tiler.grid.bridges.examine import (
     find_deck_cells,
 )
 from tiler.grid.coarse import components
-from tiler.grid.edits import count_edited_points
+from tiler.grid.ground import count_edited_points
 from tiler.grid.records import DeckRecord, TerrainRecord
 from tiler.grid.tasks.gridding import Corrections, GridContext, ground_rule
 from tiler.ingest.tasks.assembled import IngestResult
