@@ -179,7 +179,7 @@ def _runs(line: npt.NDArray[Any]) -> Side:
     ]
 
 
-def side_labels(side: Side) -> Labels:
+def _side_labels(side: Side) -> Labels:
     """Return the label of each cell along a side of a block."""
     labels, lengths = np.array(side, np.int32).T
     cell_labels: Labels = np.repeat(labels, lengths)
@@ -203,7 +203,7 @@ def touching(
         for other, side, facing_side in ((below, "south", "north"), (right, "east", "west")):
             if other in blocks:
                 pairs = _facing(
-                    side_labels(sides[side]), side_labels(blocks[other][facing_side]), corners
+                    _side_labels(sides[side]), _side_labels(blocks[other][facing_side]), corners
                 )
                 touching_pairs |= {(Piece(row, col, a), Piece(*other, b)) for a, b in pairs}
         for other, end, start in (

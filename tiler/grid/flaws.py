@@ -20,7 +20,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units_text import length_text
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
-from tiler.grid.coarse import label_block
+from tiler.grid.coarse import label_block, padded
 from tiler.grid.steps import Counts
 from tiler.store import TileStore
 
@@ -230,7 +230,7 @@ def roofs_in_terrain(
     parts = {
         part
         for block in filled
-        for part in spec.blocks_within(spec.block_bounds(_wider(block, pad)), core)
+        for part in spec.blocks_within(spec.block_bounds(padded(block, pad)), core)
     }
     for block in sorted(parts, key=north_west):
         top, left = max(block.row - pad, 0), max(block.col - pad, 0)
@@ -262,12 +262,6 @@ def roofs_in_terrain(
         f"is {length_text(metres, unit)}; if it is one, use --set {setting}={suggested_m}"
     )
     return Advice(text, x, y)
-
-
-def _wider(block: Block, pad: int) -> Block:
-    return Block(
-        block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad
-    )
 
 
 def _place(spec: RasterSpec, row: int, col: int) -> tuple[float, float]:

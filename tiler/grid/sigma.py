@@ -44,7 +44,7 @@ RIM = HALF + 1
 
 
 def land_margin(pixel_m: float) -> int:
-    """Return the margin in pixels around a block that `Land` needs."""
+    """Return the margin in pixels around a block that `_Land` needs."""
     return _side(pixel_m) * (RIM + 1)
 
 
@@ -53,7 +53,7 @@ def _side(pixel_m: float) -> int:
     return max(1, round(LAND_CELL_M / pixel_m))
 
 
-class Land:
+class _Land:
     """Heights of a block and its margin, and their means over cells of whole pixels."""
 
     def __init__(
@@ -158,7 +158,7 @@ def measures_of(points: PointsNear, terrain: Float64, margin: int, cap: Fraction
     spec, block, frame = points.spec, points.block, points.frame
     unit_m, count_m = float(frame.units.vertical), float(frame.metres_z)
     pixel_m = spec.lattice.size * frame.metres_xy
-    land = Land(terrain, margin, float(pixel_m), spec, block)
+    land = _Land(terrain, margin, float(pixel_m), spec, block)
     cells = _Cells(_lattice(frame, spec.lattice.size), spec, block)
     ground, objects = points.ground(cells.bounds), points.objects(cells.bounds)
     window = cells.window(frame.origin)
@@ -333,13 +333,13 @@ def standard_error_m(
     """
     parts = terms(found, mask)
     variances = [
-        weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)
+        _weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)
     ]
     sigma: Float64 = np.sqrt(np.maximum.reduce(variances))
     return sigma
 
 
-def weighed(parts: Mapping[str, Float64], weights: Weights) -> Float64:
+def _weighed(parts: Mapping[str, Float64], weights: Weights) -> Float64:
     """Return the variance in square metres."""
     total = np.zeros_like(parts["always"])
     for name, weight in asdict(weights).items():

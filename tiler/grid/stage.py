@@ -119,7 +119,6 @@ def _holes(job: Job) -> list[Bounds]:
 def _make(
     job: Job, raster: OnTin | Step, spec: RasterSpec, tasks: list[Task], join: Join | None
 ) -> Commits:
-    """Make one raster of the store."""
     name, stage = raster.name, raster.stage
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)

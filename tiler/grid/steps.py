@@ -218,7 +218,6 @@ def _edits(store: TileStore, task: MakeBlock, _: Read) -> EditsNear:
 
 
 def _canopy(store: TileStore, task: MakeBlock, read: Read) -> PointBlock:
-    """Return the cells of a canopy around a block."""
     elected, labels = task.sources.canopy
     return store.elected(elected, task.spec.block_bounds(task.block).pad(read.margin), labels)
 

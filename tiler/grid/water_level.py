@@ -89,7 +89,7 @@ def level_water(
         COUNTS_PER_UNIT / float(frame.units.horizontal),
         COUNTS_PER_UNIT / float(frame.units.vertical),
     )
-    near_pixels, water = heights_of(store, body.area, others, heights, spec)
+    near_pixels, water = _heights_of(store, body.area, others, heights, spec)
     if cells is not None:
         water = heights_of_cells(store, body.area, coarse, *cells)
     shore = near_pixels.xyz[:, near_pixels.distance <= SHORE_PIXELS]
@@ -139,7 +139,7 @@ def _floating(
     return share, shore[:2, int(depth.argmax())].tolist() if share else None
 
 
-def heights_of(
+def _heights_of(
     store: TileStore, area: Area, others: tuple[Area, ...], raster: str, spec: RasterSpec
 ) -> tuple[Beside, Counts]:
     """Return the pixels next to the water, and a sample of the water in absolute counts x, y, z, int64 (3, n)."""

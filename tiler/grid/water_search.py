@@ -223,7 +223,7 @@ def inner_window(block: Block, margin: int) -> Slices:
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
-def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Float64:
+def _ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Float64:
     """Read the heights of the terrain in a window in metres, NaN for cells without a height."""
     heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
     heights[heights == NODATA] = np.nan
@@ -241,7 +241,7 @@ def read_search_cells(
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    ground = ground_in(store, sources.ground, spec, window)
+    ground = _ground_in(store, sources.ground, spec, window)
     return WaterCells(np.abs(points), points < 0, ground, domain, size_m).merged(n_merged)
 
 

@@ -137,7 +137,7 @@ def _cut_cells(cells: WaterCells, above: Float64, wet: Bools) -> Bools:
     return is_cut
 
 
-def quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
+def _quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
     """Return a mask of the outermost cells of upright banks. Parameters are those of `heights_above_water`."""
     is_quay = np.zeros_like(wet)
     for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size_m):
@@ -284,14 +284,14 @@ def shore_details(
         Block with a margin of `BANK_MARGIN` coarse cells.
     shore : Shore
     """
-    fine, fine_window = finer_raster(coarse), finer_window(window)
+    fine, fine_window = _finer_raster(coarse), _finer_window(window)
     field = finer_field(shore.field)
-    ground, has_points = fine_cells(
+    ground, has_points = _fine_cells(
         store, rule, fine, fine_window, _near_shore(field, BANK_REACH_FINE_CELLS)
     )
-    above = ground - each_finer(shore.level)
+    above = ground - _each_finer(shore.level)
     banks = high_banks(field, above)
-    water = quay_water(field, each_finer(shore.is_dense_quay), above, has_points)
+    water = quay_water(field, _each_finer(shore.is_dense_quay), above, has_points)
     dry = _shape(banks, field >= 0, fine, fine_window)
     wet = _shape(water, field < 0, fine, fine_window)
     return ShoreDetails(dry, wet)
@@ -335,10 +335,10 @@ def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
 
     n_points = total(np.where(wet, 0.0, cells.returns))
     is_dense = n_points >= FINER**2 * ENOUGH_POINTS * total(~wet)
-    return np.asarray(is_dense & within(quays(cells, wet, level), math.sqrt(2)))
+    return np.asarray(is_dense & within(_quays(cells, wet, level), math.sqrt(2)))
 
 
-def finer_raster(coarse: RasterSpec) -> RasterSpec:
+def _finer_raster(coarse: RasterSpec) -> RasterSpec:
     """Return the raster of the fine cells."""
     lattice = Lattice(coarse.lattice.size / FINER)
     return RasterSpec(
@@ -350,7 +350,7 @@ def finer_raster(coarse: RasterSpec) -> RasterSpec:
     )
 
 
-def finer_window(window: Block) -> Block:
+def _finer_window(window: Block) -> Block:
     """Return the fine cells of a window of coarse cells."""
     return Block(
         window.row * FINER, window.col * FINER, window.height * FINER, window.width * FINER
@@ -368,7 +368,7 @@ def finer_field(field: Float64) -> Float64:
     return field
 
 
-def each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Repeat the values of coarse cells in their fine cells."""
     return values.repeat(FINER, axis=0).repeat(FINER, axis=1)
 
@@ -378,7 +378,7 @@ def _near_shore(field: Float64, radius: int) -> Bools:
     return within_square(field < 0, radius) & within_square(field >= 0, radius)
 
 
-def fine_cells(
+def _fine_cells(
     store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bools
 ) -> tuple[Float64, Bools]:
     """Return the mean height of the ground points of each cell in metres, and a mask of the cells with points.

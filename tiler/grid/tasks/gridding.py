@@ -96,7 +96,7 @@ Place = tuple[int, int]
 """First row and column of a block."""
 
 
-def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
+def _raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
     """Return the pixel grid around the stored points, or around their part in the area of the run.
 
     The edges of pixels lie at multiples of the resolution. Points exactly on the outer edge of
@@ -284,7 +284,7 @@ class GridContext:
     @property
     def spec(self) -> RasterSpec:
         """Pixel grid of the products."""
-        return raster_spec(self.plan, self.assembled)
+        return _raster_spec(self.plan, self.assembled)
 
     @property
     def coarse(self) -> RasterSpec:

@@ -404,7 +404,6 @@ def _canopy_steps(plan: Plan) -> list[Step]:
 
 
 def _with_canopy(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
-    """Return the blocks with a canopy."""
     found = context.counts(CANOPY, Grid.PIXELS).items()
     return {block: NONE for block, counts in found if counts["filled"]}
 

@@ -21,7 +21,7 @@ from tiler.runs.job import Job
 from tiler.schedule import Task, calling
 
 
-class MissingRun(NamedTuple):
+class _MissingRun(NamedTuple):
     """Run of missing blocks in a row of blocks, between two existing blocks.
 
     Attributes
@@ -40,7 +40,7 @@ class MissingRun(NamedTuple):
     last: int
 
 
-BEYOND_ALL = MissingRun("outside", 0, 0, 0)
+BEYOND_ALL = _MissingRun("outside", 0, 0, 0)
 """Area around all blocks."""
 SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 """Offset of the neighbour at each side of a block: blocks down, and blocks to the right."""
@@ -121,7 +121,10 @@ def outside_of(
             neighbour = (row + down * BLOCK_PIXELS, col + right * BLOCK_PIXELS)
             if neighbour not in blocks:
                 gap = _missing_run_at(gaps, *neighbour)
-                pairs += [(Piece(row, col, label), gap) for label in _labels(sides[side])]
+                pairs += [
+                    (Piece(row, col, label), gap)
+                    for label in sorted({label for label, _ in sides[side] if label})
+                ]
     all_gaps = list(chain.from_iterable(gaps.values()))
     for gap in all_gaps:
         for row in (gap.row - BLOCK_PIXELS, gap.row + BLOCK_PIXELS):
@@ -140,31 +143,26 @@ def outside_of(
     return outside, enclosed
 
 
-def _labels(side: Side) -> list[int]:
-    """Return the labels of the areas along a side."""
-    return sorted({label for label, _ in side if label})
-
-
-def _missing_runs(row: int, cols: list[int]) -> list[MissingRun]:
+def _missing_runs(row: int, cols: list[int]) -> list[_MissingRun]:
     """Return the gaps between the blocks of a row."""
     gaps = []
     for col, next_col in pairwise(cols):
         if next_col - col > BLOCK_PIXELS:
-            gaps.append(MissingRun("gap", row, col + BLOCK_PIXELS, next_col - BLOCK_PIXELS))
+            gaps.append(_MissingRun("gap", row, col + BLOCK_PIXELS, next_col - BLOCK_PIXELS))
     return gaps
 
 
-def _missing_run_at(gaps: Mapping[int, list[MissingRun]], row: int, col: int) -> MissingRun:
+def _missing_run_at(gaps: Mapping[int, list[_MissingRun]], row: int, col: int) -> _MissingRun:
     """Return the gap at a place without a block, or `BEYOND_ALL`."""
     return next((gap for gap in gaps.get(row, ()) if gap.first <= col <= gap.last), BEYOND_ALL)
 
 
 def _facing(
-    gap: MissingRun,
+    gap: _MissingRun,
     row: int,
-    gaps: Mapping[int, list[MissingRun]],
+    gaps: Mapping[int, list[_MissingRun]],
     columns: Mapping[int, list[int]],
-) -> list[MissingRun]:
+) -> list[_MissingRun]:
     """Return the gaps of an adjacent row of blocks that touch a gap.
 
     `BEYOND_ALL` is one of them if the gap extends beyond the first or last block of that row, or if the row is missing.
@@ -179,7 +177,7 @@ def _facing(
     return touching_gaps
 
 
-def surveyed_blocks(context: GridContext, survey: str) -> list[Block]:
+def _surveyed_blocks(context: GridContext, survey: str) -> list[Block]:
     """Return the blocks of the products that overlap the inside of the survey, from the north-west."""
     found = context.counts(survey).values()
     runs = list(chain.from_iterable(counts["blocks"] for counts in found))
@@ -299,7 +297,7 @@ def _blocks(step: Step, name: str, context: GridContext, near: Near) -> Iterable
     if read.kind in ("raster", "numbers"):
         return [spec.block_named(key, BLOCK_PIXELS) for key in context.made[read.raster]]
     if read.kind == "cells":
-        return surveyed_blocks(context, read.raster)
+        return _surveyed_blocks(context, read.raster)
     if read.kind == "failed":
         return _failed(context, spec)
     if read.kind == "canopy" and context.canopy is None:

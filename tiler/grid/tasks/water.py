@@ -45,7 +45,7 @@ def find_waters(job: Job, context: GridContext) -> Waters:
     """Find the bodies of water and their levels, and put them into the store for the tasks."""
     auto = context.plan.config.water == AUTO_WATER
     bodies = _bodies_in_data(job, context) if auto else context.plan.inputs.waters
-    tasks = list(level_tasks(context, bodies))
+    tasks = list(_level_tasks(context, bodies))
     made = run_stage(job, STAGE, tasks) if tasks else {}
     levelled: list[Water] = []
     records: dict[int, LevelRecord] = {}
@@ -146,7 +146,7 @@ def _is_gentle(context: GridContext, body: Water) -> bool:
     return bool((high - low) * float(units.vertical) <= MAX_SLOPE * length)
 
 
-def level_tasks(context: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
+def _level_tasks(context: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
     """Yield a task for each body without a level."""
     spec = context.spec
     pad = int(SHORE_MARGIN * spec.lattice.size) + 1
