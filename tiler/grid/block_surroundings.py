@@ -34,7 +34,6 @@ Int32 = npt.NDArray[np.int32]
 Heights = npt.NDArray[np.float32]
 Index = npt.NDArray[np.intp]
 
-
 TALLEST_M = 1000
 """No structure is taller. Returns above are of clouds, aircraft or errors, however many support one another."""
 

@@ -37,7 +37,6 @@ from tiler.store import Steps, between_centres
 Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 
-
 GAP = 2
 """Half the width in cells of gaps without points that are filled like the cells around them."""
 SIGHT_M = 60.0

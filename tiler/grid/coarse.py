@@ -29,7 +29,6 @@ Floats = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.int32]
 Float64 = npt.NDArray[np.float64]
 
-
 Runs = list[list[int]]
 """Runs of neighbouring blocks: first row of pixels, first columns of first and last block (see
 `block_runs`)."""

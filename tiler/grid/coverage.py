@@ -34,6 +34,9 @@ from tiler.grid.coarse import (
 )
 from tiler.grid.steps import Counts, Position
 
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+
 LEVELS = 5
 """Number of levels: single cells, and cells merged 2 x 2, 4 x 4, ..."""
 BINS_PER_OCTAVE = 16
@@ -102,9 +105,6 @@ def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int,
             return 1 << level, median
     return None
 
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 WINDOW = 128
 """Side of the windows in coarse cells, anchored at CRS coordinate 0. Each window has its own

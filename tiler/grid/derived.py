@@ -44,7 +44,6 @@ Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 
-
 FIRST_SHARE = 4
 """Divisor of the cap for the first search of points, as few blocks need the whole cap."""
 

@@ -25,7 +25,7 @@ from tiler.grid.steps import Counts
 from tiler.store import TileStore
 
 Bools = npt.NDArray[np.bool_]
-Heights = npt.NDArray[np.float64]
+Float64 = npt.NDArray[np.float64]
 
 ABOVE_M = 1.0
 """Height above the highest return of its pixel from which terrain counts as wrong."""
@@ -39,7 +39,7 @@ CELLS_PER_BLOCK = 4
 
 def above(
     points: PointsNear,
-    terrain: Heights,
+    terrain: Float64,
     waters: WatersNear,
     edits: EditsNear,
     *,
@@ -95,7 +95,7 @@ def above(
     }
 
 
-def _cells(block: Block, below_m: Heights) -> list[list[int]]:
+def _cells(block: Block, below_m: Float64) -> list[list[int]]:
     """Return row and column of each cell, its number of known pixels, and of those below all returns."""
     side, cells = BLOCK_PIXELS // CELLS_PER_BLOCK, []
     for row in range(0, block.height, side):
@@ -108,8 +108,8 @@ def _cells(block: Block, below_m: Heights) -> list[list[int]]:
 
 
 def heights_above(
-    points: PointsNear, wider: Heights, excluded: Bools, reach: int, spike: Fraction
-) -> tuple[Heights, Heights]:
+    points: PointsNear, wider: Float64, excluded: Bools, reach: int, spike: Fraction
+) -> tuple[Float64, Float64]:
     """Return the metres of the terrain of each pixel above the highest return, and below the lowest one.
 
     The terrain is that at the lowest corner of the pixel for the first, at the highest for the second.
@@ -126,7 +126,7 @@ def heights_above(
     return np.where(known, above * metres, 0.0), np.where(known, below * metres, np.nan)
 
 
-def _half_rise(wider: Heights) -> Heights:
+def _half_rise(wider: Float64) -> Float64:
     """Return by how much the terrain falls from the centre of each pixel to its lowest corner.
 
     The only return of a pixel may lie there. The larger of the two steps to the neighbours
@@ -158,8 +158,6 @@ def _listed(wrong: npt.NDArray[np.bool_], least: int) -> npt.NDArray[np.bool_]:
     kept: npt.NDArray[np.bool_] = listed[labels]
     return kept
 
-
-Float64 = npt.NDArray[np.float64]
 
 TOO_WIDE = 0.8
 """Share of ``max_building_size`` from which the width of a roof in the terrain causes a

@@ -23,6 +23,10 @@ from tiler.errors import StoreError
 from tiler.grid.records import GridBlock, GroundSelection
 from tiler.store import TileStore
 
+Counts = npt.NDArray[np.int32]
+Index = npt.NDArray[np.intp]
+Int64 = npt.NDArray[np.int64]
+
 Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
 """Function from a bucket and some of its points, int32 (3, n), to indices of the chosen
 points."""
@@ -257,11 +261,6 @@ def _required(
             f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"
         )
     return column
-
-
-Counts = npt.NDArray[np.int32]
-Index = npt.NDArray[np.intp]
-Int64 = npt.NDArray[np.int64]
 
 
 def max_points_in_bucket(points: int, buckets: Lattice, thin: Lattice | None) -> int:

@@ -21,7 +21,6 @@ from tiler.core.water import Counts, Station, lengths_along, lifted_line, places
 
 Floats = npt.NDArray[np.float64]
 
-
 MAX_CELLS = 1_000_000
 """Largest number of cells of the raster for the search of the line."""
 CELLS_ACROSS = 8

@@ -33,7 +33,6 @@ Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 Bools = npt.NDArray[np.bool_]
 
-
 LAND_CELL_M = 3.4
 """Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17
 m."""

@@ -247,10 +247,8 @@ of any shape."""
 LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
 """Actions of edits that can leave pixels without a height."""
 
-Mask = npt.NDArray[np.bool_]
 
-
-def holes_of_block(known: Mask, surveyed: Mask, edits: EditsNear, area: Mask) -> Counts:
+def holes_of_block(known: Bools, surveyed: Bools, edits: EditsNear, area: Bools) -> Counts:
     """Count and locate the holes of a block.
 
     Parameters
@@ -287,7 +285,7 @@ def holes_of_block(known: Mask, surveyed: Mask, edits: EditsNear, area: Mask) ->
     }
 
 
-def hole_cells(holes: Mask, block: Block, outside: Mask) -> list[list[int]]:
+def hole_cells(holes: Bools, block: Block, outside: Bools) -> list[list[int]]:
     """Return a list of numbers for each cell with holes.
 
     These are the number of holes, their first row and column, their last row and column, the number of holes that

@@ -31,7 +31,6 @@ Floats = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
 
-
 NEAR_CELLS = 8
 """A cell without returns is water if the nearest cell with returns is water and at most this
 far away, in cells."""

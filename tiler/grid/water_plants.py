@@ -29,6 +29,8 @@ from tiler.grid.ground import read_ground_and_objects
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 
+Float32 = npt.NDArray[np.float32]
+
 N_BANK_CELLS = 20
 """The bank is continued by a plane through this many of its cells with ground, the nearest
 ones."""
@@ -117,8 +119,6 @@ def _planes(
     height = np.where(is_plane, mean_z - east * mean_x - north * mean_y, np.inf)
     return height, np.where(is_plane, np.hypot(east, north), np.inf)
 
-
-Float32 = npt.NDArray[np.float32]
 
 CROWN_WITH_GROUND = 1
 """Value of a cell with a crown and with ground."""
