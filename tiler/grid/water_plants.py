@@ -427,7 +427,7 @@ def among_reed(
     """Return a mask of the cells with reed that are water.
 
     Reed that is connected with water is water up to the line at which the continued bank
-    reaches the level. Parameters are those of `tiler.grid.water_crowns.beneath_crowns`.
+    reaches the level. Parameters are those of `beneath_crowns`.
     """
     reach = math.ceil(CROWN_M / cells.size_m)
     is_reed, hidden, beside = crowns >= REED, is_hidden(crowns), within(wet, BESIDE)
@@ -457,7 +457,7 @@ def has_no_bank(crowns: npt.NDArray[Any], above: Float64) -> Bools:
     Parameters
     ----------
     crowns : float (h, w)
-        Values of plants, see `tiler.grid.water_crowns.plants_near_water`.
+        Values of plants, see `plants_near_water`.
     above : float64 (h, w)
         Height of the ground above the water in metres.
     """
