@@ -1,4 +1,4 @@
-"""Fits the constants of `tiler.grid.sigma_model` to scenes whose terrain is known, and scores each scene left out.
+"""Fits the constants of `tiler.grid.sigma` to scenes whose terrain is known, and scores each scene left out.
 
 ``python -m tests.benchmarks.sigma_constants FOLDER [--scenes als_city,bluff] [--kinds als,dim]``
 
@@ -22,8 +22,7 @@ from scipy.optimize import nnls
 from tests.benchmarks.scorecard import DATA
 from tests.benchmarks.scorecard_text import table
 from tests.benchmarks.sigma_scenes import Known, Pixels, known_scenes, pixels_of, ran
-from tiler.grid.sigma_measures import Measures
-from tiler.grid.sigma_model import FLOOR_M2, LINEAR, Weights, terms
+from tiler.grid.sigma import FLOOR_M2, LINEAR, Measures, Weights, terms
 
 POINTS = 1500
 """Pixels of a scene that are fitted to."""

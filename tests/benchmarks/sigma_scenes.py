@@ -27,11 +27,10 @@ from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
 from tiler.filter.tile import LABELS
-from tiler.grid import GroundSelection
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded
-from tiler.grid.points_near import PointsNear
-from tiler.grid.sigma_land import land_margin
-from tiler.grid.sigma_measures import measures_of
+from tiler.grid.records import GroundSelection
+from tiler.grid.sigma import land_margin, measures_of
 from tiler.grid.stage import MATCHED_EROSION
 from tiler.pipeline import run
 from tiler.store import open_store, read_cells

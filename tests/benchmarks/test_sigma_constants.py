@@ -18,8 +18,7 @@ from tests.benchmarks.sigma_constants import (
 )
 from tests.benchmarks.sigma_scenes import Pixels
 from tiler.core.mask_values import CANOPY, MEASURED, WATER
-from tiler.grid.sigma_measures import Measures
-from tiler.grid.sigma_model import MATCHED, WEIGHTS, standard_error_m
+from tiler.grid.sigma import MATCHED, WEIGHTS, Measures, standard_error_m
 
 
 def sample(name: str, seed: int) -> Sample:

@@ -27,7 +27,7 @@ from tiler.core.points import unpack_origin
 from tiler.core.records import TileRecord
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
-from tiler.grid.roofs import Advice
+from tiler.grid.flaws import Advice
 from tiler.simulate import DemoScene
 from tiler.store import TileStore
 
@@ -84,12 +84,12 @@ def test_advice_on_the_terrain_is_given_again(
     out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "tiler.grid.roofs.roofs_in_terrain", lambda *_: Advice("a roof", 1.0, 2.0)
+        "tiler.grid.flaws.roofs_in_terrain", lambda *_: Advice("a roof", 1.0, 2.0)
     )
     assert again(demo, out, parameters={"max_building_size": "19"})["grid-dtm"]
     monkeypatch.undo()
     monkeypatch.setattr(
-        "tiler.grid.roofs.roofs_in_terrain", lambda *_: pytest.fail("looked again")
+        "tiler.grid.flaws.roofs_in_terrain", lambda *_: pytest.fail("looked again")
     )
     options = {
         "parameters": {"max_building_size": "19"},

@@ -47,8 +47,7 @@ from tiler.export.tasks.outdated import (
 )
 from tiler.export.tasks.sheets import cut
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.tasks.gridding import GridContext
+from tiler.grid.tasks.gridding import Corrections, GridContext
 from tiler.ingest.tasks.points import Source
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links

@@ -26,10 +26,8 @@ from tiler.core.lattice import Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.core.records import JoinedRecord
 from tiler.errors import ProcessingError
-from tiler.grid.checksum import checksum
-from tiler.grid.records import TerrainRecord
-from tiler.grid.thinning import max_points_in_bucket, surface_ground
-from tiler.grid.work import Facets, GridBlock
+from tiler.grid.ground import max_points_in_bucket, surface_ground
+from tiler.grid.records import Facets, GridBlock, TerrainRecord, checksum
 from tiler.store import TileStore
 
 
@@ -81,7 +79,7 @@ def grid_blocks(
     """
     parts = []
     for block, heights, record in heights_of_blocks(store, works):
-        edited = edit_heights(store, block.rule.edits, block.spec, block.block, heights)
+        edited = _edit_heights(store, block.rule.edits, block.spec, block.block, heights)
         if edited:
             filled = _n_filled(heights)
             record = replace(record, filled=filled, nodata=heights.size - filled, edited=edited)
@@ -95,7 +93,7 @@ Counts = npt.NDArray[np.int32]
 Index = npt.NDArray[np.intp]
 
 
-def edit_heights(
+def _edit_heights(
     store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
 ) -> list[tuple[int, int]]:
     """Set the heights of edits. Return for each edit its number and the number of changed pixels in the block."""
@@ -207,7 +205,6 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
 def _in_quarters(
     store: TileStore, work: GridBlock, tries: int
 ) -> tuple[Heights, TerrainRecord]:
-    """Compute a block quarter by quarter."""
     row, col, height, width = astuple(work.block)
     heights = np.empty((height, width), np.float32)
     records = []

@@ -1,10 +1,9 @@
 """Coarse raster of the extent of the survey, which distinguishes voids inside it from the area outside.
 
-A coarse cell is occupied if it contains a surface point. Gaps up to a certain width belong to
-the survey: 20 m, or more where points are sparse (`gaps_of`). They are closed by a disk of that
-diameter. Enclosed areas of any width belong to the survey too. All other cells are outside.
-Each block is closed separately, with a margin. Its open areas are joined with those of its
-neighbours to find the enclosed areas (`tiler.grid.tasks.survey`).
+A coarse cell is occupied if it contains a surface point. Gaps up to a certain width belong to the survey: 20 m, or
+more where points are sparse (`gaps_of`). They are closed by a disk of that diameter. Enclosed areas of any width
+belong to the survey too. All other cells are outside. Each block is closed separately, with a margin. Its open areas
+are joined with those of its neighbours to find the enclosed areas (`tiler.grid.tasks.steps`).
 
 Gaps that are closed, but wider than four times the spacing of the points around them, are places without returns
 (`bare_cells`).
@@ -12,21 +11,100 @@ Gaps that are closed, but wider than four times the spacing of the points around
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.grid.coarse import Bools, block_runs, padded
-from tiler.grid.pieces import Piece, cells_in, label_block, part_of
-from tiler.grid.points_near import PointsNear
-from tiler.grid.reach import box_around, within
-from tiler.grid.returns import histograms
+from tiler.grid.block_surroundings import PointsNear
+from tiler.grid.coarse import (
+    Bools,
+    Piece,
+    block_runs,
+    box_around,
+    cells_in,
+    label_block,
+    padded,
+    part_of,
+    within,
+)
 from tiler.grid.steps import Counts, Position
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
+
+LEVELS = 5
+"""Number of levels: single cells, and cells merged 2 x 2, 4 x 4, ..."""
+BINS_PER_OCTAVE = 16
+"""Bins of the logarithm of a count. Each bin of counts up to 20 contains a single count."""
+
+Histogram = list[list[int]]
+"""Bin and number of cells, for the cells with returns."""
+
+
+def merged(values: npt.NDArray[Any], times: int) -> npt.NDArray[Any]:
+    """Return the cells in squares of ``times`` by ``times``, shape (height / times, width / times, times ** 2)."""
+    rows, cols = (side // times for side in values.shape)
+    squares: npt.NDArray[Any] = (
+        values.reshape(rows, times, cols, times).swapaxes(1, 2).reshape(rows, cols, -1)
+    )
+    return squares
+
+
+def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
+    """Return histograms of the returns per cell of a block, one for each level of merging.
+
+    Parameters
+    ----------
+    counts : int64, shape (height, width)
+    """
+    level_histograms = []
+    for level in range(LEVELS):
+        sums = merged(counts, 1 << level).sum(axis=2)
+        bins = np.rint(np.log2(sums[sums > 0]) * BINS_PER_OCTAVE).astype(np.int64)
+        bin_numbers, cells = np.unique(bins, return_counts=True)
+        level_histograms.append(
+            [[int(b), int(n)] for b, n in zip(bin_numbers, cells, strict=True)]
+        )
+    return level_histograms
+
+
+def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int, float] | None:
+    """Find how many cells to merge so that a cell without returns is significant.
+
+    Parameters
+    ----------
+    found : iterable of list of Histogram
+        The `histograms` of some blocks.
+    enough : float
+        Least median of the cells with returns.
+
+    Returns
+    -------
+    (int, float) or None
+        Number of cells to merge along a side, and the median of the merged cells with returns; None if no level has a
+        large enough median.
+    """
+    blocks = list(found)
+    for level in range(LEVELS):
+        bins = np.array([pair for block in blocks for pair in block[level]], np.int64).reshape(
+            -1, 2
+        )
+        if not len(bins):
+            return None
+        bins = bins[np.argsort(bins[:, 0], kind="stable")]
+        cumulative = np.cumsum(bins[:, 1])
+        median = float(
+            2 ** (bins[np.searchsorted(cumulative, cumulative[-1] / 2), 0] / BINS_PER_OCTAVE)
+        )
+        if median >= enough:
+            return 1 << level, median
+    return None
+
 
 WINDOW = 128
 """Side of the windows in coarse cells, anchored at CRS coordinate 0. Each window has its own
@@ -56,7 +134,7 @@ def occupancy(points: PointsNear) -> tuple[Float64, Counts]:
     values : float64 (height, width)
     counts : dict
         ``water``: number of cells that are water by the input. ``returns``: histogram of points per cell for each level
-        of merging, see `tiler.grid.returns`.
+        of merging, see `tiler.grid.coverage`.
     """
     counts, water = points.surface_per_pixel()
     wet = 2 * water > counts
@@ -87,7 +165,7 @@ def open_areas(
     -------
     values : float64 (height, width)
     counts : dict
-        ``sides``, ``labels``: labels along the sides of the block and their number (`tiler.grid.pieces`). ``gaps``:
+        ``sides``, ``labels``: labels along the sides of the block and their number (`tiler.grid.coarse`). ``gaps``:
         pairs of a gap width in cells and the number of windows with it. ``filled``: number of cells.
     """
     pad = margin_of(max_gap)

@@ -1,13 +1,25 @@
-"""Products made of the terrain, of points and of other rasters: each is a function of arrays."""
+"""Products made of the terrain, of points and of other rasters: each is a function of arrays.
+
+The surface model has the highest return of each pixel without spikes, elsewhere the TIN of these returns. Places
+without returns (see `tiler.grid.coverage.bare_cells`) have no height: a facet there spans roofs and trees. Bodies of
+water have their level. `--voids fill` fills what remains.
+
+The surface is never below the terrain. Returns below the terrain come from the slope within their pixel, from low
+noise that the filter missed, or from places where the terrain is too high (see `tiler.grid.flaws`).
+"""
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
 
+from ptd.gridding.above_ground import NOTHING
 from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds
 from tiler.core.mask_values import (
     CANOPY,
     FILLED,
@@ -18,14 +30,19 @@ from tiler.core.mask_values import (
     OUTSIDE,
     WATER,
 )
-from tiler.core.products import SURVEYED
+from tiler.core.points import PointBlock
+from tiler.core.products import BEYOND, SURVEYED, VOID
+from tiler.core.raster import NODATA, Block
+from tiler.grid.block import full_halo, rasterise_window
+from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.canopy import OPEN
-from tiler.grid.drawn_near import WatersNear
-from tiler.grid.points_near import PointsNear
+from tiler.grid.records import Facets
 from tiler.grid.steps import Counts
+from tiler.grid.voids import hole_cells, holes_of_block
 
 Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
 
 FIRST_SHARE = 4
 """Divisor of the cap for the first search of points, as few blocks need the whole cap."""
@@ -108,3 +125,164 @@ def mask(
     values[~area] = OUTSIDE
     by_value = np.bincount(values.ravel(), minlength=len(MASK_VALUES)).tolist()
     return values.astype(np.float64), {"filled": int(filled.sum()), "values": by_value}
+
+
+def surface(
+    points: PointsNear,
+    terrain: Float64,
+    survey: npt.NDArray[np.float32],
+    waters: WatersNear,
+    facets: Facets,
+    *,
+    reach: int,
+    spike: Fraction,
+) -> tuple[Float64, Counts]:
+    """Return the heights of the surface. All are at least those of the terrain.
+
+    A pixel with a return has the height of its highest one. Other pixels are interpolated
+    on the TIN of these returns under the same limit as the terrain, except in places without returns.
+
+    Parameters
+    ----------
+    points : PointsNear
+    terrain : float64 (height, width)
+    survey : float32 (height, width)
+    waters : WatersNear
+    facets : Facets
+    reach, spike
+        See `PointsNear.returns`.
+
+    Returns
+    -------
+    heights : float64 (height, width)
+    counts : dict
+        ``measured``: number of pixels with a return. ``marked``, ``tries``, ``halo``: see `TerrainRecord`.
+    """
+    bare = (survey >= VOID) | (survey == BEYOND)
+    heights, measured, counts = surface_heights(points, bare, facets, reach, spike)
+    heights = raised_to(heights, terrain)
+    wet = waters.inside & bare & ~measured
+    heights[wet] = terrain[wet]
+    return heights, counts
+
+
+def raised_to(heights: Float64, terrain: Float64) -> Float64:
+    """Return the heights, at least those of the terrain where both are known."""
+    raised: Float64 = np.where(np.isnan(terrain), heights, np.maximum(heights, terrain))
+    return raised
+
+
+def surface_heights(
+    points: PointsNear, bare: Bools, facets: Facets, reach: int, spike: Fraction
+) -> tuple[Float64, Bools, Counts]:
+    """Return the heights of a block, not yet raised to the terrain, a mask of measured pixels, and the counts.
+
+    Pixels of ``bare`` without a return get no height.
+    """
+    spec, block, limit = points.spec, points.block, full_halo(facets.max_edge)
+    bounds = spec.block_bounds(block)
+    returns = points.returns(block, reach, spike)[0][..., 2]
+    measured = returns != NOTHING
+    heights = np.where(measured, returns / COUNTS_PER_UNIT, np.nan)
+    between = ~measured & ~bare
+    # A block with a return in every pixel needs no interpolation.
+    halo, tries, marked = 0, 1, 0
+    while between.any():
+        halo = min(max(2 * halo, facets.halo, math.ceil(spec.lattice.size)), limit)
+        window = bounds.pad(halo)
+        xyz = _vertices(points, window, reach, spike)
+        raster = rasterise_window(spec, block, points.frame.origin, facets, window, xyz)
+        marked = int((raster.marks & between).sum())
+        if marked == 0 or halo >= limit:
+            heights = np.where(between, raster.heights / COUNTS_PER_UNIT, heights)
+            break
+        tries += 1
+    counts = {"measured": int(measured.sum()), "marked": marked, "tries": tries, "halo": halo}
+    return heights, measured, counts
+
+
+def _vertices(points: PointsNear, window: Bounds, reach: int, spike: Fraction) -> Int32:
+    """Return the pixels' returns in a window, local counts (3, n). Pixels at its border are processed whole."""
+    lattice, spec = points.spec.lattice, points.spec
+    west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
+    south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
+    block = Block(spec.north - north, west - spec.west, north - south, east - west)
+    returns = points.returns(block, reach, spike)[0].reshape(-1, 3).T
+    returns = returns[:, returns[2] != NOTHING]
+    inside = PointBlock(returns).inside(window, points.frame.origin)
+    return np.ascontiguousarray(returns[:, inside])
+
+
+def outline(
+    heights: Float64,
+    survey: npt.NDArray[np.float32],
+    area: Bools,
+    edits: EditsNear,
+    waters: WatersNear | None = None,
+    canopy: Float64 | None = None,
+    below: Float64 | None = None,
+    *,
+    cut: bool,
+    finds_water: bool,
+) -> tuple[npt.NDArray[np.float32], Counts]:
+    """Return a model that ends at the outline of the survey, with level water.
+
+    Facets span a concave border of the survey, so land
+    that was never surveyed would get a height from the border. Facets also span rivers that
+    leave the survey. Water keeps its height there.
+
+    Parameters
+    ----------
+    heights : float64 (height, width)
+    survey : float32 (height + 2, width + 2)
+    area : bool (height + 2, width + 2)
+        Pixels in the area of the run. Holes outside it do not count.
+    edits : EditsNear
+        They are applied after water and canopy.
+    waters : WatersNear, optional
+    canopy : float64 (height, width), optional
+        Canopy. Where it hides the ground, pixels get no height.
+    below : float64 (height, width), optional
+        Heights below a canopy, which replace those of the model, NaN where the model stays as it is.
+    cut : bool
+        Whether heights beyond the survey are removed.
+    finds_water : bool
+        Whether the run found the water itself. Drawn water gets no height outside the survey where the model has none.
+
+    Returns
+    -------
+    heights : float32 (height, width)
+    counts : dict
+        ``cut``: number of pixels that lost their height other than to a canopy. ``water``: key of the area of each body
+        of water, and the number of its pixels. ``bare``: cells with pixels in places without returns that have a height
+        and are not in water (`hole_cells`). ``surveyed``, ``voided``, ``holes``, ``edit_holes``: see `holes_of_block`.
+    """
+    nodata = np.float32(NODATA)
+    had = ~np.isnan(heights)
+    before = np.where(had, heights, nodata).astype(np.float32)
+    values = before.copy()
+    if canopy is not None:
+        values[canopy > OPEN] = nodata
+    if below is not None:
+        values = np.where(np.isnan(below), values, below).astype(np.float32)
+    if not np.array_equal(values, before):
+        edits.set_heights(values)
+    hidden = int(np.count_nonzero(had & (values == nodata)))
+    beyond, bare = survey[1:-1, 1:-1] == BEYOND, survey[1:-1, 1:-1] >= VOID
+    water: list[tuple[str, int]] = []
+    if waters is not None and waters.waters is not None:
+        wet = waters.inside
+        water = waters.set_heights(values, had | ~beyond | finds_water)
+        edits.set_heights(values)
+        beyond &= ~wet
+        bare &= ~wet
+    if cut:
+        values[beyond] = nodata
+    known = values != nodata
+    holes = holes_of_block(known, survey >= SURVEYED, edits, area)
+    return values, {
+        "cut": max(int(np.count_nonzero(had & ~known)) - hidden, 0),
+        "water": water,
+        "bare": hole_cells(bare & known & area[1:-1, 1:-1], edits.block, survey < SURVEYED),
+        **holes,
+    }

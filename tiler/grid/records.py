@@ -1,12 +1,126 @@
-"""Records of the tasks of the stage grid, with a type for each."""
+"""What tasks of the stage grid are given, and what they return: arguments and records."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import GROUND, UNCERTIFIED_BIT, WITHHELD_FLAG
+from tiler.core.digests import NOT_IN_DIGEST
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.raster import Block, RasterSpec
 from tiler.core.records import Record
+
+
+@dataclass(frozen=True)
+class GroundSelection:
+    """Rule for the points that are ground.
+
+    Attributes
+    ----------
+    labels : str or None
+        Name in the store of the labels that are the classes. None for the classes of the input.
+    classes : tuple of int
+    skip_flags : int
+        Bits of `PointBlock.flags` that exclude a point. Withheld points are always excluded.
+    erode : Fraction
+        Plan distance in counts. A ground point this near to a point of an object that is at least ``erode_rise``
+        vertical counts higher is left out, as image matching smears walls onto the ground next to them. 0 keeps all.
+    edits : str or None
+        Key in the store of the edits, which override the classification of ground.
+    """
+
+    labels: str | None
+    classes: tuple[int, ...] = (GROUND,)
+    skip_flags: int = WITHHELD_FLAG
+    erode: Fraction = Fraction(0)
+    erode_rise: int = 0
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+
+    def is_ground(self) -> npt.NDArray[np.bool_]:
+        """Return whether each class or label is ground: bool (256,)."""
+        table = np.zeros(256, np.bool_)
+        for value in self.classes:
+            table[[value, value | UNCERTIFIED_BIT] if self.labels is not None else [value]] = (
+                True
+            )
+        return table
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockWork:
+    """Arguments of a task that writes one block of a raster.
+
+    Attributes
+    ----------
+    name : str
+        Name of the raster in the store.
+    spec : RasterSpec
+        Size and position of the whole raster.
+    block : Block
+        Block that is aligned to the raster's chunks.
+    """
+
+    name: str
+    spec: RasterSpec
+    block: Block
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facets:
+    """Facets of a TIN that fill the pixels of a block.
+
+    Attributes
+    ----------
+    data : Bounds
+        Bounds of all points of the run.
+    max_edge : Fraction
+        Limit in counts of a facet's longest edge and circumradius.
+    halo : int
+        Halo of the first try, in counts.
+    interpolation : str
+        Interpolation method: ``linear``, ``natural`` or ``idw``. All fill the same pixels.
+    """
+
+    data: Bounds
+    max_edge: Fraction
+    halo: int
+    interpolation: str = "linear"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridBlock(Facets, BlockWork):
+    """Block of the terrain, interpolated on a TIN.
+
+    Attributes
+    ----------
+    rule : GroundSelection
+    max_halo : int or None
+        Largest halo in counts; None for `tiler.grid.block.full_halo`.
+    thin : Lattice or None
+        Cells in which only one ground point is used: the point at ``percent`` of their heights, or the central point if
+        ``percent`` is None. All blocks of a run have the same cells, since other cells make another surface.
+    percent : int or None
+        Percentile of heights.
+    breaklines : str or None
+        Key in the store of lines that the surface follows. The digest includes those that may change the block.
+    max_points : int or None
+        Number of points in a window above which a block is divided into quarters; None for no limit. Pixels do not
+        depend on it.
+    """
+
+    rule: GroundSelection
+    max_halo: int | None = None
+    thin: Lattice | None = None
+    percent: int | None = None
+    breaklines: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    max_points: int | None = field(default=None, metadata=NOT_IN_DIGEST)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,3 +212,8 @@ class DeckRecord(Record):
     width_m: float
     clearance_m: float
     below: int
+
+
+def checksum(values: npt.NDArray[np.float32]) -> str:
+    """Return the BLAKE2b of the pixels, row by row. A task that reads the block depends on it."""
+    return hashlib.blake2b(values.tobytes(), digest_size=16).hexdigest()

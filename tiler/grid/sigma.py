@@ -1,26 +1,349 @@
-"""Raster of the standard error of the terrain's heights."""
+"""Raster of the standard error of heights, from measures around a pixel: a sum of variances, each with a constant.
+
+The constants are fitted by ``python -m tests.benchmarks.sigma_constants`` to scenes whose terrain is known. Their
+accuracy on scenes that were left out of the fit is in ``docs/benchmarks.md``. LiDAR and photogrammetric clouds have
+different constants. For a cloud of unknown source the larger variance counts.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from math import sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from ptd.gridding.ground_cells import CellWindow, box_sums, cell_counts, plane_variance
+from ptd.gridding.shape import gradients
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Bounds, Lattice
 from tiler.core.mask_values import CANOPY, FILLED, WATER
+from tiler.core.raster import Block, RasterSpec
 from tiler.core.sigma_groups import COVERED_SHARE, EDGES_M, GROUPS
 from tiler.core.terrain_results import SigmaGroup, SigmaResult
-from tiler.grid.below_canopy import BEND_M
-from tiler.grid.points_near import PointsNear
-from tiler.grid.sigma_measures import Measures, measures_of
-from tiler.grid.sigma_model import standard_error_m
+from tiler.grid.block_surroundings import PixelCells, PointsNear, linear
+from tiler.grid.canopy import BEND_M
 from tiler.grid.steps import Counts
 
 Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
 Bools = npt.NDArray[np.bool_]
+
+LAND_CELL_M = 3.4
+"""Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17
+m."""
+HALF = 2
+"""Number of cells on each side of the middle cell in the window of the median."""
+RIM = HALF + 1
+"""Margin around a block in cells."""
+
+
+def land_margin(pixel_m: float) -> int:
+    """Return the margin in pixels around a block that `_Land` needs."""
+    return _side(pixel_m) * (RIM + 1)
+
+
+def _side(pixel_m: float) -> int:
+    """Return the side of a cell in pixels."""
+    return max(1, round(LAND_CELL_M / pixel_m))
+
+
+class _Land:
+    """Heights of a block and its margin, and their means over cells of whole pixels."""
+
+    def __init__(
+        self, heights: Float64, margin: int, pixel_m: float, spec: RasterSpec, block: Block
+    ) -> None:
+        """Prepare the heights of a block and of ``margin`` pixels around it, NaN without a height."""
+        self._cells = PixelCells(spec, block, _side(pixel_m), RIM)
+        window = self._cells.window
+        top, left = window.row - block.row + margin, window.col - block.col + margin
+        self._heights = heights[top : top + window.height, left : left + window.width]
+        self._means = self._cells.means(self._heights, ~np.isnan(self._heights))
+
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Return a mask of the block's pixels that have a height."""
+        return ~np.isnan(self._heights[np.ix_(self._cells.rows, self._cells.columns)])
+
+    def slope(self, pixel: float) -> Float64:
+        """Return the slope of the cells' means at the block's pixels (rise over run).
+
+        The side of a pixel, ``pixel``, is in units of the heights.
+        """
+        cells = self._cells
+        east, north = gradients(self._means, pixel * cells.side)
+        steep = np.sqrt(east * east + north * north)
+        pixel_slope = steep[
+            np.ix_(cells.rows // cells.side - 1, cells.columns // cells.side - 1)
+        ]
+        return np.nan_to_num(pixel_slope)
+
+    def off_trend(self) -> Float64:
+        """Return the absolute deviation of the block's heights from the median of the cells around.
+
+        Medians are interpolated linearly between the middles of cells.
+        """
+        around = np.lib.stride_tricks.sliding_window_view(
+            self._means, (2 * HALF + 1, 2 * HALF + 1)
+        )
+        ordered = np.sort(around.reshape(*around.shape[:2], -1), axis=-1)  # NaN is last
+        n = np.count_nonzero(~np.isnan(ordered), axis=-1)[..., np.newaxis]
+        low = np.take_along_axis(ordered, np.maximum((n - 1) // 2, 0), -1)[..., 0]
+        high = np.take_along_axis(ordered, np.minimum(n // 2, ordered.shape[-1] - 1), -1)[
+            ..., 0
+        ]
+        cells = self._cells
+        rows, columns = cells.between(cells.rows, HALF), cells.between(cells.columns, HALF)
+        trend = linear(linear((low + high) / 2, *rows).T, *columns)
+        heights = self._heights[np.ix_(cells.rows, cells.columns)]
+        return np.nan_to_num(np.abs(heights - trend.T))
+
+
+CELL_M = Fraction(1)
+"""Side of the cells in which points are counted, or half a pixel if that is wider."""
+PLANE_HALVES = (2, 5, 10, 20)
+"""Half widths in cells of the windows in which a plane is fitted to the ground."""
+NEAR, AROUND = 3, 10
+"""Half widths in cells of the windows in which objects are counted."""
+MARGIN = max(PLANE_HALVES)
+"""Margin around a block in cells."""
+FIRST_REACH_M = Fraction(10)
+"""Radius of the first search for ground, as few pixels need a larger one."""
+
+
+class Measures(NamedTuple):
+    """Measures of the pixels of a block, each float64 (height, width).
+
+    Attributes
+    ----------
+    roughness : metres
+        Standard deviation of the ground about a plane within 2.5 m, or within up to 20 m if there are fewer than six
+        points; 0 if there are too few even then.
+    distance : metres
+        Plan distance from the pixel's centre to the nearest ground point.
+    slope : rise over run
+        Slope of the terrain over about 10 m.
+    off_trend : metres
+        Absolute deviation from the median of the terrain in a window 17 m wide.
+    near_objects, around_objects : share
+        Share of objects among the points within 3.5 and 10.5 m.
+    """
+
+    roughness: Float64
+    distance: Float64
+    slope: Float64
+    off_trend: Float64
+    near_objects: Float64
+    around_objects: Float64
+
+
+def measures_of(points: PointsNear, terrain: Float64, margin: int, cap: Fraction) -> Measures:
+    """Compute the measures of a block's pixels. Measures of pixels without a height are not meaningful.
+
+    Parameters
+    ----------
+    points : PointsNear
+    terrain : float64 (height + 2 * margin, width + 2 * margin)
+        Heights of the block and of pixels around it, NaN without a height.
+    margin : int
+        At least `land_margin`.
+    cap : Fraction
+        Largest distance to ground in counts. Larger distances count as this one.
+    """
+    spec, block, frame = points.spec, points.block, points.frame
+    unit_m, count_m = float(frame.units.vertical), float(frame.metres_z)
+    pixel_m = spec.lattice.size * frame.metres_xy
+    land = _Land(terrain, margin, float(pixel_m), spec, block)
+    cells = _Cells(_lattice(frame, spec.lattice.size), spec, block)
+    ground, objects = points.ground(cells.bounds), points.objects(cells.bounds)
+    window = cells.window(frame.origin)
+    variance = plane_variance(ground, window, PLANE_HALVES)
+    counts = cell_counts(ground, window), cell_counts(objects, window)
+    first = min(frame.counts(FIRST_REACH_M), cap)
+    distance = points.distance_to(ground, first)
+    if first < cap and np.isinf(distance[land.known()]).any():
+        distance = points.ground_distance(cap)
+    return Measures(
+        roughness=cells.at_pixels(np.sqrt(np.nan_to_num(variance)) * count_m),
+        distance=np.minimum(distance, float(cap)) * float(frame.metres_xy),
+        slope=land.slope(float(pixel_m / frame.units.vertical)),
+        off_trend=land.off_trend() * unit_m,
+        near_objects=cells.at_pixels(_share(*counts, NEAR)),
+        around_objects=cells.at_pixels(_share(*counts, AROUND)),
+    )
+
+
+def reach_of(frame: CoordFrame, pixel: Fraction, cap: Fraction) -> int:
+    """Return the distance in counts around a block within which points can change its measures.
+
+    Parameters ``pixel`` and ``cap`` are in counts.
+    """
+    return math.ceil(max(cap, (MARGIN + 1) * _lattice(frame, pixel).size)) + 1
+
+
+def _lattice(frame: CoordFrame, pixel: Fraction) -> Lattice:
+    return Lattice(max(frame.counts(CELL_M), pixel / 2))
+
+
+def _share(ground: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], half: int) -> Float64:
+    """Return the share of objects among the points in windows around cells, 0 without points."""
+    n_objects = box_sums(objects, half, MARGIN)
+    n = n_objects + box_sums(ground, half, MARGIN)
+    share: Float64 = n_objects / np.maximum(n, 1)
+    return share
+
+
+class _Cells:
+    """Cells of a lattice that contain the centres of a block's pixels, and `MARGIN` more cells on each side."""
+
+    def __init__(self, lattice: Lattice, spec: RasterSpec, block: Block) -> None:
+        x, _ = spec.centres(Block(block.row, block.col, 1, block.width))
+        _, y = spec.centres(Block(block.row, block.col, block.height, 1))
+        columns, rows = lattice.index(x[0]), lattice.index(y[:, 0])
+        self._lattice = lattice
+        self._west, self._north = int(columns[0]) - MARGIN, int(rows[0]) + MARGIN
+        self._height = int(rows[0] - rows[-1]) + 1 + 2 * MARGIN
+        self._width = int(columns[-1] - columns[0]) + 1 + 2 * MARGIN
+        self._pixels = np.ix_(rows[0] - rows, columns - columns[0])
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of all cells in counts."""
+        first = self._lattice.first
+        south, east = self._north - self._height + 1, self._west + self._width
+        return Bounds(first(self._west), first(south), first(east), first(self._north + 1))
+
+    def window(self, origin: tuple[int, int]) -> CellWindow:
+        """Return the cells in the form that kernels need."""
+        lattice = self._lattice
+        return CellWindow(
+            lattice.p, lattice.q, self._west, self._north, self._height, self._width, *origin
+        )
+
+    def at_pixels(self, cells: Float64) -> Float64:
+        """Return the values of cells, without their margin, at the block's pixels."""
+        pixel_values: Float64 = cells[self._pixels]
+        return pixel_values
+
+
+LASER, MATCHED = "lidar", "dim"
+"""Kinds of clouds, as methods name them (`ptd.passes.RunHints`)."""
+GAP_M = 0.5
+"""Distance below which a ground point counts as if it were in the pixel."""
+
+MAX_TREND_M = 10.0
+"""Upper limit of the gap in the term `Weights.trend_gap`, as the window of the trend reaches
+only 8.5 m."""
+FLOOR_M2 = 0.02**2
+"""Least variance: strips, grids and geoids differ by some centimetres, which is not in any
+measure."""
+LINEAR = 0.5
+"""Mean variance at a random position in a triangle whose corners have noise of variance 1."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Factors of the terms of the variance (see `terms`).
+
+    Attributes
+    ----------
+    always, canopy, water : m2
+    roughness, trend_objects : no unit
+    gap_roughness, trend_gap : 1/m
+    gap_slope, gap_objects : m
+    """
+
+    always: float
+    roughness: float
+    gap_roughness: float
+    gap_slope: float
+    gap_objects: float
+    trend_objects: float
+    trend_gap: float
+    canopy: float
+    water: float
+
+
+WEIGHTS: Mapping[str, Weights] = {
+    LASER: Weights(
+        always=FLOOR_M2,
+        roughness=LINEAR,
+        gap_roughness=0.609,
+        gap_slope=0.0,
+        gap_objects=0.0587,
+        trend_objects=0.429,
+        trend_gap=0.286,
+        canopy=0.0,
+        water=0.0466,
+    ),
+    MATCHED: Weights(
+        always=FLOOR_M2,
+        roughness=0.905,
+        gap_roughness=0.0266,
+        gap_slope=0.379,
+        gap_objects=0.00361,
+        trend_objects=0.523,
+        trend_gap=0.881,
+        canopy=0.345,
+        water=0.0466,
+    ),
+}
+"""Weights by kind of cloud, fitted by ``tests/benchmarks/sigma_constants.py``."""
+
+
+def terms(found: Measures, mask: npt.NDArray[np.floating]) -> dict[str, Float64]:
+    """Return the terms of the variance by the names of `Weights`, without their weights.
+
+    In water, gaps and objects do not count, as its level comes from the shores.
+    """
+    wet = mask == WATER
+    gap = np.where(wet, 0.0, np.maximum(found.distance - GAP_M, 0.0))
+    objects = np.where(wet, 0.0, found.around_objects)
+    rough, off = found.roughness**2, found.off_trend**2
+    return {
+        "always": np.ones_like(gap),
+        "roughness": rough,
+        "gap_roughness": gap * rough,
+        "gap_slope": gap * found.slope,
+        "gap_objects": gap * objects,
+        "trend_objects": off * objects,
+        "trend_gap": off * np.minimum(gap, MAX_TREND_M),
+        "canopy": (mask == CANOPY).astype(np.float64),
+        "water": wet.astype(np.float64),
+    }
+
+
+def standard_error_m(
+    found: Measures, mask: npt.NDArray[np.floating], kind: str | None
+) -> Float64:
+    """Return the standard error of heights in metres.
+
+    Parameters
+    ----------
+    found : Measures
+    mask : float, the shape of the measures
+        Values of the mask.
+    kind : str or None
+        Source of the cloud: `LASER`, `MATCHED`, or None if it is not known.
+    """
+    parts = terms(found, mask)
+    variances = [
+        _weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)
+    ]
+    sigma: Float64 = np.sqrt(np.maximum.reduce(variances))
+    return sigma
+
+
+def _weighed(parts: Mapping[str, Float64], weights: Weights) -> Float64:
+    """Return the variance in square metres."""
+    total = np.zeros_like(parts["always"])
+    for name, weight in asdict(weights).items():
+        total += weight * parts[name]
+    return total
 
 
 def sigma(

@@ -28,18 +28,14 @@ from tiler.grid.records import (
     TerrainRecord,
 )
 from tiler.grid.steps import erase_blocks
-from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
-from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.tasks.gridding import GAP_M, GridContext
-from tiler.grid.tasks.raster_names import final_raster
+from tiler.grid.tasks.findings import advise, report_voids
+from tiler.grid.tasks.gridding import GAP_M, Corrections, GridContext, final_raster
 from tiler.grid.tasks.raster_table import required_rasters
 from tiler.grid.tasks.steps import Step
 from tiler.grid.tasks.terrain import OnTin, join_blocks
-from tiler.grid.tasks.voids import report_voids
-from tiler.grid.tasks.water import find_waters
-from tiler.grid.tasks.water_facts import report_waters
+from tiler.grid.tasks.water import find_waters, report_waters
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import Note, Warned
 from tiler.plan import KEEP
@@ -123,7 +119,6 @@ def _holes(job: Job) -> list[Bounds]:
 def _make(
     job: Job, raster: OnTin | Step, spec: RasterSpec, tasks: list[Task], join: Join | None
 ) -> Commits:
-    """Make one raster of the store."""
     name, stage = raster.name, raster.stage
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)

@@ -15,12 +15,9 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.checksum import checksum
+from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import padded
-from tiler.grid.drawn_near import EditsNear, WatersNear
-from tiler.grid.ground import GroundSelection
-from tiler.grid.points_near import PointsNear
-from tiler.grid.work import BlockWork, Facets
+from tiler.grid.records import BlockWork, Facets, GroundSelection, checksum
 from tiler.store import TileStore, coarse_values, coarse_window, read_cells
 
 Bools = npt.NDArray[np.bool_]
@@ -221,7 +218,6 @@ def _edits(store: TileStore, task: MakeBlock, _: Read) -> EditsNear:
 
 
 def _canopy(store: TileStore, task: MakeBlock, read: Read) -> PointBlock:
-    """Return the cells of a canopy around a block."""
     elected, labels = task.sources.canopy
     return store.elected(elected, task.spec.block_bounds(task.block).pad(read.margin), labels)
 

@@ -1,9 +1,8 @@
-"""Voids inside the survey, filled from the TIN of the pixels around each void.
+"""Pixels inside the survey without a height: holes, which are counted, and voids, which are filled.
 
-A halo of any width may be too small for the facets over a hole. So holes are found by coarse
-cells, block by block, and joined. Each hole is filled from all pixels with a height that touch
-it, in whichever block they lie. The triangulation is unique, so borders of blocks are not
-visible.
+A void is filled from the TIN of the pixels around it. A halo of any width may be too small for the facets over a
+hole. So holes are found by coarse cells, block by block, and joined. Each hole is filled from all pixels with a
+height that touch it, in whichever block they lie. The triangulation is unique, so borders of blocks are not visible.
 """
 
 from __future__ import annotations
@@ -15,13 +14,25 @@ import numpy.typing as npt
 import scipy
 
 from ptd.tin import Tin, rasterise
+from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import SURVEYED
-from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west, within
 from tiler.grid.block import heights_in_units, pixels_of
-from tiler.grid.coarse import Bools, Floats, block_runs, blocks_of, blocks_under, covered
-from tiler.grid.drawn_near import EditsNear
-from tiler.grid.pieces import AROUND, Labels, Piece, cells_in, label_block
+from tiler.grid.block_surroundings import EditsNear
+from tiler.grid.coarse import (
+    AROUND,
+    Bools,
+    Floats,
+    Labels,
+    Piece,
+    block_runs,
+    blocks_of,
+    blocks_under,
+    cells_in,
+    covered,
+    label_block,
+)
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells, coarse_window
 
@@ -61,7 +72,7 @@ def find_voids(heights: PixelsUnder, survey: Floats, place: Position) -> tuple[L
     labels : int32 (height, width)
         Labels from 1, which differ from block to block; 0 in cells without a hole.
     counts : dict
-        ``sides`` and ``labels``: labels along the sides of the block, and their number (`tiler.grid.pieces`).
+        ``sides`` and ``labels``: labels along the sides of the block, and their number (`tiler.grid.coarse`).
         ``blocks``: for each label, runs of the nearby blocks of the model (`block_runs`).
     """
     coarse, pixels, block = place.spec, place.sources.pixels, place.block
@@ -227,3 +238,88 @@ def _rim_of_part(
     x, y = ((2 * (spec.west + cols) + 1) * p) // q, ((2 * (spec.north - 1 - rows) + 1) * p) // q
     z = np.rint(values[rows - wide.row, cols - wide.col].astype(np.float64) * COUNTS_PER_UNIT)
     return np.stack((x, y, z.astype(np.int64)))
+
+
+CELL_PIXELS = 32
+"""Side in pixels of the cells that summarize holes. They keep a block's record small for holes
+of any shape."""
+
+LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
+"""Actions of edits that can leave pixels without a height."""
+
+
+def holes_of_block(known: Bools, surveyed: Bools, edits: EditsNear, area: Bools) -> Counts:
+    """Count and locate the holes of a block.
+
+    Parameters
+    ----------
+    known : bool, shape (height, width)
+        Mask of the pixels that are delivered with a height.
+    surveyed, area : bool, shape (height + 2, width + 2)
+        Masks of the pixels inside the survey and in the area outside which holes do not count: those of the block and
+        one more on each side.
+    edits : EditsNear
+
+    Returns
+    -------
+    dict
+        ``surveyed``: number of pixels that have a height or should have one. ``voided``: number of holes that edits
+        request. ``holes``: all other holes, see `hole_cells`. ``edit_holes``: number (name) of each edit, and count of
+        the holes in it.
+    """
+    outside, in_area = ~(surveyed & area), area[1:-1, 1:-1]
+    surveyed = surveyed[1:-1, 1:-1]
+    holes = ~known & surveyed & in_area
+    asked, counts = np.zeros_like(holes), []
+    for edit in edits.of(LEAVE_HOLES):
+        part = edits.spec.part(edits.block, edit.area.bounds)
+        inside, part_in_block = edits.spec.inside(part, edit.area), within(part, edits.block)
+        counts.append([edit.number, int(np.count_nonzero(inside & holes[part_in_block]))])
+        if edit.action == VOID:
+            asked[part_in_block] |= inside
+    return {
+        "surveyed": int(np.count_nonzero((known | surveyed) & in_area)),
+        "voided": int(np.count_nonzero(holes & asked)),
+        "holes": hole_cells(holes & ~asked, edits.block, outside),
+        "edit_holes": counts,
+    }
+
+
+def hole_cells(holes: Bools, block: Block, outside: Bools) -> list[list[int]]:
+    """Return a list of numbers for each cell with holes.
+
+    These are the number of holes, their first row and column, their last row and column, the number of holes that
+    touch a pixel outside the survey, and row and column of the hole next to the mean of all.
+
+    Parameters
+    ----------
+    holes : bool, shape (height, width)
+    block : Block
+    outside : bool, shape (height + 2, width + 2)
+        Mask of the pixels outside the survey: those of the block and one more on each side.
+    """
+    rows, cols = np.nonzero(holes)
+    if not len(rows):
+        return []
+    near_outside = scipy.ndimage.binary_dilation(outside, np.ones((3, 3), np.bool_))
+    at_border = near_outside[1:-1, 1:-1][rows, cols]
+    rows, cols = rows + block.row, cols + block.col
+    cell_positions = np.stack((rows // CELL_PIXELS, cols // CELL_PIXELS))
+    cells, number = np.unique(cell_positions, axis=1, return_inverse=True)
+    number = number.ravel()
+    counts_and_extents = np.empty((8, cells.shape[1]), np.int64)
+    counts_and_extents[0] = np.bincount(number)
+    counts_and_extents[1:3], counts_and_extents[3:5] = np.iinfo(np.int64).max, -1
+    counts_and_extents[5] = np.bincount(number[at_border], minlength=cells.shape[1])
+    for axis, values in enumerate((rows, cols)):
+        np.minimum.at(counts_and_extents[1 + axis], number, values)
+        np.maximum.at(counts_and_extents[3 + axis], number, values)
+    mean_row, mean_col = (
+        np.bincount(number, values) / counts_and_extents[0] for values in (rows, cols)
+    )
+    from_mean = np.hypot(rows - mean_row[number], cols - mean_col[number])
+    nearest_first = np.lexsort((cols, rows, from_mean, number))
+    nearest = nearest_first[np.searchsorted(number[nearest_first], np.arange(cells.shape[1]))]
+    counts_and_extents[6:] = rows[nearest], cols[nearest]
+    listed: list[list[int]] = counts_and_extents.T.tolist()
+    return listed

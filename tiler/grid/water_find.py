@@ -15,33 +15,29 @@ from tiler.core.area import Area
 from tiler.core.products import BEYOND
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
-from tiler.grid.centreline import area_of
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.ground import GroundSelection
-from tiler.grid.pieces import Piece, cells_of, components
-from tiler.grid.reach import Floats, box_around
+from tiler.grid.coarse import Bools, Float64, Piece, box_around, cells_of, components, padded
+from tiler.grid.records import GroundSelection
+from tiler.grid.river import area_of
 from tiler.grid.steps import Counts
-from tiler.grid.water_banks import (
-    BANK_MARGIN,
-    NO_DETAILS,
-    Shore,
-    ShoreDetails,
-    dense_quays,
-    highest_near,
-    shore_details,
-)
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
-from tiler.grid.water_reed import has_no_bank
+from tiler.grid.water_plants import REED, has_no_bank, is_hidden
 from tiler.grid.water_search import SearchRasters, read_search_cells
 from tiler.grid.water_shore import (
+    BANK_MARGIN,
     MAX_HEIGHT_M,
+    NO_DETAILS,
     REACH_CELLS,
+    Shore,
+    ShoreDetails,
+    bank_rises,
+    dense_quays,
     heights_above_water,
+    highest_near,
+    lower_level,
+    shore_details,
     shore_polygons,
 )
-from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, read_cells
 
 ROUND = 1 / 3
@@ -191,7 +187,7 @@ def _detailed(
 
 
 def _lower_level(store: TileStore, body: BodyCells) -> float | None:
-    """Return the lower level of a lake with two levels in metres, or None (see `tiler.grid.water_strips`)."""
+    """Return the lower level of a lake with two levels in metres, or None (see `tiler.grid.water_shore`)."""
     heights, rises = [np.empty(0)], [np.empty(0)]
     for block, body_mask in _blocks(store, body):
         window = padded(block, 3)
@@ -307,9 +303,9 @@ class _Surroundings(NamedTuple):
     cells: WaterCells
     wet: Bools
     box: tuple[slice, slice]
-    level: Floats | None
+    level: Float64 | None
     no_bank: Bools
-    field: Floats
+    field: Float64
 
 
 def _surroundings(

@@ -1,14 +1,19 @@
-"""Level of a lake or river, from the terrain along its shore and from the heights of the water itself.
+"""Level of a lake or river, and pockets: low terrain beside a body of water that is water as well.
 
-The level is estimated from the returns of the water if their heights differ little. Otherwise
-it is a low percentile of the heights of the shore. A lake has one level. A river has a level at
-each position along its centreline (`tiler.grid.profile`).
+The level is estimated from the returns of the water if their heights differ little. Otherwise it is a low percentile
+of the heights of the shore. A lake has one level. A river has a level at each position along its centreline
+(`tiler.grid.river`).
+
+The shore follows coarse cells. A cell with masonry or a steep bank counts as land, but its pixels next to the water
+may be water. Such a pixel is water if it lies below the level and higher terrain closes off the pocket around it. Low
+terrain that is not closed off within a few pixels stays terrain, and the run warns about it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,20 +23,22 @@ from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
-from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.coarse import padded
-from tiler.grid.profile import (
+from tiler.grid.records import LevelRecord
+from tiler.grid.river import (
     MIN_PIXELS,
     SMOOTH_M,
     Profile,
     Scale,
+    area_of,
     bank_level,
+    centreline,
+    mean_width,
+    polygon_of,
     profile_along,
     water_level,
 )
-from tiler.grid.records import LevelRecord
-from tiler.grid.water_crowns import REED, is_hidden
-from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
+from tiler.grid.water_plants import REED, is_hidden
 from tiler.store import TileStore
 
 Floats = npt.NDArray[np.float64]
@@ -82,7 +89,7 @@ def level_water(
         COUNTS_PER_UNIT / float(frame.units.horizontal),
         COUNTS_PER_UNIT / float(frame.units.vertical),
     )
-    near_pixels, water = heights_of(store, body.area, others, heights, spec)
+    near_pixels, water = _heights_of(store, body.area, others, heights, spec)
     if cells is not None:
         water = heights_of_cells(store, body.area, coarse, *cells)
     shore = near_pixels.xyz[:, near_pixels.distance <= SHORE_PIXELS]
@@ -132,7 +139,7 @@ def _floating(
     return share, shore[:2, int(depth.argmax())].tolist() if share else None
 
 
-def heights_of(
+def _heights_of(
     store: TileStore, area: Area, others: tuple[Area, ...], raster: str, spec: RasterSpec
 ) -> tuple[Beside, Counts]:
     """Return the pixels next to the water, and a sample of the water in absolute counts x, y, z, int64 (3, n)."""
@@ -228,3 +235,72 @@ def _profile(
     if line is None or len(line) < 2:
         return None
     return profile_along(line, shore, water, max(min_spacing, mean_width(shape)), scale)
+
+
+POCKET_PIXELS = 6
+"""A pocket has to be closed off by terrain within this distance from the water, in pixels."""
+
+OVERLAP = 0.9
+"""Half the side of the square that is added to the water for a pixel, in pixels.
+
+The squares are larger than the pixels, because the shore may lie anywhere between the centres
+of two pixels.
+"""
+
+
+class Beside(NamedTuple):
+    """Pixels within `POCKET_PIXELS` of a body of water that have a height.
+
+    Attributes
+    ----------
+    xyz : int64 (3, n)
+        Centres and heights in absolute counts.
+    pixels : int64 (2, n)
+        Rows and columns in the raster.
+    distance : int64 (n,)
+        Number of straight or diagonal steps to the water, at least 1.
+    """
+
+    xyz: Counts
+    pixels: Counts
+    distance: Counts
+
+
+def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
+    """Return the mask of the pixels in pockets, bool (n,).
+
+    Parameters
+    ----------
+    body : Water
+        Body with its level.
+    beside : Beside
+    noise : float
+        The deepest pixel of a pocket is deeper than this below the level, in counts.
+    """
+    x, y, z = beside.xyz
+    depth = body.heights(x, y) - z
+    low = np.flatnonzero(depth > 0)
+    is_pocket = np.zeros(len(x), np.bool_)
+    if not len(low):
+        return is_pocket
+    pairs = scipy.spatial.cKDTree(beside.pixels[:, low].T).query_pairs(
+        1, p=np.inf, output_type="ndarray"
+    )
+    links = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(low), len(low)))
+    count, label = scipy.sparse.csgraph.connected_components(links, directed=False)
+    distance = beside.distance[low]
+    is_at_water = np.bincount(label, distance == 1, count) > 0
+    is_open = np.bincount(label, distance >= POCKET_PIXELS, count) > 0
+    is_deep = np.bincount(label, depth[low] > noise, count) > 0
+    is_pocket[low] = (is_at_water & ~is_open & is_deep)[label]
+    return is_pocket
+
+
+def with_pixels(body: Water, centres: Counts, pixel: float) -> Water:
+    """Return a body with additional pixels. ``centres`` (2, n) and the side ``pixel`` of a pixel are in counts."""
+    import shapely
+
+    x, y = centres
+    half_side = OVERLAP * pixel
+    joined = shapely.box(x - half_side, y - half_side, x + half_side, y + half_side)
+    return replace(body, area=area_of(shapely.union_all([polygon_of(body.area), *joined])))

@@ -18,9 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from tiler.grid.coarse import Bools
-from tiler.grid.pieces import Piece
-from tiler.grid.reach import Floats, distances, opened
+from tiler.grid.coarse import AROUND, Bools, Float64, Piece, distances, opened
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
@@ -63,7 +61,6 @@ A dam may lie in between.
 """
 BESIDE_M = DAM_M + 20
 """Cells up to this distance from a plane are read, in metres."""
-AROUND = np.ones((3, 3), np.bool_)
 
 
 class Plane(NamedTuple):
@@ -90,20 +87,20 @@ class Plane(NamedTuple):
         )
 
 
-def plane_cells(ground: Floats, domain: Bools) -> Bools:
+def plane_cells(ground: Float64, domain: Bools) -> Bools:
     """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
     return opened((relief(ground) < RELIEF_M) & domain, math.sqrt(2))
 
 
 def find_planes(
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,
     n_merged: int,
     usual: float | None,
-) -> tuple[Floats, Counts]:
+) -> tuple[Float64, Counts]:
     """Label the planes in a block. Parameters are those of `find_areas`.
 
     Returns
@@ -137,7 +134,7 @@ def find_planes(
 def count_plane_rims(
     areas: Float32,
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,
@@ -208,7 +205,7 @@ def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Ri
 def keep_planes(
     areas: Float32,
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,

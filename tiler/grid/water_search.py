@@ -18,9 +18,16 @@ import scipy
 
 from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.pieces import Labels, Piece, areas_within, label_block
-from tiler.grid.reach import Floats, box_around
+from tiler.grid.coarse import (
+    Bools,
+    Float64,
+    Labels,
+    Piece,
+    areas_within,
+    box_around,
+    label_block,
+    padded,
+)
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     RING_M,
@@ -83,7 +90,7 @@ class SearchRead(NamedTuple):
     """
 
     occupancy: Float32
-    ground: Floats
+    ground: Float64
     domain: Float32
     place: Position
 
@@ -97,13 +104,13 @@ class SearchRead(NamedTuple):
 
 def find_areas(
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,
     n_merged: int,
     usual: float | None,
-) -> tuple[Floats, Counts]:
+) -> tuple[Float64, Counts]:
     """Label the candidates for water in a block.
 
     Parameters
@@ -139,7 +146,7 @@ def label_areas(cells: Bools, *masks: Bools) -> tuple[Labels, dict[str, Any]]:
     -------
     labels : int32 (height, width)
     counts : dict
-        ``labels``, ``sides``: number of labels, and the labels along the sides of the block (`tiler.grid.pieces`).
+        ``labels``, ``sides``: number of labels, and the labels along the sides of the block (`tiler.grid.coarse`).
         ``sizes``: for each label, its number of cells, and the number of those in each mask.
     """
     labels, sides = label_block(cells, corners=False)
@@ -153,7 +160,7 @@ def label_areas(cells: Bools, *masks: Bools) -> tuple[Labels, dict[str, Any]]:
 def count_rims(
     areas: Float32,
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     domain: Float32,
     place: Position,
     *,
@@ -171,7 +178,7 @@ def count_rims(
     n_merged : int
         See `find_areas`.
     joins : sequence of (Piece, Piece)
-        Result of `tiler.grid.pieces.Joined.joins`.
+        Result of `tiler.grid.coarse.Joined.joins`.
 
     Returns
     -------
@@ -216,7 +223,7 @@ def inner_window(block: Block, margin: int) -> Slices:
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
-def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Floats:
+def _ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Float64:
     """Read the heights of the terrain in a window in metres, NaN for cells without a height."""
     heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
     heights[heights == NODATA] = np.nan
@@ -234,7 +241,7 @@ def read_search_cells(
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    ground = ground_in(store, sources.ground, spec, window)
+    ground = _ground_in(store, sources.ground, spec, window)
     return WaterCells(np.abs(points), points < 0, ground, domain, size_m).merged(n_merged)
 
 
@@ -259,7 +266,7 @@ class AreasAround:
     """
 
     cells: WaterCells
-    ground: Floats
+    ground: Float64
     numbers: Labels
     names: list[Piece]
     window: Block

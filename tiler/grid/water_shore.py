@@ -1,17 +1,38 @@
-"""Shore of a body of water between coarse cells: the line at which the ground of the bank reaches the level."""
+"""Shore of a body of water: the line between cells at which the ground of the bank reaches the level.
+
+The shore runs between the middles of coarse cells. At an upright bank, a coarse cell has both bank and water. So the
+polygon of the water may include ground high above the level, or miss a strip of water at the foot of a quay. In fine
+cells, high ground is land if it is connected with the bank. Fine cells of a quay are water if they have no points, or
+ground at the level.
+
+A lake may have been scanned at two water levels, in different flight strips. The lake gets the lower level. At this
+level, the shore that was found is partly too high on the bank. So the bank is continued below the higher level, and
+the shore lies where the bank reaches the lower level. The lower level is used only if the shore at this level lies in
+the outermost cells of the water.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
+from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.coarse import Bools
-from tiler.grid.reach import Floats
+from tiler.core.raster import within as within_window
+from tiler.grid.block_surroundings import pixel_indices
+from tiler.grid.coarse import AROUND, Bools, Float64, padded, within, within_square
+from tiler.grid.ground import read_ground_and_objects
+from tiler.grid.records import GroundSelection
+from tiler.grid.river import MIN_PIXELS, SMOOTH_M
 from tiler.grid.water_cells import WaterCells
+from tiler.grid.water_extent import LEVEL_M
+from tiler.grid.water_search import inner_window
+from tiler.store import TileStore
 
 REACH_CELLS = 40
 """The level of the water in a block depends on cells up to this distance from the block, in
@@ -41,12 +62,11 @@ the land behind it."""
 SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
 """The four sides of a cell: axis and step with which `np.roll` moves the neighbour on this side
 onto the cell."""
-AROUND = np.ones((3, 3), np.bool_)
 
 
 def heights_above_water(
-    cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool = False
-) -> Floats:
+    cells: WaterCells, wet: Bools, level: Float64 | None, is_lowered: bool = False
+) -> Float64:
     """Return a field of heights relative to the level of the water. Its zero line is the shore.
 
     In cells of land next to water, the field has the height of the bank. In the outermost cells of the water, it has
@@ -89,7 +109,7 @@ def heights_above_water(
     return field
 
 
-def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats]:
+def _banks(above: Float64, wet: Bools, has_returns: Bools) -> tuple[Bools, Float64]:
     """Return a mask of the outermost cells of the water that are bank, and the heights of the bank there.
 
     In these cells, both the ground and the extrapolated bank are above the water. The ground
@@ -102,7 +122,7 @@ def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats
         return wet & has_returns & (heights > MIN_HEIGHT_M), heights
 
 
-def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
+def _cut_cells(cells: WaterCells, above: Float64, wet: Bools) -> Bools:
     """Return a mask of the outermost cells of a high, level bank that are mostly water, as at a quay.
 
     Water returns few pulses. So such a cell has few returns compared to the mean of the next
@@ -117,7 +137,7 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     return is_cut
 
 
-def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
+def _quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
     """Return a mask of the outermost cells of upright banks. Parameters are those of `heights_above_water`."""
     is_quay = np.zeros_like(wet)
     for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size_m):
@@ -126,7 +146,7 @@ def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
 
 
 def _upright_sides(
-    above: Floats, wet: Bools, size_m: float
+    above: Float64, wet: Bools, size_m: float
 ) -> Iterator[tuple[int, int, Bools]]:
     """Yield axis and step of each side (`SIDES`), and a mask of the cells with an upright bank on that side.
 
@@ -142,7 +162,7 @@ def _upright_sides(
         yield axis, step, upright & np.roll(wet, -step, axis) & ~wet
 
 
-def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
+def _extrapolated_bank(above: Float64, wet: Bools) -> tuple[Float64, Float64]:
     """Return two heights above the water for each of its outermost cells, NaN for all other cells.
 
     The first is the height of the bank next to the cell. The second is the height in the cell
@@ -166,7 +186,7 @@ def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
     return heights[0], heights[1]
 
 
-def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:
+def shore_polygons(field: Float64, coarse: RasterSpec, window: Block) -> list[Any]:
     """Return polygons in absolute counts of the water of a window, where ``field`` is below 0.
 
     ``field`` is a result of `heights_above_water`.
@@ -184,3 +204,285 @@ def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any
         rings = np.split(vertices, starts[1:-1])
         polygons.append(shapely.make_valid(shapely.Polygon(rings[0], rings[1:])))
     return polygons
+
+
+FINER = 2
+"""A coarse cell has this many fine cells along its side.
+
+Fine cells are usually 1 m wide. With 2 points per m2, six of seven of them have a point.
+"""
+HIGH_M = 0.3
+"""Ground in a fine cell is land if it is more than this above the water, in metres. Broken
+water is lower."""
+BANK_REACH_FINE_CELLS = 4
+"""High ground becomes land only up to this distance from cells that are already land, in fine
+cells."""
+BANK_MARGIN = math.ceil(2 * BANK_REACH_FINE_CELLS / FINER)
+"""The fine cells of a block depend on cells up to this distance from the block, in coarse
+cells."""
+ENOUGH_POINTS = 5
+"""A fine cell without points is water only if fine cells of the land near it have this many points on average.
+
+By chance, 1 % of such cells are empty.
+"""
+NEAR_SIDE = 11
+"""The highest level near a cell is the highest in a square of this side, in coarse cells.
+
+The mean number of points of land near a cell also comes from such a square.
+"""
+
+
+class Shore(NamedTuple):
+    """Water and its surroundings in the coarse cells of a window, in arrays of the shape of the window.
+
+    Attributes
+    ----------
+    field : float64
+        Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.heights_above_water`.
+    level : float64
+        Highest level of the water in the `NEAR_SIDE` square around each cell in metres, NaN for cells whose ground is
+        not a bank.
+    is_dense_quay : bool
+        Mask of the cells at upright banks whose land has many points, see `dense_quays`.
+    """
+
+    field: Float64
+    level: Float64
+    is_dense_quay: Bools
+
+
+class ShoreDetails(NamedTuple):
+    """Details of a shore that fine cells show, as shapes in absolute counts.
+
+    Attributes
+    ----------
+    dry : shapely.Geometry or None
+        Part of the water of the coarse cells that is land.
+    wet : shapely.Geometry or None
+        Part of the land of the coarse cells that is water.
+    """
+
+    dry: Any
+    wet: Any
+
+
+NO_DETAILS = ShoreDetails(None, None)
+
+
+def shore_details(
+    store: TileStore, rule: GroundSelection, coarse: RasterSpec, window: Block, shore: Shore
+) -> ShoreDetails:
+    """Return the details of the shore of the coarse cells, from the points at the shore.
+
+    Parameters
+    ----------
+    store : TileStore
+    rule : GroundSelection
+    coarse : RasterSpec
+        Raster of the coarse cells.
+    window : Block
+        Block with a margin of `BANK_MARGIN` coarse cells.
+    shore : Shore
+    """
+    fine, fine_window = _finer_raster(coarse), _finer_window(window)
+    field = finer_field(shore.field)
+    ground, has_points = _fine_cells(
+        store, rule, fine, fine_window, _near_shore(field, BANK_REACH_FINE_CELLS)
+    )
+    above = ground - _each_finer(shore.level)
+    banks = high_banks(field, above)
+    water = quay_water(field, _each_finer(shore.is_dense_quay), above, has_points)
+    dry = _shape(banks, field >= 0, fine, fine_window)
+    wet = _shape(water, field < 0, fine, fine_window)
+    return ShoreDetails(dry, wet)
+
+
+def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
+    """Return the shape of some cells of a window, in absolute counts.
+
+    The shape is extended over their neighbours in the mask ``among``. Otherwise it would end
+    half a cell before the centres of these neighbours, and leave a gap.
+    """
+    import shapely
+
+    neighbours = among & scipy.ndimage.binary_dilation(cells, AROUND)
+    field = np.where(cells | neighbours, -1.0, 1.0)
+    # The shape extends one coarse cell and one fine cell beyond the block.
+    margin = FINER * (BANK_MARGIN - 1) - 1
+    inner = padded(window, -margin)
+    return shapely.union_all(shore_polygons(field[inner_window(inner, margin)], fine, inner))
+
+
+def highest_near(level: Float64) -> Float64:
+    """Return the highest level in the square around each cell.
+
+    Some levels are too low, because a few points lie below the water surface.
+    """
+    highest: Float64 = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
+    return highest
+
+
+def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
+    """Return a mask of the cells at upright banks near which fine cells of land have `ENOUGH_POINTS` on average.
+
+    Parameters are those of `tiler.grid.water_shore.heights_above_water`.
+    """
+
+    def total(values: npt.NDArray[Any]) -> Float64:
+        """Return the sum of whole numbers in the square around each cell."""
+        mean = scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE)
+        return np.asarray(np.rint(mean * NEAR_SIDE**2))
+
+    n_points = total(np.where(wet, 0.0, cells.returns))
+    is_dense = n_points >= FINER**2 * ENOUGH_POINTS * total(~wet)
+    return np.asarray(is_dense & within(_quays(cells, wet, level), math.sqrt(2)))
+
+
+def _finer_raster(coarse: RasterSpec) -> RasterSpec:
+    """Return the raster of the fine cells."""
+    lattice = Lattice(coarse.lattice.size / FINER)
+    return RasterSpec(
+        lattice,
+        coarse.west * FINER,
+        coarse.north * FINER,
+        coarse.height * FINER,
+        coarse.width * FINER,
+    )
+
+
+def _finer_window(window: Block) -> Block:
+    """Return the fine cells of a window of coarse cells."""
+    return Block(
+        window.row * FINER, window.col * FINER, window.height * FINER, window.width * FINER
+    )
+
+
+def finer_field(field: Float64) -> Float64:
+    """Interpolate a field linearly between the middles of coarse cells, float64 (2 h, 2 w)."""
+    for axis in (0, 1):
+        cells = np.moveaxis(field, axis, 0)
+        cells = np.concatenate((cells[:1], cells, cells[-1:]))
+        halves = [0.75 * cells[1:-1] + 0.25 * beside for beside in (cells[:-2], cells[2:])]
+        both = np.stack(halves, axis=1).reshape(-1, cells.shape[1])
+        field = np.moveaxis(both, 0, axis)
+    return field
+
+
+def _each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Repeat the values of coarse cells in their fine cells."""
+    return values.repeat(FINER, axis=0).repeat(FINER, axis=1)
+
+
+def _near_shore(field: Float64, radius: int) -> Bools:
+    """Return a mask of the cells that have both land and water within ``radius`` cells, also diagonally."""
+    return within_square(field < 0, radius) & within_square(field >= 0, radius)
+
+
+def _fine_cells(
+    store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bools
+) -> tuple[Float64, Bools]:
+    """Return the mean height of the ground points of each cell in metres, and a mask of the cells with points.
+
+    Heights are NaN for cells without ground points. Points of objects also count for the mask. Only buckets with
+    ``selected`` cells are read, so the results for other cells may be incomplete.
+    """
+    frame, bounds = store.meta.frame, fine.block_bounds(window)
+    total, number, objects = np.zeros((3, window.height, window.width))
+    for bucket in store.buckets_within(bounds):
+        inside = store.meta.bucket.bounds(bucket).intersection(bounds)
+        part = fine.part(window, inside)
+        in_window = within_window(part, window)
+        if not selected[in_window].any():
+            continue
+        ground, others = read_ground_and_objects(store, rule, inside)
+        cells = pixel_indices(ground, frame.origin, fine, part)
+        shape, size = (part.height, part.width), part.height * part.width
+        total[in_window] += np.bincount(cells, ground[2].astype(np.float64), size).reshape(
+            shape
+        )
+        number[in_window] += np.bincount(cells, minlength=size).reshape(shape)
+        others_cells = pixel_indices(others, frame.origin, fine, part)
+        objects[in_window] += np.bincount(others_cells, minlength=size).reshape(shape)
+    heights = np.full(total.shape, np.nan)
+    np.divide(total, number, out=heights, where=number > 0)
+    return heights * float(frame.metres_z), number + objects > 0
+
+
+def high_banks(field: Float64, above: Float64) -> Bools:
+    """Return a mask of the cells of water with high ground that is connected with the land.
+
+    Parameters
+    ----------
+    field : float64 (h, w)
+        Heights above the water in metres, negative in the water.
+    above : float64 (h, w)
+        Mean height of the ground points above the water in metres, NaN if there are none.
+    """
+    land, high = field >= 0, above > HIGH_M
+    return _spread(land, high, BANK_REACH_FINE_CELLS)
+
+
+def quay_water(
+    field: Float64, is_dense_quay: Bools, above: Float64, has_points: Bools
+) -> Bools:
+    """Return a mask of the cells at upright banks that are water and connected with the water.
+
+    They have no points, because water returns few pulses, or their ground is at most `LEVEL_M`
+    above the water.
+
+    Parameters
+    ----------
+    field, above : float64 (h, w)
+        See `high_banks`.
+    is_dense_quay : bool (h, w)
+        Mask of the cells at upright banks whose land has many points, see `dense_quays`.
+    has_points : bool (h, w)
+        Mask of the cells with points.
+    """
+    return _spread(field < 0, is_dense_quay & (~has_points | (above <= LEVEL_M)), FINER)
+
+
+def _spread(start: Bools, over: Bools, reach: int) -> Bools:
+    """Return a mask of the cells of ``over`` that are connected with ``start`` by at most ``reach`` steps."""
+    return np.asarray(
+        scipy.ndimage.binary_dilation(start, AROUND, reach, mask=start | over) & ~start
+    )
+
+
+def bank_rises(ground: Float64, wet: Bools, measured: Bools) -> Float64:
+    """Return the rises in metres from the land at the shore to the next cells behind it, float64 (n,).
+
+    Parameters
+    ----------
+    ground : float64 (h, w)
+        Heights of the terrain in metres, NaN if there are none.
+    wet : bool (h, w)
+        Mask of the water.
+    measured : bool (h, w)
+        Mask of the cells of water at whose sides rises are measured, at least three cells from the border of the array.
+    """
+    bank = np.where(wet, np.nan, ground)
+    rises_by_side = []
+    for axis, step in SIDES:
+        next_heights = np.roll(bank, 2 * step, axis)
+        rises_by_side.append((next_heights - np.roll(bank, step, axis))[measured])
+    rises: Float64 = np.concatenate(rises_by_side)
+    return rises[~np.isnan(rises)]
+
+
+def lower_level(heights: Float64, rises: Float64) -> float | None:
+    """Return the lower level of a lake in metres, or None if it has one level or its bank is too flat.
+
+    Parameters
+    ----------
+    heights : float64 (n,)
+        Heights of the returns of the water in metres.
+    rises : float64 (n,)
+        Result of `bank_rises`.
+    """
+    if min(len(heights), len(rises)) < MIN_PIXELS:
+        return None
+    low, high = np.percentile(heights, (25, 75))
+    if not SMOOTH_M < high - low <= BANK_WIDTH_CELLS * np.median(rises):
+        return None
+    return float(low)

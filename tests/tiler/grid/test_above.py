@@ -19,11 +19,11 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.core.water import LAKE, Water, Waters
-from tiler.grid.above import ABOVE_M, above, heights_above, min_pixels
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded
-from tiler.grid.points_near import PointsNear
+from tiler.grid.flaws import ABOVE_M, above, heights_above, min_pixels
 from tiler.grid.steps import Read
-from tiler.grid.tasks.above import places_of, report_above
+from tiler.grid.tasks.findings import places_of, report_above
 from tiler.store import read_cells
 
 PIXEL = Fraction(1000)
@@ -199,7 +199,7 @@ def test_places_across_blocks_are_joined(make_scene, monkeypatch: pytest.MonkeyP
     assert [area for area, _, _ in whole] == [40.0, 12.0, 12.0]
     spec = spec_of(scene)
     for side in (8, 16):
-        monkeypatch.setattr("tiler.grid.pieces.BLOCK_PIXELS", side)
+        monkeypatch.setattr("tiler.grid.coarse.BLOCK_PIXELS", side)
         of_blocks = {block: above_block(scene, spec, block) for block in spec.blocks(side)}
         places = places_of(of_blocks, spec, Fraction(1))
         assert [(p.area_m2, p.bounds, p.height_m) for p in places] == whole

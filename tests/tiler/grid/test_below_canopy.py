@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from tests.tiler.grid.conftest import Scene, make_block, sources_of
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.below_canopy import below_canopy, crowns_margin
-from tiler.grid.canopy import OPEN
+from tiler.grid.canopy import OPEN, below_canopy, crowns_margin
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.steps import Read
 from tiler.store import between_centres

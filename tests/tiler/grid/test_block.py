@@ -14,8 +14,8 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec, north_west
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
-from tiler.grid import GroundSelection
 from tiler.grid.block import full_halo, heights_of_blocks
+from tiler.grid.records import GroundSelection
 
 METRE = Fraction(1000)
 
@@ -295,7 +295,7 @@ def test_a_choice_made_bucket_by_bucket_is_that_of_all(make_scene, monkeypatch, 
     }
     kept, (record,) = scene.grid(METRE, **options)
     monkeypatch.setattr(
-        "tiler.grid.thinning._whole_cells", lambda *rest: np.arange(rest[-1].shape[1])
+        "tiler.grid.ground._whole_cells", lambda *rest: np.arange(rest[-1].shape[1])
     )
     every, (whole,) = scene.grid(METRE, **options)
     assert kept.tobytes() == every.tobytes()

@@ -9,8 +9,7 @@ from tiler.config import RunConfig
 from tiler.core.digests import digest_of
 from tiler.core.edits import Edits
 from tiler.core.lattice import Lattice
-from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.tasks.gridding import GridContext, ground_rule
+from tiler.grid.tasks.gridding import Corrections, GridContext, ground_rule
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import make_plan
 

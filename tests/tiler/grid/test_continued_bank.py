@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.grid.continued_bank import continued_bank
+from tiler.grid.water_plants import continued_bank
 
 FAR = 100.0
 

@@ -16,9 +16,8 @@ from tests.scenes.halls import ROWS, with_hall
 from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.water import LAKE, Water, Waters
-from tiler.grid.centreline import area_of
-from tiler.grid.crowns import crown_advice, crowns_in_block
-from tiler.grid.roofs import TOO_WIDE, roofs_in_terrain, thinned
+from tiler.grid.flaws import TOO_WIDE, crown_advice, crowns_in_block, roofs_in_terrain, thinned
+from tiler.grid.river import area_of
 from tiler.store import TileStore
 
 
@@ -30,7 +29,7 @@ def test_pooling_keeps_the_place() -> None:
 def test_a_roof_in_the_terrain_of_a_store(
     part_cells: int, small_store: TileStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.grid.roofs.PART_CELLS", part_cells)
+    monkeypatch.setattr("tiler.grid.flaws.PART_CELLS", part_cells)
     heights = np.kron(with_hall(), np.ones((2, 2))).astype(np.float32)
     heights[:20] = NODATA
     spec = RasterSpec(Lattice(Fraction(1000)), 500_000, 5_400_000, *heights.shape)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tiler.core.lattice import Lattice
-from tiler.grid.thinning import central_points
+from tiler.grid.ground import central_points
 
 
 @pytest.mark.parametrize("size", [Fraction(250), Fraction(1000, 3), Fraction(7, 2)])

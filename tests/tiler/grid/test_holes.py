@@ -11,8 +11,8 @@ import scipy
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.coarse import padded
-from tiler.grid.holes import CELL_PIXELS, hole_cells
-from tiler.grid.tasks.voids import voids_of
+from tiler.grid.tasks.findings import voids_of
+from tiler.grid.voids import CELL_PIXELS, hole_cells
 
 SIZES = (1, 1, 5, 40, 40, 90, 9, 2, 600)
 

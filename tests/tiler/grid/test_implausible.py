@@ -12,7 +12,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.terrain_results import VoidsResult
 from tiler.core.units import FOOT, METRE, Units
-from tiler.grid.tasks.implausible import report_implausible
+from tiler.grid.tasks.findings import report_implausible
 
 SPEC = RasterSpec(Lattice(Fraction(1000)), 0, 512, 512, 512)
 CELL, CELLS = 128, 16

@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from tiler.grid import pieces
-from tiler.grid.pieces import AROUND, Piece, join_pieces, label_block
-from tiler.grid.tasks import survey as survey_tasks
-from tiler.grid.tasks.survey import outside_of
+from tiler.grid.coarse import AROUND, Piece, join_pieces, label_block
+from tiler.grid.tasks.steps import outside_of
 
 SIDE = 4
 """Cells of a block."""
@@ -21,8 +19,8 @@ SIDE = 4
 @pytest.fixture(autouse=True, scope="module")
 def small_blocks() -> object:
     patch = pytest.MonkeyPatch()
-    patch.setattr(pieces, "BLOCK_PIXELS", SIDE)
-    patch.setattr(survey_tasks, "BLOCK_PIXELS", SIDE)
+    patch.setattr("tiler.grid.coarse.BLOCK_PIXELS", SIDE)
+    patch.setattr("tiler.grid.tasks.steps.BLOCK_PIXELS", SIDE)
     yield
     patch.undo()
 

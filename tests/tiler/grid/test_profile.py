@@ -7,8 +7,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.grid.centreline import centreline, mean_width
-from tiler.grid.profile import MIN_PIXELS, profile_along
+from tiler.grid.river import MIN_PIXELS, centreline, mean_width, profile_along
 
 NONE = np.empty((3, 0), np.int64)
 STRAIGHT = np.array([[0.0, 0.0], [300_000.0, 0.0], [600_000.0, 0.0]])

@@ -8,7 +8,7 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.grid import reach
+from tiler.grid.coarse import distances, opened, within, within_square
 
 
 @given(
@@ -22,8 +22,8 @@ def test_strips_are_as_the_whole(
 ) -> None:
     cells = np.random.default_rng(seed).random(shape) < share
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reach, "STRIP_ROWS", 7)
-        found, far = reach.within(cells, radius), reach.distances(cells, radius)
+        patch.setattr("tiler.grid.coarse.STRIP_ROWS", 7)
+        found, far = within(cells, radius), distances(cells, radius)
     if not cells.any():
         assert not found.any()
         assert np.isinf(far).all()
@@ -47,8 +47,8 @@ def test_morphology_is_that_of_scipy(
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     disk = x * x + y * y <= radius * radius
     assert np.array_equal(
-        reach.within_square(cells, radius), scipy.ndimage.binary_dilation(cells, square)
+        within_square(cells, radius), scipy.ndimage.binary_dilation(cells, square)
     )
     assert np.array_equal(
-        reach.opened(cells, float(radius)), scipy.ndimage.binary_opening(cells, disk)
+        opened(cells, float(radius)), scipy.ndimage.binary_opening(cells, disk)
     )

@@ -12,7 +12,8 @@ import pytest
 from tests.scenes.records import bucket_record
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid import GridBlock, GroundSelection, grid_block
+from tiler.grid.block import grid_block
+from tiler.grid.records import GridBlock, GroundSelection
 from tiler.grid.tasks.terrain import join_blocks
 from tiler.runs.stage_runner import _outcomes
 from tiler.schedule import Outcome, SerialExecutor, Task

@@ -19,13 +19,19 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.sigma_groups import EDGES_M, GROUPS
 from tiler.core.terrain_results import SigmaGroup
 from tiler.core.units import FOOT, METRE, Units
+from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded
-from tiler.grid.points_near import PointsNear
+from tiler.grid.sigma import (
+    LASER,
+    MATCHED,
+    WEIGHTS,
+    Measures,
+    land_margin,
+    measures_of,
+    sigma_result,
+    standard_error_m,
+)
 from tiler.grid.sigma import sigma as of_heights
-from tiler.grid.sigma import sigma_result
-from tiler.grid.sigma_land import land_margin
-from tiler.grid.sigma_measures import Measures, measures_of
-from tiler.grid.sigma_model import LASER, MATCHED, WEIGHTS, standard_error_m
 from tiler.grid.steps import Read
 from tiler.store import read_cells
 

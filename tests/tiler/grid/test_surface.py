@@ -19,12 +19,11 @@ from tiler.core.lattice import Lattice
 from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
-from tiler.grid.derived import distance
-from tiler.grid.points_near import PointsNear
+from tiler.grid.block_surroundings import PointsNear
+from tiler.grid.derived import distance, raised_to, surface_heights
+from tiler.grid.derived import surface as surface_of
+from tiler.grid.records import Facets
 from tiler.grid.steps import Read
-from tiler.grid.surface import raised_to, surface_heights
-from tiler.grid.surface import surface as surface_of
-from tiler.grid.work import Facets
 
 PIXEL = Fraction(2000)
 

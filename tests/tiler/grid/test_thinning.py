@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiler.core.lattice import Lattice
-from tiler.grid.thinning import ranked_points
+from tiler.grid.ground import ranked_points
 
 
 @given(

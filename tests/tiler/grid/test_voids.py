@@ -15,12 +15,11 @@ from tests.tiler.grid.conftest import Scene, make_block, sources_of
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.coarse import coarse_raster
+from tiler.grid.coarse import Piece, coarse_raster
 from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
 from tiler.grid.derived import mask as mask_of
-from tiler.grid.pieces import Piece
 from tiler.grid.steps import Read
-from tiler.grid.tasks.survey import outside_of
+from tiler.grid.tasks.steps import outside_of
 from tiler.grid.voids import PART_PIXELS, Void, fill_voids, find_voids
 
 SIDE, LIMIT = 240_000, 16_000

@@ -13,20 +13,21 @@ from tests.tiler.grid.conftest import FINAL, Scene
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.coarse import padded
-from tiler.grid.water_banks import (
+from tiler.grid.water_cells import WaterCells
+from tiler.grid.water_shore import (
     BANK_MARGIN,
     BANK_REACH_FINE_CELLS,
     FINER,
     HIGH_M,
+    MAX_HEIGHT_M,
     Shore,
     dense_quays,
     finer_field,
     high_banks,
     quay_water,
     shore_details,
+    shore_polygons,
 )
-from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_shore import MAX_HEIGHT_M, shore_polygons
 
 ROWS, COLUMNS = np.mgrid[0:40, 0:40]
 SHORE = 20

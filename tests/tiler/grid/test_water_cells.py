@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tiler.grid import reach, water_cells
-from tiler.grid.returns import histograms, usual_returns
+from tiler.grid.coverage import histograms, usual_returns
 from tiler.grid.water_cells import (
     ENOUGH_RETURNS,
     CellCounts,
@@ -101,8 +100,8 @@ def test_the_land_around_may_be_compared_in_pieces(
 ) -> None:
     given = cells(VALLEY, RIVER, left)
     whole = [(body.tolist(), sure) for body, sure in bodies(given)]
-    monkeypatch.setattr(water_cells, "CELLS_PER_BATCH", 7)
-    monkeypatch.setattr(reach, "STRIP_ROWS", 9)
+    monkeypatch.setattr("tiler.grid.water_cells.CELLS_PER_BATCH", 7)
+    monkeypatch.setattr("tiler.grid.coarse.STRIP_ROWS", 9)
     assert whole
     assert [(body.tolist(), sure) for body, sure in bodies(given, pieces=5)] == whole
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, beneath_crowns, roughness
 from tiler.grid.water_extent import remove_narrow_parts, without_border_islands
+from tiler.grid.water_plants import CROWN_WITH_GROUND, HIDDEN, beneath_crowns, roughness
 from tiler.grid.water_shore import MAX_HEIGHT_M, heights_above_water
 
 ROWS, COLUMNS = np.mgrid[0:60, 0:60]

@@ -12,9 +12,9 @@ from tiler.core.lattice import Lattice
 from tiler.core.products import BEYOND, SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.water import Water
-from tiler.grid import GroundSelection
-from tiler.grid.centreline import polygon_of
-from tiler.grid.pieces import Piece
+from tiler.grid.coarse import Piece
+from tiler.grid.records import GroundSelection
+from tiler.grid.river import polygon_of
 from tiler.grid.water_find import BodyCells, describe_body
 from tiler.grid.water_search import SearchRasters
 from tiler.store import TileStore

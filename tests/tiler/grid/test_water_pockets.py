@@ -9,7 +9,7 @@ import scipy
 from tiler.core.area import Area
 from tiler.core.lattice import Bounds
 from tiler.core.water import LAKE, Water
-from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
+from tiler.grid.water_level import POCKET_PIXELS, Beside, pockets, with_pixels
 
 PIXEL, LEVEL, NOISE = 10_000, 1_000_000, 1_000
 """In counts; water stands west of column 10."""

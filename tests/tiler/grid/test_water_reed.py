@@ -11,9 +11,15 @@ from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, REED, plant_kinds
 from tiler.grid.water_level import heights_of_cells
-from tiler.grid.water_reed import among_reed, has_no_bank
+from tiler.grid.water_plants import (
+    CROWN_WITH_GROUND,
+    HIDDEN,
+    REED,
+    among_reed,
+    has_no_bank,
+    plant_kinds,
+)
 from tiler.store import TileStore
 
 ROWS, COLUMNS = np.mgrid[0:60, 0:60]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_shore import heights_above_water
-from tiler.grid.water_strips import bank_rises, lower_level
+from tiler.grid.water_shore import bank_rises, heights_above_water, lower_level
 
 ROWS, COLUMNS = np.mgrid[0:60, 0:60]
 SHORE = 30

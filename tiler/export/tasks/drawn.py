@@ -12,8 +12,7 @@ from tiler.export.contours import Heights, write_contours, write_spots
 from tiler.export.outline import write_outline
 from tiler.export.water import write_water
 from tiler.export.work import OutFile
-from tiler.grid.tasks.gridding import GridContext
-from tiler.grid.tasks.raster_names import final_raster
+from tiler.grid.tasks.gridding import GridContext, final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.plan import water_is_given
 from tiler.schedule import Task, calling

@@ -26,8 +26,7 @@ from tiler.export.sheets import write_sheet_index
 from tiler.export.tasks.sheets import key_of, name_of
 from tiler.export.work import CloudCopy, OutFile, ProductInfo, RasterPart, SheetFile
 from tiler.filter import LABELS
-from tiler.grid.tasks.gridding import GridContext
-from tiler.grid.tasks.raster_names import MODELS, final_raster
+from tiler.grid.tasks.gridding import MODELS, GridContext, final_raster
 from tiler.grid.tasks.raster_table import raster_table
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import SourceInfo, header_bounds, window_pieces

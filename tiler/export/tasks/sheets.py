@@ -14,8 +14,7 @@ from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export.sheets import find_sheets
 from tiler.grid.records import BlockRecord
-from tiler.grid.tasks.gridding import GridContext, Sheet
-from tiler.grid.tasks.raster_names import MODELS, final_raster
+from tiler.grid.tasks.gridding import MODELS, GridContext, Sheet, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, calling

@@ -111,7 +111,6 @@ def candidate_cells(cells: CoarseHeights) -> tuple[Ints, Ints, Ints]:
 
 
 def _offset(direction: int, steps: int) -> tuple[int, int]:
-    """Return the offset in rows and columns of a number of steps in a direction."""
     angle = math.pi * direction / DIRECTIONS
     return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
 

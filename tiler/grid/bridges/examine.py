@@ -15,8 +15,8 @@ from tiler.core.points import PointBlock
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.bridges.deck import Deck, find_deck
 from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells
-from tiler.grid.ground import GroundSelection, read_classes, surface_points
-from tiler.grid.records import DeckRecord
+from tiler.grid.ground import read_classes, surface_points
+from tiler.grid.records import DeckRecord, GroundSelection
 from tiler.grid.steps import Counts as Found
 from tiler.store import TileStore
 

@@ -1,4 +1,7 @@
-"""Context of the stage grid: what all its tasks have in common, and the rasters that were made."""
+"""Context of the stage grid: what all its tasks have in common, corrections, and the rasters that were made.
+
+A correction changes only the digests of the buckets and blocks that it can affect. No others are processed again.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +12,66 @@ from enum import Enum
 from fractions import Fraction
 from typing import Any
 
+from tiler.config import RunConfig
+from tiler.core.breaklines import Breaklines
 from tiler.core.classes import GROUND
+from tiler.core.edits import DrawnDeck, Edits
 from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.filter import LABELS
-from tiler.grid import GroundSelection
-from tiler.grid.coarse import coarse_raster
-from tiler.grid.pieces import Joined, join_pieces
-from tiler.grid.records import BlockRecord
+from tiler.grid.block import full_halo
+from tiler.grid.coarse import Joined, coarse_raster, join_pieces
+from tiler.grid.records import BlockRecord, Facets, GroundSelection
 from tiler.grid.steps import Counts, Sources
 from tiler.grid.tasks.canopy import CanopyCells
-from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.work import Facets
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
 from tiler.store import Commits
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """Edits and breaklines of a run, applied on top of the labels.
+
+    Attributes
+    ----------
+    edits : Edits or None
+    lines : Breaklines or None
+    line_digests : mapping of Cell to str
+        Digest of the breaklines in each bucket, even if the bucket has no points.
+    decks : tuple of DrawnDeck
+        Decks of bridges. ``edits`` remove the points of these decks from the terrain.
+    """
+
+    edits: Edits | None = None
+    lines: Breaklines | None = None
+    line_digests: Mapping[Cell, str] = field(default_factory=dict)
+    decks: tuple[DrawnDeck, ...] = ()
+
+    @property
+    def edits_key(self) -> str | None:
+        """Key in the store of the edits, or None if there are none."""
+        return None if self.edits is None else self.edits.key
+
+    @property
+    def lines_key(self) -> str | None:
+        """Key in the store of the breaklines, or None if there are none."""
+        return None if self.lines is None else self.lines.key
+
+    def edit_digests(self, extent: Bounds, actions: Sequence[str]) -> list[Any]:
+        """Return the values of the edits with some actions within an extent, for digests."""
+        return [] if self.edits is None else self.edits.digest(extent, actions)
+
+    def line_digests_near(self, extent: Bounds, plan: Plan) -> list[Any]:
+        """Return column, row and digest of the buckets whose breaklines can change facets within an extent."""
+        counts, lattice = plan.frame.counts, plan.buckets
+        facet_reach = full_halo(counts(plan.config.max_edge))
+        facet_reach += math.ceil(3 * counts(plan.grid.resolution))
+        near = lattice.among(extent.pad(facet_reach), self.line_digests)
+        return [[cell.ix, cell.iy, self.line_digests[cell]] for cell in near]
+
 
 COARSE_CELL_M = 2
 """Side of a coarse cell in metres, unless ``--max-edge`` is small or pixels are large.
@@ -49,7 +96,7 @@ Place = tuple[int, int]
 """First row and column of a block."""
 
 
-def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
+def _raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
     """Return the pixel grid around the stored points, or around their part in the area of the run.
 
     The edges of pixels lie at multiples of the resolution. Points exactly on the outer edge of
@@ -237,7 +284,7 @@ class GridContext:
     @property
     def spec(self) -> RasterSpec:
         """Pixel grid of the products."""
-        return raster_spec(self.plan, self.assembled)
+        return _raster_spec(self.plan, self.assembled)
 
     @property
     def coarse(self) -> RasterSpec:
@@ -262,3 +309,40 @@ class GridContext:
         if grid is Grid.CANOPY:
             return self.canopy_cells
         return self.coarse if grid is Grid.COARSE else self.spec
+
+
+MODELS = ("dtm", "dsm")
+"""Products whose voids can be filled."""
+ABOVE = "dtm-above"
+"""Step without pixels that counts where the terrain lies above all returns."""
+CANOPY, BELOW_CANOPY = "canopy", "canopy-below"
+"""Rasters of a canopy that hides the ground, and of the terrain below it."""
+CANOPY_CELLS, CANOPY_TERRAIN = "canopy-cells", "canopy-terrain"
+"""Rasters of cells of canopies: the canopy, and the interpolated terrain around it."""
+
+
+def final_raster(product: str, config: RunConfig) -> str:
+    """Return the name of the raster that is delivered as a product."""
+    if product in outlined_models(config):
+        return f"{product}-outlined"
+    return filled_raster(product, config)
+
+
+def outlined_models(config: RunConfig) -> tuple[str, ...]:
+    """Return the models from which a raster ``<name>-outlined`` is made.
+
+    With ``--outline survey``, all models end at the outline of the survey. Otherwise only the
+    terrain needs this raster, for level water and for canopies.
+    """
+    return MODELS if config.outline == "survey" else ("dtm",)
+
+
+def filled_raster(product: str, config: RunConfig) -> str:
+    """Return the name of the raster of a product with filled voids, or of the product if no voids are filled."""
+    return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
+
+
+def nodata_of(product: str) -> float:
+    """Return the nodata value of a product, or 0 if all pixels of the product have a value."""
+    nodata = PRODUCTS[product].nodata
+    return 0.0 if nodata is None else nodata

@@ -19,16 +19,11 @@ from tiler.core.edits import OF_PIXELS
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
 from tiler.core.records import BucketRecord
-from tiler.grid import (
-    GridBlock,
-    full_halo,
-    grid_block,
-    grid_blocks,
-    max_points_in_bucket,
-)
-from tiler.grid.tasks.gridding import Grid, GridContext, Place
-from tiler.grid.tasks.raster_names import CANOPY_CELLS, CANOPY_TERRAIN
-from tiler.grid.tasks.survey import near_places
+from tiler.grid.block import full_halo, grid_block, grid_blocks
+from tiler.grid.ground import max_points_in_bucket
+from tiler.grid.records import GridBlock
+from tiler.grid.tasks.gridding import CANOPY_CELLS, CANOPY_TERRAIN, Grid, GridContext, Place
+from tiler.grid.tasks.steps import near_places
 from tiler.plan import Plan
 from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task, calling

@@ -14,18 +14,21 @@ from typing import Any
 
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.grid.coarse import padded
-from tiler.grid.pieces import Joined, Piece, around
-from tiler.grid.returns import usual_returns
+from tiler.grid.coarse import Joined, Piece, around, padded
+from tiler.grid.coverage import usual_returns
 from tiler.grid.steps import Counts, Read
 from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
-from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values
-from tiler.grid.tasks.survey import near_places
-from tiler.grid.water_cells import ENOUGH_RETURNS, CellCounts, Rim, water_confidence
-from tiler.grid.water_crowns import crowns_margin, plants_near_water
+from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values, near_places
+from tiler.grid.water_cells import (
+    ENOUGH_RETURNS,
+    NEAR_CELLS,
+    CellCounts,
+    Rim,
+    ground_cells,
+    water_confidence,
+)
+from tiler.grid.water_extent import finish_margin, finish_water
 from tiler.grid.water_find import MIN_LENGTH
-from tiler.grid.water_finish import finish_margin, finish_water
-from tiler.grid.water_ground import NEAR_CELLS, ground_cells
 from tiler.grid.water_planes import (
     DAM_M,
     SHORE_CELLS,
@@ -34,13 +37,14 @@ from tiler.grid.water_planes import (
     find_planes,
     keep_planes,
 )
+from tiler.grid.water_plants import crowns_margin, plants_near_water
 from tiler.grid.water_search import MARGIN, count_rims, find_areas, keep_areas
 from tiler.plan import Plan
 
 Reads = Mapping[str, Read]
 
 
-def counts_at(context: GridContext, raster: str) -> dict[Place, Counts]:
+def _counts_at(context: GridContext, raster: str) -> dict[Place, Counts]:
     """Return the counts of each finished block of a raster of coarse cells, by place."""
     return {(block.row, block.col): counts for block, counts in context.counts(raster).items()}
 
@@ -137,7 +141,7 @@ def _with_heights(step: Step, context: GridContext, _: Near) -> Mapping[Block, V
     """Return the blocks that overlap a block of the terrain with heights, if water is sought."""
     if not context.water_is_sought:
         return {}
-    coarse, counts = context.coarse, counts_at(context, "occupancy")
+    coarse, counts = context.coarse, _counts_at(context, "occupancy")
     read = step.reads["heights"]
     spec = context.spec if read.kind == "pixels" else coarse
     blocks: set[Block] = set()
@@ -157,7 +161,7 @@ def _may_have_water(_: Step, context: GridContext, __: Near) -> Mapping[Block, V
     A block may have water if the usual number of returns per cell is known in the block and its
     neighbours, or if the input has the class of water there.
     """
-    counts, values = counts_at(context, "occupancy"), {}
+    counts, values = _counts_at(context, "occupancy"), {}
     for block, domain in context.counts("domain").items():
         near = [counts[at] for at in around(block.row, block.col) if at in counts]
         usual = None
@@ -173,7 +177,7 @@ def _may_have_water(_: Step, context: GridContext, __: Near) -> Mapping[Block, V
 def _near_candidates(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
     """Return the blocks with a candidate and their neighbours."""
     areas = "water-areas"
-    labelled = [at for at, counts in counts_at(context, areas).items() if counts["labels"]]
+    labelled = [at for at, counts in _counts_at(context, areas).items() if counts["labels"]]
     return _on_areas(context, areas, near_places(context.coarse, labelled))
 
 
@@ -221,7 +225,7 @@ def _on_areas(
     **more: Callable[[Place], Any],
 ) -> dict[Block, Values]:
     """Return the values of steps on candidates or planes at some places."""
-    counts, joined = counts_at(context, areas), context.areas(areas)
+    counts, joined = _counts_at(context, areas), context.areas(areas)
     values: dict[Block, Values] = {}
     for place in places:
         values[context.coarse.block_at(*place, BLOCK_PIXELS)] = {
@@ -250,7 +254,9 @@ def _blocks_near_water(context: GridContext) -> list[Block]:
     coarse = context.coarse
     places: set[Place] = set()
     for name in ("water-sure", "water-plane-sure"):
-        places.update(at for at, counts in counts_at(context, name).items() if counts["filled"])
+        places.update(
+            at for at, counts in _counts_at(context, name).items() if counts["filled"]
+        )
     return [coarse.block_at(*at, BLOCK_PIXELS) for at in near_places(coarse, places)]
 
 
@@ -286,7 +292,7 @@ def _names_near(
 
 def area_sums(context: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
     """Return the sums of ``sizes`` of the counts over the pieces of each area of a raster, by its name."""
-    counts, sums = counts_at(context, areas), {}
+    counts, sums = _counts_at(context, areas), {}
     for name, pieces in context.areas(areas).areas.items():
         sizes = [counts[p.row, p.col]["sizes"][p.label - 1] for p in pieces]
         sums[name] = tuple(map(sum, zip(*sizes, strict=True)))
@@ -324,7 +330,7 @@ def _likely_planes(context: GridContext, planes: str) -> tuple[list[Piece], list
     The rims of the planes are not used.
     """
     config = context.plan.config
-    joined, counts = context.areas(planes), counts_at(context, planes)
+    joined, counts = context.areas(planes), _counts_at(context, planes)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
     # The cells along the shore are not part of a plane, so half of the area is enough.
     min_cells = min_m2 / float(context.coarse_m) ** 2 / 2

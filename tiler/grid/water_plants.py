@@ -1,11 +1,15 @@
-"""Crowns that hang over water, and the water beneath them.
+"""Water beneath crowns that hang over it, and in reed, to where the bank that is continued beneath them rises.
 
-A laser scanner gets returns from a crown over water, and hardly any from the water below. The
-terrain beneath such crowns is interpolated from the bank, so water would end where crowns
-begin. Over land, some pulses pass through a crown and reach the ground. So cells with crowns
-and without ground are water if they are connected with open water and do not lie between cells
-with ground. The slope of the bank is continued beneath the crowns, and water ends where the
-continued bank rises above the level.
+A laser scanner gets returns from a crown over water, and hardly any from the water below. The terrain beneath such
+crowns is interpolated from the bank, so water would end where crowns begin. Over land, some pulses pass through a
+crown and reach the ground. So cells with crowns and without ground are water if they are connected with open water
+and do not lie between cells with ground. The slope of the bank is continued beneath the crowns, and water ends where
+the continued bank rises above the level.
+
+Reed is low, stands in the water, and is connected with open water. The lowest points of reed may count as ground, so
+the water would end where reed begins. As beneath crowns, the slope of the bank behind the reed is continued, and the
+water ends where the continued bank reaches the level. Low plants stay land if the bank behind them is flat, or if
+they are far from water.
 """
 
 from __future__ import annotations
@@ -19,15 +23,102 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.raster import Block
-from tiler.grid.coarse import Bools, padded
-from tiler.grid.continued_bank import continued_bank
+from tiler.grid.block_surroundings import PointsNear, pixel_indices
+from tiler.grid.coarse import Bools, Float64, box_around, padded, within, within_square
 from tiler.grid.ground import read_ground_and_objects
-from tiler.grid.points_near import PointsNear, pixel_indices
-from tiler.grid.reach import Floats, box_around, within, within_square
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 
 Float32 = npt.NDArray[np.float32]
+
+N_BANK_CELLS = 20
+"""The bank is continued by a plane through this many of its cells with ground, the nearest
+ones."""
+MAX_TIES = 23
+"""Up to this many more cells are used if they are as far away as the last of the nearest cells.
+
+At most 24 cells of a lattice have the same distance from another cell, up to a distance of 40
+cells.
+"""
+MIN_VARIANCE = 0.05
+"""Cells of the bank define a plane if their variance is larger than this in each direction, in
+square cells. Those of two adjacent rows have 0.25, those of a single row 0."""
+AT_ONCE = 8192
+"""Number of cells whose planes are fitted at a time, which limits memory to about 30 MiB."""
+
+Indices = npt.NDArray[np.int64]
+
+
+def continued_bank(
+    cells: Indices, bank: Indices, above: Float64, reach: float
+) -> tuple[Float64, Float64]:
+    """Extrapolate the bank to other cells. Each cell has its own plane through the nearest cells of the bank.
+
+    Parameters
+    ----------
+    cells : int64 (n, 2)
+        Row and column of the cells to which the bank is continued.
+    bank : int64 (m, 2)
+        Row and column of the cells of the bank, by rows.
+    above : float64 (m,)
+        Height of the cells of the bank above the water in metres.
+    reach : float
+        Cells of the bank that are farther away than this are not used, in cells.
+
+    Returns
+    -------
+    height : float64 (n,)
+        Height of the plane above the water at each cell, in metres, and infinity if there is no plane.
+    slope : float64 (n,)
+        Slope of the plane in metres per cell, and infinity if there is no plane.
+    """
+    height, slope = np.full((2, len(cells)), np.inf)
+    if not len(bank):
+        return height, slope
+    tree = scipy.spatial.cKDTree(bank)
+    for start in range(0, len(cells), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        used, near = _nearest(tree, cells[part], reach)
+        height[part], slope[part] = _planes(bank[near] - cells[part, None], above[near], used)
+    return height, slope
+
+
+def _nearest(
+    tree: scipy.spatial.cKDTree, cells: Indices, reach: float
+) -> tuple[npt.NDArray[np.bool_], Indices]:
+    """Return the indices of the nearest cells of the bank, and a mask of those that are used: shape (n, k)."""
+    k = range(1, N_BANK_CELLS + MAX_TIES + 1)
+    found = tree.query(cells, k=k, distance_upper_bound=reach + 1e-6)
+    distance, near = np.asarray(found[0]), np.asarray(found[1])
+    # Cells at the same distance are all used. The tree would choose some of them, depending on
+    # cells far away.
+    used = np.isfinite(distance) & (distance <= distance[:, N_BANK_CELLS - 1, None])
+    # The tree's order of these cells depends on cells far away as well, and the order changes
+    # the last bits of sums.
+    near = np.sort(np.where(used, near, tree.n), axis=1)
+    return near < tree.n, np.where(near < tree.n, near, 0)
+
+
+def _planes(
+    offsets: Indices, heights: Float64, used: npt.NDArray[np.bool_]
+) -> tuple[Float64, Float64]:
+    """Return height and slope of the planes through the used cells at offsets, at the offset 0."""
+    number = np.maximum(used.sum(axis=1), 1)
+
+    def mean(values: Float64) -> Float64:
+        return np.asarray(np.where(used, values, 0.0).sum(axis=1) / number, np.float64)
+
+    y, x, z = offsets[:, :, 0].astype(np.float64), offsets[:, :, 1].astype(np.float64), heights
+    mean_x, mean_y, mean_z = mean(x), mean(y), mean(z)
+    x, y, z = x - mean_x[:, None], y - mean_y[:, None], z - mean_z[:, None]
+    xx, xy, yy, xz, yz = mean(x * x), mean(x * y), mean(y * y), mean(x * z), mean(y * z)
+    area = xx * yy - xy * xy
+    is_plane = area > MIN_VARIANCE * (xx + yy)
+    area[~is_plane] = 1.0
+    east, north = (xz * yy - yz * xy) / area, (yz * xx - xz * xy) / area
+    height = np.where(is_plane, mean_z - east * mean_x - north * mean_y, np.inf)
+    return height, np.where(is_plane, np.hypot(east, north), np.inf)
+
 
 CROWN_WITH_GROUND = 1
 """Value of a cell with a crown and with ground."""
@@ -70,7 +161,7 @@ def plants_near_water(
     sure: Float32,
     planes: Float32,
     occupancy: Float32,
-    ground: Floats,
+    ground: Float64,
     points: PointsNear,
     place: Position,
     *,
@@ -110,7 +201,7 @@ def crowns_margin(size_m: float) -> int:
 
 
 def _crowns(
-    points: PointsNear, window: Block, examined: Bools, terrain: Floats
+    points: PointsNear, window: Block, examined: Bools, terrain: Float64
 ) -> npt.NDArray[np.int64]:
     """Return the value of each cell of a window, see `plants_near_water`.
 
@@ -141,7 +232,7 @@ def plant_kinds(
     xyz: npt.NDArray[np.int32],
     cells: npt.NDArray[np.int64],
     objects: Bools,
-    terrain: Floats,
+    terrain: Float64,
     metres_z: Fraction,
 ) -> npt.NDArray[np.int64]:
     """Return the value of each cell, int64 (h, w), see `plants_near_water`.
@@ -192,7 +283,7 @@ def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
     return np.asarray((crowns == HIDDEN) | (crowns == HIDDEN + REED))
 
 
-def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
+def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Float64:
     """Return the RMS vertical distance of the points of each cell from the plane through them, float64 (size,).
 
     The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points, or
@@ -219,7 +310,7 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
         np.minimum.at(lowest[axis], cells, offsets[axis])
     x, y, z = offsets - lowest[:, cells]
 
-    def total(values: npt.NDArray[np.int64]) -> Floats:
+    def total(values: npt.NDArray[np.int64]) -> Float64:
         return np.bincount(cells, values.astype(np.float64), count).astype(np.float64)
 
     n = np.bincount(cells, minlength=count).astype(np.float64)
@@ -256,7 +347,7 @@ def _mostly(chosen: Bools, known: Bools) -> Bools:
 
 
 def beneath_crowns(
-    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats
+    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Float64
 ) -> Bools:
     """Return a mask of the cells beneath crowns that are water.
 
@@ -288,14 +379,14 @@ def beneath_crowns(
     return connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
 
 
-def _ground_share(crowns: npt.NDArray[Any], side: int) -> Floats:
+def _ground_share(crowns: npt.NDArray[Any], side: int) -> Float64:
     """Return the share of cells with ground among the cells with crowns, in a square around each cell.
 
     The square has ``side`` rows and columns, or one more if that is even.
     """
     odd_side = side // 2 * 2 + 1
 
-    def share(mask: Bools) -> Floats:
+    def share(mask: Bools) -> Float64:
         """Return the share of the cells of a mask in the square around each cell."""
         return np.asarray(
             scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
@@ -318,3 +409,56 @@ def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
         wet[box], iterations=max_steps, mask=whole[box]
     )
     return is_connected & ~wet
+
+
+BESIDE = 1.5
+"""Cells are next to each other if their centres are at most this far apart, in cells. Diagonal
+neighbours are, too."""
+MIN_REED_SLOPE = 0.05
+"""The bank behind reed is steeper than this.
+
+It is not known well where a flatter bank reaches the level.
+"""
+
+
+def among_reed(
+    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Float64
+) -> Bools:
+    """Return a mask of the cells with reed that are water.
+
+    Reed that is connected with water is water up to the line at which the continued bank
+    reaches the level. Parameters are those of `beneath_crowns`.
+    """
+    reach = math.ceil(CROWN_M / cells.size_m)
+    is_reed, hidden, beside = crowns >= REED, is_hidden(crowns), within(wet, BESIDE)
+    # Cells next to reed are partly reed if they are hidden or next to water.
+    reed = is_reed | (within(is_reed, BESIDE) & (hidden | beside))
+    reed = connected(reed & ~wet & cells.domain, wet, reach)
+    bank = ~is_reed & ~hidden & ~wet & ~beside & (cells.returns > 0) & ~np.isnan(cells.ground)
+    bank &= within(reed, CROWN_M / cells.size_m)
+    # Reed without a bank nearby cannot be decided.
+    reed &= within(bank, CROWN_M / cells.size_m)
+    if not reed.any() or not bank.any():
+        return np.zeros_like(reed)
+    above = (cells.ground - level)[bank]
+    height, slope = continued_bank(
+        np.argwhere(reed), np.argwhere(bank), above, CROWN_M / cells.size_m
+    )
+    reed[reed] = (height <= LOW_M) & (slope > MIN_REED_SLOPE * cells.size_m)
+    return connected(reed, wet, reach)
+
+
+def has_no_bank(crowns: npt.NDArray[Any], above: Float64) -> Bools:
+    """Return a mask of the cells whose ground height is not that of the bank. It is valid only for cells of water.
+
+    In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes
+    from plants.
+
+    Parameters
+    ----------
+    crowns : float (h, w)
+        Values of plants, see `plants_near_water`.
+    above : float64 (h, w)
+        Height of the ground above the water in metres.
+    """
+    return is_hidden(crowns) | ((crowns >= REED) & (above > LOW_M))

@@ -1,8 +1,12 @@
-"""Points around a block of a raster, read from the store when a function asks for them."""
+"""What lies in and around a block of a raster: points, bodies of water, edits, and cells of whole pixels.
+
+Points, water and edits are read from the store when a function asks for them.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -12,17 +16,23 @@ import numpy.typing as npt
 from ptd.gridding.above_ground import NOTHING, HighestReturns
 from ptd.gridding.nearest import nearest_points
 from tiler.core.classes import WATER
+from tiler.core.edits import FLAT, OF_PIXELS, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.core.water import Waters
 from tiler.grid.block import pixels_of
 from tiler.grid.coarse import padded
-from tiler.grid.ground import GroundSelection, read_ground, read_objects, surface_points
+from tiler.grid.ground import read_ground, read_objects, surface_points
+from tiler.grid.records import GroundSelection
 from tiler.store import TileStore, read_cells
 
 Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+Int32 = npt.NDArray[np.int32]
+Heights = npt.NDArray[np.float32]
+Index = npt.NDArray[np.intp]
 
 TALLEST_M = 1000
 """No structure is taller. Returns above are of clouds, aircraft or errors, however many support one another."""
@@ -169,3 +179,121 @@ def pixel_indices(xyz: Int32, origin: tuple[int, int], spec: RasterSpec, block: 
     col = spec.lattice.index(x) - (spec.west + block.col)
     row = (spec.north - 1 - block.row) - spec.lattice.index(y)
     return row * block.width + col
+
+
+@dataclass(frozen=True)
+class WatersNear:
+    """Bodies of water that touch a block."""
+
+    waters: Waters | None
+    spec: RasterSpec
+    block: Block
+
+    @property
+    def inside(self) -> Bools:
+        """Mask of the pixels in water, bool (height, width)."""
+        if self.waters is None:
+            return np.zeros((self.block.height, self.block.width), np.bool_)
+        return self.waters.inside(self.spec, self.block)
+
+    def set_heights(self, heights: Heights, where: Bools) -> list[tuple[str, int]]:
+        """Set the heights of the water's pixels in the mask ``where``, see `Waters.set_heights`."""
+        if self.waters is None:
+            return []
+        return self.waters.set_heights(self.spec, self.block, heights, where)
+
+
+@dataclass(frozen=True)
+class EditsNear:
+    """Edits that touch a block, under a key of the store; None if the run has none."""
+
+    store: TileStore
+    key: str | None
+    spec: RasterSpec
+    block: Block
+
+    def of(self, actions: Iterable[str]) -> tuple[Edit, ...]:
+        """Return the edits with one of the actions."""
+        if self.key is None:
+            return ()
+        edits = self.store.edits(self.key, self.spec.block_bounds(self.block), actions)
+        return () if edits is None else edits.edits
+
+    @property
+    def flat(self) -> Bools:
+        """Mask of the pixels whose height an edit sets, bool (height, width)."""
+        mask = np.zeros((self.block.height, self.block.width), np.bool_)
+        for edit in self.of((FLAT,)):
+            mask |= self.spec.inside(self.block, edit.area)
+        return mask
+
+    def set_heights(self, heights: Heights) -> list[tuple[int, int]]:
+        """Set the heights of edits, see `Edits.set_heights`."""
+        if self.key is None:
+            return []
+        edits = self.store.edits(self.key, self.spec.block_bounds(self.block), OF_PIXELS)
+        return [] if edits is None else edits.set_heights(self.spec, self.block, heights)
+
+
+class PixelCells:
+    """Cells of ``side`` x ``side`` pixels: those of a block, and ``rim`` more on each side.
+
+    Attributes
+    ----------
+    side : int
+    window : Block
+        Pixels of all cells. It may extend beyond the raster.
+    west, north : int
+        Column and row of the first cell from pixel 0. Rows increase to the south.
+    rows, columns : int (height,), int (width,)
+        Rows and columns of the block's pixels in the window.
+    """
+
+    def __init__(self, spec: RasterSpec, block: Block, side: int, rim: int) -> None:
+        left, top = spec.west + block.col, block.row - spec.north
+        self.side = side
+        self.west, self.north = left // side - rim, top // side - rim
+        east = -(-(left + block.width) // side) + rim
+        south = -(-(top + block.height) // side) + rim
+        self.window = Block(
+            self.north * side + spec.north,
+            self.west * side - spec.west,
+            (south - self.north) * side,
+            (east - self.west) * side,
+        )
+        self.rows = np.arange(block.height) + (block.row - self.window.row)
+        self.columns = np.arange(block.width) + (block.col - self.window.col)
+
+    def means(self, values: npt.NDArray[np.floating], known: Bools) -> Float64:
+        """Return the mean of the known pixels of each cell, NaN where none is known.
+
+        Values are rounded to counts, as sums of whole numbers are the same for any start of the block.
+        """
+        counts = np.rint(np.where(known, values, 0.0).astype(np.float64) * COUNTS_PER_UNIT)
+        total, n = self.sums(counts.astype(np.int64)), self.sums(known.astype(np.int64))
+        means: Float64 = np.where(n > 0, total / np.maximum(n, 1) / COUNTS_PER_UNIT, np.nan)
+        return means
+
+    def sums(self, pixels: Int64) -> Int64:
+        """Return the sum of the pixels of each cell."""
+        rows, columns = (n // self.side for n in pixels.shape)
+        sums: Int64 = pixels.reshape(rows, self.side, columns, self.side).sum(axis=(1, 3))
+        return sums
+
+    def between(self, pixels: Index, first: int = 0) -> tuple[Index, Float64]:
+        """Return the cell before each row or column of pixels, and the share of the way to the next one.
+
+        Cells are counted from cell ``first``.
+        """
+        # Whole numbers of half pixels make the share the same for any start of the block.
+        half_pixels = 2 * pixels + 1 - (2 * first + 1) * self.side
+        before = half_pixels // (2 * self.side)
+        return before, (half_pixels - 2 * self.side * before) / (2 * self.side)
+
+
+def linear(values: Float64, before: Index, share: Float64) -> Float64:
+    """Interpolate linearly between rows of values."""
+    interpolated: Float64 = (
+        values[before] * (1 - share)[:, np.newaxis] + values[before + 1] * share[:, np.newaxis]
+    )
+    return interpolated
