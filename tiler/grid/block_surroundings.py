@@ -1,4 +1,4 @@
-"""What lies in and around a block of a raster: points, bodies of water, edits, and cells of whole pixels.
+"""Contents of a block of a raster and its surroundings: points, bodies of water, edits, and cells of whole pixels.
 
 Points, water and edits are read from the store when a function asks for them.
 """

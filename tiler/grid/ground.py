@@ -208,9 +208,9 @@ def count_edited_points(
     Returns
     -------
     dict
-        ``edits``: for each edit that touches the bucket, its number, and five counts of points inside it: all; ground
-        before the edit; ground after it by the input's classes; ground after it by the lowest points; points that the
-        edit makes ground by the input's classes. The last three are 0 unless the edit adds ground.
+        ``edits``: for each edit that touches the bucket, its number, and five counts of points inside it. These are
+        all points, ground before the edit, ground after it by the input's classes and by the lowest points, and points
+        that the edit makes ground by the input's classes. The last three are 0 unless the edit adds ground.
     """
     edits = store.edits(edits_key, store.meta.bucket.bounds(cell), OF_POINTS)
     if edits is None:

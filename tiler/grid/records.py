@@ -1,4 +1,4 @@
-"""What tasks of the stage grid are given, and what they return: arguments and records."""
+"""Values that tasks of the stage grid get, and records that they return."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.floa
 
 @dataclass(frozen=True)
 class PixelsUnder:
-    """Raster of which a step reads one part at a time, as the whole may not fit into memory."""
+    """Raster that a step reads part by part, as the whole may not fit into memory."""
 
     store: TileStore
     name: str

@@ -148,7 +148,7 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
     try:
         record = to_json(task.work(open_store(store_url), **task.arguments))
         if commit:
-            store = open_store(store_url)  # It may have been removed meanwhile.
+            store = open_store(store_url)  # Another process may have removed the store.
             for part in Outcome(task, record).of_parts():
                 store.commit(
                     part.task.stage, part.task.key, part.task.digest, part.record or {}

@@ -1,4 +1,4 @@
-"""What a run says of flaws: places above all returns, roofs, crowns, voids, and results that cannot be true."""
+"""Search for flaws: places above all returns, roofs, crowns, voids, implausible results; their entries in run.json."""
 
 from __future__ import annotations
 
