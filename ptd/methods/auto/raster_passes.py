@@ -18,7 +18,7 @@ from ptd.ground.strips import on_strips
 from ptd.ground.summits import on_summits
 from ptd.ground.treetops import on_treetops
 from ptd.matched.step import is_matched
-from ptd.methods.auto.cell_codes import (
+from ptd.methods.auto.cells import (
     DENSIFIED,
     OBJECT,
     OUTLIER,
@@ -26,9 +26,9 @@ from ptd.methods.auto.cell_codes import (
     SEED,
     CellCodes,
     ElectedCells,
+    Lowest,
     lowest_points,
 )
-from ptd.methods.auto.objects import Lowest
 from ptd.methods.auto.params import AutoParameters
 from ptd.passes import Pass, Points, State, UInt8
 

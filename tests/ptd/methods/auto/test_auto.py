@@ -12,14 +12,14 @@ from ptd.frame import Window
 from ptd.ground import blocks
 from ptd.ground.labelling import GROUND
 from ptd.ground.noise_sums import Roughness
-from ptd.methods.auto.cell_codes import OBJECT, ROOF
-from ptd.methods.auto.label_thresholds import (
+from ptd.methods.auto.cells import OBJECT, ROOF
+from ptd.methods.auto.method import (
+    Auto,
     ReturnStatistics,
     decided,
     label_bands,
     label_thresholds,
 )
-from ptd.methods.auto.method import Auto
 from ptd.methods.auto.params import Reaches
 from ptd.passes import Points
 from ptd.places import value_at
