@@ -72,7 +72,7 @@ fine_surface          ours                        yes       the TIN of each metr
                                                             relief (`ptd.ground.fine_surface`)
 ====================  ==========================  ========  ============================================================
 
-`params` lists what cannot be set, with reasons. The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
+`params` lists what cannot be set, with reasons. The ring of virtual seeds has cells of 20 m (`ptd.ground.densify`).
 """
 
 from __future__ import annotations
@@ -86,14 +86,21 @@ import numpy as np
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
+from ptd.ground.densify import (
+    REFUSED,
+    RING,
+    VERTEX,
+    WAITING,
+    box_with_ring,
+    choose_seeds,
+    densify,
+)
 from ptd.ground.fine_surface import REACH_M, FineLabels, with_fine_surface
 from ptd.ground.labelling import GROUND, Bands, LabelRule, TinLabels
 from ptd.ground.morphology import Bool
 from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise
 from ptd.ground.plateaus import ROOF_STEPS_M
-from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.evidence import DIM

@@ -8,10 +8,9 @@ import numpy as np
 
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.blocks import blocks
 from ptd.ground.labelling import GROUND
 from ptd.ground.low_noise import low_noise
-from ptd.ground.morphology import Bool, CellRaster
+from ptd.ground.morphology import Bool, CellRaster, blocks
 from ptd.ground.outliers import low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
 from ptd.ground.strips import on_strips

@@ -71,10 +71,9 @@ import numpy.typing as npt
 from ptd.cells import Int32, Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.densify import REFUSED, VERTEX, densify
+from ptd.ground.densify import REFUSED, RING, VERTEX, box_with_ring, choose_seeds, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers, search_margin
-from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.chen2023.progressive_opening import (
     Opening,

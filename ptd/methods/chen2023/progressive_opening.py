@@ -21,8 +21,7 @@ import scipy
 
 from ptd.cells import Int32
 from ptd.frame import CellLattice, Window
-from ptd.ground.blocks import blocks
-from ptd.ground.morphology import EMPTY
+from ptd.ground.morphology import EMPTY, blocks
 from ptd.kernel import kernel
 
 Bool = npt.NDArray[np.bool_]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, slot_of
 from ptd.frame import CellLattice, Scale
-from ptd.ground.planes import MOMENTS, add_point, fit_plane
+from ptd.ground.slopes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
 Bool = npt.NDArray[np.bool_]

@@ -1,7 +1,7 @@
 """Ground that grows by tests against TINs of one density, each from other choices of the ground found so far.
 
 Source: Dong 2017 (004), section 3.2. Virtual points extend a TIN a little beyond its outermost
-points, along its planes. They resemble the ring of seeds (`ptd.ground.seeds`), but their
+points, along its planes. They resemble the ring of seeds (`ptd.ground.densify`), but their
 heights follow the slope of the ground. Where ground grows outward or along a hillside, a level
 ring would be too high or too low within a few metres.
 """
@@ -16,11 +16,10 @@ import numpy as np
 from ptd.cells import CellTable, Int32, Int64, cell_keys, slot_of
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UInt8, UncertifiedRegion
-from ptd.ground.distance_angle import Bool, Threshold, Trial
+from ptd.ground.densify import RING, box_with_ring, cells_of
+from ptd.ground.distance_angle import Bool, Threshold, Trial, random_per_cell
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.ground.planes import MOMENTS, add_point, fit_plane
-from ptd.ground.random_choice import random_per_cell
-from ptd.ground.seeds import RING, box_with_ring, cells_of
+from ptd.ground.slopes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 from ptd.passes import Model, Points
 from ptd.tin.mesh import Tin

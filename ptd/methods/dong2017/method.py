@@ -62,8 +62,7 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import roughness
-from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial
-from ptd.ground.histogram_contour import contour_reach
+from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial, contour_reach
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.matched.cells import CELL_M
 from ptd.matched.robust_cells import MethodSurveyPass, NearGroundPass, OnLidar, OnMatchedCells

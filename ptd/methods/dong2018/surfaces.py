@@ -14,9 +14,8 @@ import numpy as np
 from ptd.cells import Int32, Int64, cell_keys, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.distance_angle import Bins, Bool, Threshold, Trial
+from ptd.ground.distance_angle import Bins, Bool, Threshold, Trial, random_per_cell
 from ptd.ground.outliers import LowNoise
-from ptd.ground.random_choice import random_per_cell
 from ptd.kernel import kernel
 from ptd.tin.mesh import Tin
 

@@ -42,7 +42,7 @@ Deviations:
 
 - Seeds are judged against one TIN and dropped together, because judging one after the other
   depends on their order.
-- Virtual seeds around the data (`ptd.ground.seeds`) neither make ridges nor take part in fits.
+- Virtual seeds around the data (`ptd.ground.densify`) neither make ridges nor take part in fits.
 - Growth is the number of points that join the class. Points that leave it are not subtracted,
   because the facet test gets stricter next to new vertices: in the second round the class often
   shrinks while the TIN grows. The class is that of the last pass, with its floor.
@@ -63,10 +63,10 @@ import numpy.typing as npt
 from ptd.cells import lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
+from ptd.ground.densify import RING, box_with_ring, choose_seeds
 from ptd.ground.distance_angle import Bool
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, low_outliers
-from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.classic import Progressive
 from ptd.methods.ridge2016.conicoid import conicoid_outliers

@@ -9,7 +9,7 @@ import pytest
 
 import ptd
 from ptd.frame import Window
-from ptd.ground import blocks
+from ptd.ground import morphology
 from ptd.ground.labelling import GROUND
 from ptd.ground.noise_sums import Roughness
 from ptd.methods.auto.cells import OBJECT, ROOF
@@ -322,5 +322,5 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
 def test_blocks_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = Points(SCENES["voids"](np.random.default_rng(2)))
     truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")
-    monkeypatch.setattr(blocks, "BLOCK_CELLS", 16)
+    monkeypatch.setattr(morphology, "BLOCK_CELLS", 16)
     assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")[0], truth)
