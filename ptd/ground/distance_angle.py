@@ -1,6 +1,9 @@
 """Distance and angle of points to a fixed TIN, as a test or as a histogram of both.
 
-Source: Dong 2017 (004), sections 3.2 and 3.3.4.
+The outer contour of the histogram gives thresholds. The vertices of the TIN are random points
+of cells, chosen by hashes of coordinates, so they are the same for any tile or order of points.
+
+Sources: Dong 2017 (004), sections 3.2 and 3.3.4; Dong 2018, 2.5.3 and figure 5.
 """
 
 from __future__ import annotations
@@ -11,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Xyz
-from ptd.frame import Scale
+from ptd.cells import Int32, Xyz, lowest_per_cell
+from ptd.frame import CellLattice, Scale
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.criteria import across, facet_measures
 from ptd.kernel import kernel
@@ -22,6 +25,8 @@ from ptd.tin.triangles import Int32Array, Mesh, coincident_vertex, locate
 
 Bool = npt.NDArray[np.bool_]
 Int64 = npt.NDArray[np.int64]
+UInt32 = npt.NDArray[np.uint32]
+UInt64 = npt.NDArray[np.uint64]
 
 ANY_EDGE = 2**62
 """Square of a length that no edge reaches."""
@@ -264,3 +269,106 @@ class Trial:
             distance = self.scale.counts(bins.distance_m)
             _count(self._tested, Xyz(x, y, z), which, distance, bins.angle_rad, counts)
         return counts
+
+
+_JOINED = np.array([[1, 1, 0], [1, 1, 1], [0, 1, 1]])
+"""Neighbours along the axes and along the diagonal that splits a square into triangles."""
+_STEPS = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]
+
+
+def contour_reach(counts: npt.NDArray[np.int64], level: float) -> tuple[float, float] | None:
+    """Return the largest first and second coordinate of the contour around the fullest bin.
+
+    Counts are values at the middles of their bins and are interpolated over triangles, two per
+    square, as the paper does with scattered points. Beyond the histogram they are 0. If there
+    are several contours at the level, the one around the fullest bin counts (the first of equal
+    bins), because islands farther out are other populations.
+
+    Parameters
+    ----------
+    counts : int64 [a, b]
+    level : float
+        Level of the contour, above 0.
+
+    Returns
+    -------
+    (float, float) or None
+        Coordinates in bins from the origin; None if no bin reaches the level.
+    """
+    from scipy.ndimage import label
+
+    high = np.pad(counts, 1) >= level
+    values = np.pad(counts, 1).astype(np.float64)
+    peak = np.unravel_index(int(np.argmax(values)), values.shape)
+    if not high[peak]:
+        return None
+    parts, _ = label(high, _JOINED)
+    rows, columns = np.nonzero(parts == parts[peak])
+    reach = [0.0, 0.0]
+    for down, right in _STEPS:
+        within, beyond = values[rows, columns], values[rows + down, columns + right]
+        out = np.flatnonzero(beyond < level)
+        if out.size:
+            share = (within[out] - level) / (within[out] - beyond[out])
+            # The pad adds one bin, and the value is at the middle of its bin.
+            reach[0] = max(reach[0], float((rows[out] + down * share).max()) - 0.5)
+            reach[1] = max(reach[1], float((columns[out] + right * share).max()) - 0.5)
+    return reach[0], reach[1]
+
+
+def _mixed64(values: UInt64) -> UInt64:
+    """Mix bits by SplitMix64 (Steele, Lea and Flood 2014): each bit of the input changes half of the bits."""
+    values = values + np.uint64(0x9E3779B97F4A7C15)
+    values = (values ^ (values >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    values = (values ^ (values >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    mixed: UInt64 = values ^ (values >> np.uint64(31))
+    return mixed
+
+
+def _mixed32(values: UInt32) -> UInt32:
+    """Mix bits by the finaliser of MurmurHash3, which is one-to-one."""
+    values = (values ^ (values >> np.uint32(16))) * np.uint32(0x85EBCA6B)
+    values = (values ^ (values >> np.uint32(13))) * np.uint32(0xC2B2AE35)
+    mixed: UInt32 = values ^ (values >> np.uint32(16))
+    return mixed
+
+
+def point_hashes(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
+    """Return a random number for each point from its absolute position and a salt: int32 [n].
+
+    Points at one (x, y) with different heights have different numbers. So ties in
+    `random_per_cell` are only between different positions in plan, or between equal points.
+    """
+    with np.errstate(over="ignore"):
+        east = (x.astype(np.int64) + cells.origin_x).view(np.uint64)
+        north = (y.astype(np.int64) + cells.origin_y).view(np.uint64)
+        position_hashes = _mixed64(
+            _mixed64(east + _mixed64(np.full(1, salt, np.uint64))) + north
+        )
+        return _mixed32(position_hashes.astype(np.uint32) ^ z.view(np.uint32)).view(np.int32)
+
+
+def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
+    """Pick one random point of each occupied cell, in row-major order of the cells.
+
+    The pick depends only on the cell's own points and the salt, not on their order, the tile or
+    the frame's offset.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts.
+    cells : CellLattice
+    salt : int
+        Seed of the picks, at least 0.
+
+    Returns
+    -------
+    int32 [m]
+        Indices of the picked points.
+    """
+    if x.size == 0:
+        return np.zeros(0, np.int32)
+    return lowest_per_cell(
+        x, y, point_hashes(x, y, np.ascontiguousarray(z), cells, salt), cells
+    )

@@ -16,16 +16,22 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
-from ptd.ground.fine_cells import (
+from ptd.ground.fine_planes import (
     BLOCK_SIZE,
     CELL_M,
     CELLS,
+    FILLED,
+    ROUGH_M,
+    SPIKE_M,
     Blocks,
     LocatedPoints,
+    PlaneLimits,
+    Planes,
+    elect,
+    fit,
     located_points,
     pages_of_blocks,
 )
-from ptd.ground.fine_planes import FILLED, ROUGH_M, SPIKE_M, PlaneLimits, Planes, elect, fit
 from ptd.ground.labelling import (
     FAR,
     GROUND,

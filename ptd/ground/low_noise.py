@@ -14,7 +14,6 @@ import scipy
 
 from ptd.cells import Int32, Int64, Xyz, cell_keys, is_lower
 from ptd.frame import CellLattice, Scale
-from ptd.ground.blocks import BLOCK_CELLS, blocks
 from ptd.ground.layers import (
     CELL_M,
     EMPTY,
@@ -33,6 +32,7 @@ from ptd.ground.layers import (
     layer_above,
     sorted_by_cell,
 )
+from ptd.ground.morphology import BLOCK_CELLS, blocks
 from ptd.kernel import inlined, kernel
 
 LEVEL_M, LEVEL_CELLS = 2.0, 3

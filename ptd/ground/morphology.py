@@ -1,15 +1,16 @@
-"""Grey-scale openings with disks on minimum rasters, in which any cell may be empty.
+"""Rasters of lowest heights with empty cells: openings with disks, connected surfaces, division into blocks.
 
 An empty cell has no height, so it neither lowers nor raises its neighbours. All results are
 integers, or follow from integers by the same few operations in each cell. The result of a cell
 depends only on its surroundings, not on where the raster starts or ends. So rasters of one
-lattice agree wherever both contain all data within the search distance.
+lattice agree wherever both contain all data within the search distance. Blocks keep rasters
+from growing with the extent of a window.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,11 @@ import numpy.typing as npt
 from ptd.cells import Int32, Int64, cell_keys
 from ptd.frame import CellLattice
 from ptd.kernel import kernel
+
+Float64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+Float32 = npt.NDArray[np.float32]
+
 
 EMPTY = 2**31 - 1
 """Height of a cell without points."""
@@ -26,10 +32,6 @@ OVERHANG = 1
 only on filled cells, too few disks would lie between sparse points, and openings would cut fine
 ridges. With disks centred anywhere outside the data, a disk could reach just onto a roof at the
 border, and the opening would keep the roof."""
-
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 
 class CellRaster:
@@ -242,3 +244,144 @@ def steepest_drops(
         previous, opened = opened, _open(framed, radius, filled, centres)
         _keep_steepest(previous, opened, float(allowance), float(radius), steepest)
     return steepest[_INNER], opened[_INNER]
+
+
+EAST = (1, 0, -1, 0, 1, -1, -1, 1)
+NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
+"""Steps to the eight neighbours of a cell, straight ones first."""
+
+
+def connected_surfaces(
+    heights: Int32,
+    straight: float | Float64,
+    diagonal: float | Float64,
+    gap: int = 1,
+    tilts: tuple[Int64, Int64] | None = None,
+    block: int = 1,
+) -> tuple[Int32, int]:
+    """Number the connected surfaces of a raster.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Heights in counts; `EMPTY` where there is none.
+    straight, diagonal : float or float64 [block rows, block columns]
+        Height difference below which neighbours along a row or column, and across corners, belong to one surface. If
+        two neighbours lie in different blocks (`block`), the larger limit applies.
+    gap : int
+        Largest distance of neighbours in cells, with empty cells between them.
+    tilts : (int64, int64), optional
+        Large-scale slopes of the terrain, to the north and to the east, in counts per cell, for each block of cells.
+        Neighbours also belong to one surface if their height difference minus this slope is below the limit.
+    block : int
+        Size of those blocks in cells.
+
+    Returns
+    -------
+    surface : int32 [rows, columns]
+        Number of each cell's surface, in the order of their first cells; -1 for empty cells.
+    n : int
+        Number of surfaces.
+    """
+    if tilts is None:
+        block = max(*heights.shape, 1)
+        tilts = np.zeros((1, 1), np.int64), np.zeros((1, 1), np.int64)
+    limits = np.stack(
+        [np.broadcast_to(np.float64(limit), tilts[0].shape) for limit in (straight, diagonal)]
+    )
+    return _fill(np.ascontiguousarray(heights), limits, gap, tilts[0], tilts[1], block)
+
+
+@kernel
+def _fill(
+    heights: Int32, limits: Float64, gap: int, north: Int64, east: Int64, block: int
+) -> tuple[Int32, int]:
+    rows, columns = heights.shape
+    surface = np.full((rows, columns), -1, np.int32)
+    waiting = np.empty(rows * columns, np.int64)
+    n = 0
+    for start in range(rows * columns):
+        if (
+            surface[start // columns, start % columns] >= 0
+            or heights[start // columns, start % columns] == EMPTY
+        ):
+            continue
+        surface[start // columns, start % columns] = n
+        waiting[0], left = start, 1
+        while left:
+            left -= 1
+            row, column = waiting[left] // columns, waiting[left] % columns
+            for way in range(8):
+                for steps in range(1, gap + 1):
+                    r, c = row + steps * NORTH[way], column + steps * EAST[way]
+                    if r < 0 or c < 0 or r >= rows or c >= columns:
+                        break
+                    if heights[r, c] == EMPTY:
+                        continue
+                    if surface[r, c] < 0:
+                        # In 64 bits: heights of opposite ends of int32 differ by more than it
+                        # holds.
+                        rise = np.int64(heights[r, c]) - np.int64(heights[row, column])
+                        tilt = NORTH[way] * (
+                            north[r // block, c // block] + north[row // block, column // block]
+                        )
+                        tilt += EAST[way] * (
+                            east[r // block, c // block] + east[row // block, column // block]
+                        )
+                        limit = max(
+                            limits[way // 4, r // block, c // block],
+                            limits[way // 4, row // block, column // block],
+                        )
+                        if abs(rise) < limit or abs(rise - steps * tilt / 2) < limit:
+                            surface[r, c] = n
+                            waiting[left] = r * columns + c
+                            left += 1
+                    break
+        n += 1
+    return surface, n
+
+
+BLOCK_CELLS = 2048
+"""Side of a block in cells, without the margin around it."""
+
+
+def blocks(
+    x: Int32, y: Int32, cells: CellLattice, reach: int, size: int | None = None
+) -> Iterator[tuple[Int64, Bool]]:
+    """Divide points into square blocks of cells, each with all points within ``reach`` cells of the block.
+
+    No raster is larger than a block with its margin, however far apart the points are. A result
+    that depends only on points within the margin is the same for any blocks.
+
+    Parameters
+    ----------
+    x, y : int32 [n]
+        Local counts, by rows of cells (as `ptd.cells.lowest_per_cell` gives them).
+    cells : CellLattice
+    reach : int
+        Margin around a block in cells.
+    size : int, optional
+        Number of cells along a side of a block; `BLOCK_CELLS` by default.
+
+    Yields
+    ------
+    index : int64 [m]
+        Indices of the points of a block and its margin.
+    inner : bool [m]
+        Mask of the points that belong to the block. Each point belongs to one block.
+    """
+    if x.size == 0:
+        return
+    size = BLOCK_CELLS if size is None else size
+    columns, rows = cells.cell_indices(x, y)
+    columns -= columns.min()
+    rows -= rows[0]
+    if columns.max() < size + 2 * reach and rows[-1] < size + 2 * reach:
+        yield np.arange(x.size), np.ones(x.size, np.bool_)
+        return
+    for south in range(0, int(rows[-1]) + 1, size):
+        first, last = np.searchsorted(rows, (south - reach, south + size + reach))
+        band, own_rows = columns[first:last], rows[first:last] // size == south // size
+        for west in np.unique(band[own_rows] // size) * size:
+            index = np.flatnonzero((band >= west - reach) & (band < west + size + reach))
+            yield index + first, own_rows[index] & (band[index] // size == west // size)

@@ -25,8 +25,7 @@ import scipy
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
-from ptd.ground.connected import EAST, NORTH, connected_surfaces
-from ptd.ground.morphology import EMPTY, Bool, CellRaster
+from ptd.ground.morphology import EAST, EMPTY, NORTH, Bool, CellRaster, connected_surfaces
 from ptd.kernel import kernel
 
 AREA, OTHERS, PAST, FALLS, UNSEEN, BORDER = 0, 1, 2, 3, 11, 12

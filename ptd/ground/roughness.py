@@ -35,7 +35,7 @@ import numpy.typing as npt
 from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.noise_sums import BIN_M, MAX_SIGMA_M, PATCH_M, PatchCounts, histogram
-from ptd.ground.planes import MOMENTS, add_point, fit_plane
+from ptd.ground.slopes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
 MIN_POINTS = 16

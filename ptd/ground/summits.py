@@ -21,10 +21,8 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz
 from ptd.frame import Scale
-from ptd.ground.connected import EAST, NORTH
-from ptd.ground.morphology import EMPTY, Bool, CellRaster, Float64
-from ptd.ground.planes import MOMENTS, add_point, fit_plane
-from ptd.ground.slopes import Boxes
+from ptd.ground.morphology import EAST, EMPTY, NORTH, Bool, CellRaster, Float64
+from ptd.ground.slopes import MOMENTS, Boxes, add_point, fit_plane
 from ptd.kernel import as_int64, kernel
 
 PLANES = ((1, 6), (2, 9))

@@ -32,8 +32,7 @@ import scipy
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
-from ptd.ground.connected import connected_surfaces
-from ptd.ground.morphology import Bool
+from ptd.ground.morphology import Bool, connected_surfaces
 from ptd.ground.plateaus import Plateaus, plateaus
 from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M, EMPTY

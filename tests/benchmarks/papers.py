@@ -25,7 +25,7 @@ if __name__ == "__main__":
 from ptd import classify
 from ptd.frame import Scale, Window
 from ptd.methods import make_params
-from ptd.methods.dong2017.greenness import gli_bins
+from ptd.methods.dong2017.histograms import gli_bins
 from ptd.methods.dong2017.method import Dong2017
 from ptd.passes import Points
 from tests.benchmarks.measuring import GROUND, dtm_rmse_m

@@ -10,8 +10,7 @@ from dataclasses import dataclass, fields, replace
 import pytest
 
 from ptd.methods import METHODS, make_params
-from ptd.methods.classic import Classic
-from ptd.methods.progressive import Progressive
+from ptd.methods.classic import Classic, Progressive
 from ptd.params import check, like, parameter, parse, to_json
 
 

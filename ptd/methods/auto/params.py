@@ -17,8 +17,8 @@ from ptd.ground.criteria import FacetLimits
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
 from ptd.ground.summits import PIT_REACH_CELLS
-from ptd.methods.auto.objects import Drop, Residuals, Shape
-from ptd.methods.progressive import Progressive
+from ptd.methods.auto.cells import Drop, Residuals, Shape
+from ptd.methods.classic import Progressive
 from ptd.params import check, like, parameter
 
 RING_M = 20.0
@@ -90,7 +90,7 @@ a smaller drop is allowed, but more per unit of slope."""
 
 @dataclass(frozen=True)
 class AutoParameters:
-    """Settings of `auto`, to which `ptd.methods.auto.method.Auto` adds the passes."""
+    """Parameters of `auto`, to which `ptd.methods.auto.method.Auto` adds the passes."""
 
     max_building_size_m: float = parameter(
         36.0, "widest object removed from the seeds; wider buildings are removed as roofs. Raise it if halls stay in "

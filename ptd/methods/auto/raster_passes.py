@@ -8,17 +8,16 @@ import numpy as np
 
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.blocks import blocks
 from ptd.ground.labelling import GROUND
 from ptd.ground.low_noise import low_noise
-from ptd.ground.morphology import Bool, CellRaster
+from ptd.ground.morphology import Bool, CellRaster, blocks
 from ptd.ground.outliers import low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
 from ptd.ground.strips import on_strips
 from ptd.ground.summits import on_summits
 from ptd.ground.treetops import on_treetops
 from ptd.matched.step import is_matched
-from ptd.methods.auto.cell_codes import (
+from ptd.methods.auto.cells import (
     DENSIFIED,
     OBJECT,
     OUTLIER,
@@ -26,9 +25,9 @@ from ptd.methods.auto.cell_codes import (
     SEED,
     CellCodes,
     ElectedCells,
+    Lowest,
     lowest_points,
 )
-from ptd.methods.auto.objects import Lowest
 from ptd.methods.auto.params import AutoParameters
 from ptd.passes import Pass, Points, State, UInt8
 

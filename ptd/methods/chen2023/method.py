@@ -40,10 +40,10 @@ robust_cells         none                        on        ours, for photogramme
 
 The six steps, with the deviations:
 
-1. The tails of the run's elevation histogram (one candidate per cell) are cut at a gap (`elevation_histogram`), where
+1. The tails of the run's elevation histogram (one candidate per cell) are cut at a gap (`ElevationsPass`), where
    the paper chooses from a plot. Then points isolated in height are removed. The paper corrects the rest by hand. Here
    groups of low points are searched for instead.
-2. A minimum raster is filled (`minimum_grid`). Cells beyond the reach of interpolation take the nearest height, not 0.
+2. A minimum raster is filled (`fill_empty`). Cells beyond the reach of interpolation take the nearest height, not 0.
 3. The raster is opened with squares (`progressive_opening`). The paper says "window", symmetrical because its number of
    cells is odd, and uses the equations of Zhang et al. (2003), whose windows are square. An object drops by more than
    h_k from one surface to the next; the paper also mentions the point's own height above a surface. The last window is
@@ -57,32 +57,195 @@ The six steps, with the deviations:
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Xyz, lowest_per_cell, position_keys
+from ptd.cells import Int32, Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.densify import REFUSED, VERTEX, densify
+from ptd.ground.densify import REFUSED, RING, VERTEX, box_with_ring, choose_seeds, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, LabelRule, TinLabels
-from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers
-from ptd.ground.seeds import RING, box_with_ring, choose_seeds
-from ptd.matched.robust_cells import for_both_kinds
-from ptd.methods.chen2023.elevation_histogram import ElevationsPass, outside
-from ptd.methods.chen2023.params import Chen2023Parameters
-from ptd.methods.chen2023.progressive_opening import potential_seeds
-from ptd.methods.chen2023.seed_clusters import noisy_seeds
-from ptd.passes import Int32, Method, Pass, Points, State, Stats, UInt8
+from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers, search_margin
+from ptd.matched.robust_cells import RobustCells, for_both_kinds
+from ptd.methods.chen2023.progressive_opening import (
+    Opening,
+    height_thresholds,
+    potential_seeds,
+    window_widths,
+)
+from ptd.methods.chen2023.seed_clusters import ClusterLimits, noisy_seeds
+from ptd.methods.classic import Classic, Progressive
+from ptd.params import like, parameter
+from ptd.passes import (
+    Method,
+    Partial,
+    Pass,
+    Points,
+    State,
+    StatisticsModel,
+    Stats,
+    UInt8,
+    add_notes,
+)
 from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Chen2023(Chen2023Parameters):
+class Chen2023(Progressive):
     """Parameters of `chen2023` (see the module's table), and the passes that follow from them."""
+
+    max_building_size_m: float = parameter(
+        30.0, "largest building that the windows remove; the cells of the ring are half as wide", unit="m",
+        minimum=1.0, maximum=1000.0, source="Chen 2023, 3.2 (1)",
+    )  # fmt: skip
+    thin_cell_m: float = parameter(
+        1.0, "c: cells of the minimum raster, whose lowest points alone can become vertices", unit="m", minimum=0.1,
+        maximum=10.0, source="Chen 2023, 2.2 A",
+    )  # fmt: skip
+    initial_window: int = parameter(
+        1,
+        "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...",
+        1,
+        1000,
+        source="Chen 2023, 3.2 (2), eq. 1",
+    )
+    rounds: int = like(Classic, "rounds", 4)
+    exponential_windows: bool = parameter(
+        False,
+        "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more",
+        source="Chen 2023, eq. 2",
+    )
+    terrain_slope: float = parameter(
+        0.3, "s: largest drop of ground per metre by which the window grows", minimum=0.0, maximum=10.0,
+        source="Chen 2023, eq. 3",
+    )  # fmt: skip
+    initial_drop_m: float = parameter(
+        0.3,
+        "h_0: drop of ground that any window allows",
+        0.0,
+        100.0,
+        "m",
+        source="Chen 2023, eq. 3",
+    )
+    largest_drop_m: float = parameter(
+        2.5, "h_max: largest drop of ground from one window to the next", unit="m", minimum=0.01,
+        maximum=100.0, source="Chen 2023, eq. 3",
+    )  # fmt: skip
+    mean_layers: int = parameter(
+        5, "empty cells within this many cells of filled ones are interpolated, others take the nearest "
+        "height", minimum=0,
+        maximum=1000, source="Chen 2023, 2.2 A",
+    )  # fmt: skip
+    tail_gap_m: float = parameter(
+        20.0, "elevation histogram: a tail lies beyond a gap of this height; 0: no tails", unit="m", minimum=0.0,
+        maximum=10000.0, source="Chen 2023, 2.1 a",
+    )  # fmt: skip
+    tail_share: float = parameter(
+        0.001, "elevation histogram: a tail holds at most this share of the run's candidates", minimum=0.0,
+        maximum=0.1, source="Chen 2023, 2.1 a",
+    )  # fmt: skip
+    long_side: float = parameter(
+        1.5, "seeds: the highest corner of a facet is noise if a side is longer than this multiple of "
+        "max_building_size; 0: off",
+        minimum=0.0, maximum=1000.0, source="Chen 2023, 2.3 (1)",
+    )  # fmt: skip
+    narrow_angle_deg: float = parameter(
+        15.0, "seeds: facets with a smaller angle do not join seeds to clusters", unit="deg", minimum=0.0,
+        maximum=60.0, source="Chen 2023, 2.3 (2)",
+    )  # fmt: skip
+    cluster_seeds: int = parameter(
+        50,
+        "seeds: largest number of seeds in a small cluster; 0: none is small",
+        minimum=0,
+        maximum=10**6,
+        source="Chen 2023, 2.3 (2)",
+    )
+    prominence_m: float = parameter(
+        1.0, "seeds: a small cluster this much higher than the seeds around it is noise", unit="m", minimum=0.0,
+        maximum=100.0, source="Chen 2023, 2.3 (2)",
+    )  # fmt: skip
+    label_pass: bool = like(Classic, "label_pass")
+    robust_cells: bool = like(RobustCells, "robust_cells")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exponential_windows and self.initial_window < 2:
+            raise ValueError(
+                "initial_window 1: exponential windows never grow from 1; use 2 or more"
+            )
+        if self.thin_cell_m > self.max_building_size_m:
+            raise ValueError(
+                f"thin_cell_m {self.thin_cell_m:g}: windows are made of such cells; use at most max_building_size_m, "
+                f"{self.max_building_size_m:g} m"
+            )
+
+    @property
+    def widths(self) -> list[int]:
+        """Widths of the windows, in cells."""
+        size = Fraction(repr(float(self.max_building_size_m))) / Fraction(
+            repr(float(self.thin_cell_m))
+        )
+        return window_widths(self.initial_window, self.exponential_windows, size)
+
+    @property
+    def halo_m(self) -> float:
+        """Halo in metres: the widest window, four cells of the ring, and 8 m per round.
+
+        It certified most tiles of a city.
+        """
+        window = max(self.widths) * self.thin_cell_m
+        return window + 4.0 * self.ring_cell_m + 8.0 * min(self.rounds or 30, 30)
+
+    @property
+    def ring_cell_m(self) -> float:
+        """Size of the cells of virtual points around the border: half the largest building."""
+        return self.max_building_size_m / 2.0
+
+    @property
+    def margin_cells(self) -> int:
+        """Number of cells around a point in which the searches for outliers look.
+
+        It is at least one, so that each candidate of a core is known and counts in one tile
+        only.
+        """
+        return search_margin(self.low_radius_m, 1, self.thin_cell_m)
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Size of the cells whose lowest point is the candidate."""
+        return self.thin_cell_m
+
+    def opening(self, scale: Scale) -> Opening:
+        """Windows and thresholds in counts."""
+        drops = height_thresholds(
+            self.widths,
+            self.terrain_slope,
+            self.thin_cell_m,
+            self.initial_drop_m,
+            self.largest_drop_m,
+        )
+        return Opening(self.widths, [scale.counts_z(drop) for drop in drops], self.mean_layers)
+
+    def clusters(self, scale: Scale) -> ClusterLimits:
+        """Limits of the seeds' refinement in counts."""
+        side, cosine = (
+            self.long_side * self.max_building_size_m,
+            math.cos(math.radians(self.narrow_angle_deg)),
+        )
+        prominence = scale.counts_z(self.prominence_m)
+        return ClusterLimits(
+            scale.counts(side), cosine, self.cluster_seeds, prominence, scale.z_ratio
+        )
 
     @property
     def passes(self) -> tuple[Pass, ...]:
@@ -94,11 +257,140 @@ class Chen2023(Chen2023Parameters):
         return method_passes
 
 
+BIN_M = 1.0
+
+Histogram = dict[int, int]
+"""Number of points per bin; bin k holds heights from k to below k + 1 metres."""
+
+
+class Tails(NamedTuple):
+    """The range of heights that is kept, and the numbers of points below and above it."""
+
+    low_bin: int
+    high_bin: int
+    below: int
+    above: int
+
+
+def _bins(z: Int32, scale: Scale) -> npt.NDArray[np.int64]:
+    """Return the bin of each height. Bin 0 starts at height 0 of the CRS."""
+    bins: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
+    return bins
+
+
+def histogram(z: Int32, scale: Scale) -> Histogram:
+    """Number of heights in each bin that holds any."""
+    bins, counts = np.unique(_bins(z, scale), return_counts=True)
+    return dict(zip(bins.tolist(), counts.tolist(), strict=True))
+
+
+def merged(parts: Iterable[Mapping[int, int]]) -> Histogram:
+    """The histogram of all parts together. Sums of integers do not depend on their order."""
+    total: Counter[int] = Counter()
+    for part in parts:
+        total.update(part)
+    return dict(sorted(total.items()))
+
+
+def find_tails(counts: Histogram, gap_bins: int, share: float) -> Tails | None:
+    """Cut both tails of a histogram at gaps.
+
+    The paper chooses from a plot of the histogram. Here a tail is the part beyond at least
+    ``gap_bins`` empty bins, if it has at most ``share`` of all points. Terrain fills its
+    elevations without gaps, so a lonely peak stays, however few points it has. A second survey
+    area far above the first stays because of its share.
+
+    Returns
+    -------
+    Tails or None
+        None for an empty histogram.
+    """
+    if not counts:
+        return None
+    bins = sorted(counts)
+    room = share * sum(counts.values())
+    low, below = _inner_end(bins, counts, gap_bins, room)
+    high, above = _inner_end(bins[::-1], counts, gap_bins, room)
+    return Tails(low, high, below, above)
+
+
+def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tuple[int, int]:
+    """The first bin after the last gap with at most `room` points before it, and the number of these points."""
+    end, cut, seen = bins[0], 0, 0
+    for before, after in pairwise(bins):
+        seen += counts[before]
+        if seen > room:
+            break
+        if abs(after - before) > gap:
+            end, cut = after, seen
+    return end, cut
+
+
+def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]:
+    """Return masks of the heights below and above the kept range. Both are false if there is no range."""
+    if kept is None:
+        return np.zeros(z.size, np.bool_), np.zeros(z.size, np.bool_)
+    bins = _bins(z, scale)
+    return bins < kept[0], bins > kept[1]
+
+
+@dataclass(frozen=True)
+class ElevationsPass(Pass):
+    """Measure the run's histogram. The state gets ``tails``: the lowest and highest bin kept, or None.
+
+    Attributes
+    ----------
+    cell_m : float
+        Size of the cells of candidates.
+    gap_m, share : float
+        See `find_tails`; a gap of 0 finds no tails.
+    """
+
+    cell_m: float
+    gap_m: float
+    share: float
+    name: str = "elevations"
+    title = "measure the range of heights"
+    gives_labels: bool = False
+
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
+        """Count the candidates of the core. Bins and counts are pairs, because names in JSON are texts."""
+        x, y, z = points.columns()
+        keep = lowest_per_cell(x, y, z, CellLattice.of(self.cell_m, scale))
+        keep = keep[core.contains(x[keep], y[keep])]
+        return StatisticsModel(
+            {"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size}
+        )
+
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
+        """Merge the counts, find the tails, and report the cut."""
+        counts = merged({int(k): int(n) for k, n in part["elevations"]} for part in partials)
+        tails = None
+        if self.gap_m:
+            tails = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share)
+        if tails is None:
+            return {**state, "tails": None}
+        cut = (tails.below, "below", tails.low_bin), (tails.above, "above", tails.high_bin + 1)
+        notes = (
+            f"{n} candidates {side} {level * BIN_M:g} m are outliers: beyond a gap of {self.gap_m:g} m "
+            f"in the run's elevations, and no more than {self.share:g} of all"
+            for n, side, level in cut
+            if n
+        )
+        return {
+            **state,
+            "tails": [tails.low_bin, tails.high_bin],
+            "notes": add_notes(state, *notes),
+        }
+
+
 @dataclass(frozen=True)
 class ChenPass(Pass):
     """The pass after the histogram: outliers, seeds, densification, labels."""
 
-    params: Chen2023Parameters
+    params: Chen2023
     name: str = "chen2023"
     title = "find the ground, label all points"
 
@@ -114,7 +406,7 @@ class ChenModel(TinLabels):
 
     def __init__(
         self,
-        params: Chen2023Parameters,
+        params: Chen2023,
         points: Points,
         window: Window,
         scale: Scale,

@@ -18,7 +18,7 @@ from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.labelling import is_terrain
 from ptd.kernel import as_int64, kernel
-from ptd.methods.ridge2016.sorted_cells import Stacks
+from ptd.methods.ridge2016.ridges import Stacks
 from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import Mesh, is_ghost, locate

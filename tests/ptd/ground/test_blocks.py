@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptd.frame import CellLattice, Scale
-from ptd.ground.blocks import blocks
+from ptd.ground.morphology import blocks
 
 CELLS = CellLattice.of(1.0, Scale())
 

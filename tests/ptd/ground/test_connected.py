@@ -7,8 +7,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ptd.ground.connected import connected_surfaces
-from ptd.ground.morphology import EMPTY
+from ptd.ground.morphology import EMPTY, connected_surfaces
 
 WAYS = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c]
 

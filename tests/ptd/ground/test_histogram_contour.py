@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.ground.histogram_contour import contour_reach
+from ptd.ground.distance_angle import contour_reach
 
 
 def test_one_bin_is_a_pyramid() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptd.frame import CellLattice, Scale
-from ptd.ground.random_choice import point_hashes, random_per_cell
+from ptd.ground.distance_angle import point_hashes, random_per_cell
 
 SCALE = Scale(origin=(-12_345_678, 98_765_432))
 CELLS = CellLattice.of(4.0, SCALE)

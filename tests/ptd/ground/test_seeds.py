@@ -7,7 +7,7 @@ import pytest
 
 from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.seeds import RING, Seeds, box_with_ring, choose_seeds
+from ptd.ground.densify import RING, Seeds, box_with_ring, choose_seeds
 
 SIDE = 20_000
 Point = tuple[int, int, int]

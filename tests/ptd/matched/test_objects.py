@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale
-from ptd.ground.connected import connected_surfaces
+from ptd.ground.morphology import connected_surfaces
 from ptd.matched.bent_hull import STIFF
 from ptd.matched.cells import EMPTY
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, lower_envelope, tilts

@@ -16,8 +16,7 @@ from ptd.matched.passes import PASSES, CellModel, ObjectPass
 from ptd.matched.step import OBJECT, Codes, noise_m
 from ptd.matched.surface import Surface
 from ptd.matched.survey import MAX_CELL_SIGMA_M, MIN_CELL_SIGMA_M, ReturnStatistics, figures
-from ptd.methods.auto.label_thresholds import decided
-from ptd.methods.auto.method import Auto
+from ptd.methods.auto.method import Auto, decided
 from ptd.passes import Points
 from ptd.places import PLACE_M, TREES, everywhere, name_of, value_at
 from tests.ptd.alike import alike

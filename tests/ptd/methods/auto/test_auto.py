@@ -9,17 +9,17 @@ import pytest
 
 import ptd
 from ptd.frame import Window
-from ptd.ground import blocks
+from ptd.ground import morphology
 from ptd.ground.labelling import GROUND
 from ptd.ground.noise_sums import Roughness
-from ptd.methods.auto.cell_codes import OBJECT, ROOF
-from ptd.methods.auto.label_thresholds import (
+from ptd.methods.auto.cells import OBJECT, ROOF
+from ptd.methods.auto.method import (
+    Auto,
     ReturnStatistics,
     decided,
     label_bands,
     label_thresholds,
 )
-from ptd.methods.auto.method import Auto
 from ptd.methods.auto.params import Reaches
 from ptd.passes import Points
 from ptd.places import value_at
@@ -322,5 +322,5 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
 def test_blocks_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = Points(SCENES["voids"](np.random.default_rng(2)))
     truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")
-    monkeypatch.setattr(blocks, "BLOCK_CELLS", 16)
+    monkeypatch.setattr(morphology, "BLOCK_CELLS", 16)
     assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")[0], truth)

@@ -7,7 +7,7 @@ import pytest
 
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
-from ptd.methods.auto.cell_codes import (
+from ptd.methods.auto.cells import (
     ABOVE_NOISE,
     OUTLIER,
     SEED,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import CellLattice, Scale
-from ptd.methods.auto.objects import Drop, Lowest, Residuals, Shape
+from ptd.methods.auto.cells import Drop, Lowest, Residuals, Shape
 
 SCALE, CELLS = Scale(), CellLattice.of(1.0, Scale())
 SEEDS = Drop(0.1, 0.06, 0.2)

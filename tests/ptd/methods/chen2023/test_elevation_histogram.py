@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale, Window
-from ptd.methods.chen2023.elevation_histogram import (
+from ptd.methods.chen2023.method import (
     ElevationsPass,
     Tails,
     find_tails,

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.ground.morphology import EMPTY
-from ptd.methods.chen2023.minimum_grid import fill_empty
+from ptd.methods.chen2023.progressive_opening import fill_empty
 
 E = EMPTY
 

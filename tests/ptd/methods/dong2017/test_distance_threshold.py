@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.methods.dong2017.distance_threshold import second_difference_jump
+from ptd.methods.dong2017.histograms import second_difference_jump
 
 JUMPS = [
     # Accumulated 100 180 220 230 239 248 257; its first difference is the histogram, its second

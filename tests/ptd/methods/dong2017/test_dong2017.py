@@ -14,7 +14,7 @@ from ptd.frame import Scale, Window
 from ptd.matched import robust_cells, surface
 from ptd.matched.robust_cells import NearGroundPass
 from ptd.methods.classic import Classic
-from ptd.methods.dong2017.greenness import gli_bins
+from ptd.methods.dong2017.histograms import gli_bins
 from ptd.methods.dong2017.method import Dong2017
 from ptd.passes import MethodRefusal, Points
 from tests.ptd.tiling import classify_tiled

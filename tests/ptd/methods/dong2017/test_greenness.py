@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.methods.dong2017.greenness import (
+from ptd.methods.dong2017.histograms import (
     BINS,
     COLOURLESS,
     GREY,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale
-from ptd.methods.dong2017.podiums import on_podium
+from ptd.methods.dong2017.facades import on_podium
 
 CM = 100
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (4_000_000, 8_000_000))

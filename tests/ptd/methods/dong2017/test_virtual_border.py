@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from ptd.frame import CellLattice, Scale
-from ptd.methods.dong2017.virtual_border import rim
+from ptd.methods.dong2017.growth import rim
 
 SCALE = Scale(Fraction(1, 100), Fraction(1, 100), (1_234_567, -7_654_321))
 CELLS = CellLattice.of(4.0, SCALE)

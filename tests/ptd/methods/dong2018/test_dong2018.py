@@ -14,10 +14,8 @@ import pytest
 from ptd import classify
 from ptd.frame import Scale, Window
 from ptd.methods.classic import Classic
-from ptd.methods.dong2018.even_tin import BINS, EvenTin
-from ptd.methods.dong2018.method import Dong2018
-from ptd.methods.dong2018.stage_one import even_edge_m
-from ptd.methods.dong2018.stage_two import JOINED, MeasurePass
+from ptd.methods.dong2018.method import JOINED, Dong2018, MeasurePass, even_edge_m
+from ptd.methods.dong2018.surfaces import BINS, EvenTin
 from ptd.passes import MethodRefusal, Points
 from tests.ptd.tiling import classify_tiled
 

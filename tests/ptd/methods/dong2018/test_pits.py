@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale
-from ptd.methods.dong2018.pits import REACH_CELLS, pits
+from ptd.methods.dong2018.surfaces import PIT_REACH_CELLS, pits
 
 CM = 100
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (-7_150, 12_330))
@@ -67,6 +67,6 @@ def test_order_and_window_change_nothing() -> None:
     order = rng.permutation(9000)
     assert np.array_equal(found(cloud[:, order]), truth[order])
     away = np.maximum(abs(cloud[0] - 1000), abs(cloud[1] - 700))
-    near, own = away < 900 + 100 * (REACH_CELLS + 1), away < 900
+    near, own = away < 900 + 100 * (PIT_REACH_CELLS + 1), away < 900
     part = np.ascontiguousarray(cloud[:, near])
     assert np.array_equal(found(part)[own[near]], truth[own])

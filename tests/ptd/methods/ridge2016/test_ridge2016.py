@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 import ptd
 from ptd.frame import OPEN, Scale, Window
 from ptd.methods import make_params
-from ptd.methods.ridge2016.method import Ridge2016
-from ptd.methods.ridge2016.passes import SEED, last_round
+from ptd.methods.ridge2016.method import SEED, Ridge2016, last_round
 from ptd.passes import Points
 from ptd.tin.mesh import Tin
 from tests.ptd.scenes import CM, SCENES, Cloud

@@ -9,8 +9,7 @@ import pytest
 
 from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.methods.ridge2016.ridges import AROUND, RidgeRule, ridge_facet, ridge_points
-from ptd.methods.ridge2016.sorted_cells import Stacks
+from ptd.methods.ridge2016.ridges import AROUND, RidgeRule, Stacks, ridge_facet, ridge_points
 from ptd.tin.mesh import Tin
 from tests.ptd.tin.meshes import corners_of, triangle_at
 

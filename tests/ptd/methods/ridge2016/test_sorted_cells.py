@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import CellLattice, Scale
-from ptd.methods.ridge2016.sorted_cells import Stacks, indices_in_stacks, lowest_within
+from ptd.methods.ridge2016.ridges import Stacks, indices_in_stacks, lowest_within
 
 SCALE = Scale(origin=(-12_345, 987))
 

@@ -14,7 +14,7 @@ from ptd.frame import CellLattice, Scale
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.labelling import LabelRule, label_points
-from ptd.methods.ridge2016.sorted_cells import Stacks
+from ptd.methods.ridge2016.ridges import Stacks
 from ptd.methods.ridge2016.thinned_densification import GrowthCounter, densify_thinned
 from ptd.tin.mesh import Locator, Tin
 from tests.scenes.densification import CORNERS, EVERYTHING, passes, scene

@@ -1,4 +1,7 @@
-"""The first passes of `dong2017`: greenness, density and noise of the run, then seeds beside facades."""
+"""Parameters of `dong2017`, and its first passes: greenness, density and noise of the run, then seeds beside facades.
+
+In a photogrammetric cloud the seeds found among points go to cells of robust heights.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,20 @@ import numpy.typing as npt
 from ptd.cells import Int32, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
-from ptd.ground.distance_angle import Bool
+from ptd.ground.distance_angle import Bool, Int64
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade_threshold
-from ptd.methods.dong2017.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
-from ptd.methods.dong2017.params import Dong2017Parameters
-from ptd.methods.dong2017.podiums import on_podium
+from ptd.matched.passes import CellModel, CellPass
+from ptd.matched.robust_cells import RobustCells
+from ptd.matched.step import cell_m
+from ptd.methods.dong2017.facades import (
+    FacadeRule,
+    Facades,
+    density_of,
+    facade_threshold,
+    on_podium,
+)
+from ptd.methods.dong2017.histograms import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
+from ptd.params import check, like, parameter
 from ptd.passes import (
     MethodRefusal,
     Model,
@@ -31,6 +42,92 @@ from ptd.passes import (
     UInt8,
     add_notes,
 )
+
+
+@dataclass(frozen=True)
+class Dong2017Parameters:
+    """Parameters of `dong2017`, to which `ptd.methods.dong2017.method.Dong2017` adds the passes."""
+
+    facade_cell_m: float = parameter(
+        1.0, "size of the cells in which projected points are counted", unit="m", minimum=0.25, maximum=10.0,
+        source="Dong 2017, 3.3.2: GRIDESIZE",
+    )  # fmt: skip
+    facade_height_m: float = parameter(
+        3.0,
+        "height of the lowest building; lower steps are not facades",
+        unit="m",
+        minimum=0.5,
+        maximum=100.0,
+        source="Dong 2017, 3.3.2: H",
+    )
+    glass_factor: float = parameter(
+        0.5,
+        "share of a facade that image matching can see; the rest is glass",
+        0.01,
+        1.0,
+        source="Dong 2017, 3.3.2",
+    )
+    seed_distance_m: float = parameter(
+        4.0, "distance of a seed from the facade", 1.0, 30.0, "m", source="Dong 2017, 3.1: d"
+    )
+    seed_variation: float = parameter(
+        2.0,
+        "largest noise around a seed, in multiples of sigma",
+        0.5,
+        10.0,
+        source="Dong 2017, 3.1: 2 sigma",
+    )
+    podium_radius_m: float = parameter(
+        15.0, "a seed is dropped if a much lower one lies within this distance", unit="m", minimum=1.0,
+        maximum=100.0, source="Dong 2017, 3.1: neighbourhood of a seed",
+    )  # fmt: skip
+    terrain_slope: float = parameter(
+        0.3, "steepest slope between two seeds that are both ground", minimum=0.0, maximum=5.0,
+        source="Dong 2017, equation 1: 0.3",
+    )  # fmt: skip
+    seed_cell_m: float = parameter(
+        15.0, "one seed, the lowest, per cell of this size", 2.0, 200.0, "m"
+    )
+    first_spacing_m: float = parameter(
+        4.0, "size of the cells of the first TIN of ground, halved until the last", unit="m", minimum=0.5,
+        maximum=50.0, source="Dong 2017, table 4: 4 m",
+    )  # fmt: skip
+    last_spacing_m: float = parameter(
+        1.0,
+        "size of the cells of the last TIN of ground",
+        0.25,
+        50.0,
+        "m",
+        source="Dong 2017, table 4: 2 m",
+    )
+    tins: int = parameter(
+        8,
+        "number of TINs of each density; ground grows by two cells with each",
+        minimum=1,
+        maximum=20,
+        source="Dong 2017, 3.2: several TINs",
+    )
+    contour_level: float = parameter(
+        0.01, "height of the contour that gives the thresholds, in parts of the histogram's peak", minimum=0.0001,
+        maximum=0.9, source="Dong 2017, 3.3.4",
+    )  # fmt: skip
+    robust_cells: bool = like(RobustCells, "robust_cells")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.last_spacing_m > self.first_spacing_m:
+            raise ValueError(
+                f"last_spacing_m {self.last_spacing_m:g}: use at most first_spacing_m, {self.first_spacing_m:g} m"
+            )
+
+    @property
+    def spacings_m(self) -> tuple[float, ...]:
+        """Sizes of the cells of the TINs of ground, halved from the first down to the last."""
+        spacings_m = [self.first_spacing_m]
+        while spacings_m[-1] > self.last_spacing_m:
+            spacings_m.append(max(spacings_m[-1] / 2, self.last_spacing_m))
+        return tuple(spacings_m)
+
 
 VEGETATION = 5
 """Label of vegetation between passes. Seeds are `GROUND`, all other points `UNCLASSIFIED`."""
@@ -257,3 +354,47 @@ def _green(points: Points, green_from: int | None) -> Bool:
         return np.zeros(len(points), np.bool_)
     is_green: Bool = gli_bins(_rgb(points)) >= green_from
     return is_green
+
+
+@dataclass(frozen=True)
+class SeedCellPass(CellPass):
+    """Pass that makes a robust height per cell. Cells with a seed are ground, all others unclassified."""
+
+    title = "one height per cell, and the cells with seeds"
+    columns: tuple[str, ...] = ("labels",)
+    gives_labels: bool = True
+
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> SeedCells:
+        """Find all cells, and those with seeds."""
+        heights = super().fit(points, window, core, scale, state)
+        seeds = points.known_labels() == GROUND
+        return SeedCells(heights, points.xyz[:, seeds], CellLattice.of(cell_m(state), scale))
+
+
+class SeedCells(CellModel):
+    """Cells of robust heights, with a mask of those that contain a seed.
+
+    Parameters
+    ----------
+    heights : CellModel
+    seeds : int32 [3, m]
+        Local counts.
+    cells : CellLattice
+    """
+
+    def __init__(self, heights: CellModel, seeds: Int32, cells: CellLattice) -> None:
+        super().__init__(heights.elect(Window.everything()))
+        self._seeds, self._cells = seeds, cells
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Label the cells."""
+        seeds = self._keys(self._seeds)
+        holds = np.isin(self._keys(points.xyz), seeds)
+        labels = np.where(holds, np.uint8(GROUND), np.uint8(UNCLASSIFIED))
+        return labels, np.zeros(len(points), np.bool_)
+
+    def _keys(self, xyz: Int32) -> Int64:
+        columns, rows = self._cells.cell_indices(xyz[0], xyz[1])
+        return columns * 2**32 + rows

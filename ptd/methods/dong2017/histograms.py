@@ -1,8 +1,9 @@
-"""Vegetation by colour: the green leaf index, a test for two modes, and Otsu's threshold between them.
+"""Two thresholds of a run from its histograms: the greenness of vegetation, and the first distance of ground.
 
-Sources: Dong 2017 (004), equation 2 and section 3.3.1; Otsu (1979), A threshold selection
-method from gray-level histograms. All of it is arithmetic on whole numbers, so order, tiles and
-the range of the colours (8 or 16 bits) change nothing.
+Sources: Dong 2017 (004), equation 2, sections 3.3.1 and 3.3.3; Otsu (1979), A threshold
+selection method from gray-level histograms. Greenness is arithmetic on whole numbers, so order,
+tiles and the range of the colours (8 or 16 bits) change nothing. For the distance the paper
+only shows a picture; `second_difference_jump` explains how it is read here.
 """
 
 from __future__ import annotations
@@ -157,3 +158,37 @@ def green_from(counts: Sequence[int]) -> int | None:
         return None
     low, high = modes
     return max(low + otsu(counts[low : high + 1]), GREY)
+
+
+SETTLED_SHARE = 0.05
+"""Share of the steepest fall. The counts have settled where they fall by less."""
+
+
+def second_difference_jump(counts: Sequence[int]) -> int | None:
+    """Number of bins of the first population of a histogram, by the second difference of its accumulated counts.
+
+    Distances of ground to the seeds' TIN are small. On facades the distance "will sharply
+    become big" (3.3.3), and the accumulated histogram bends from a steep climb to a slow one.
+    Its second difference is the change of the counts from bin to bin. It jumps down where the
+    ground thins out, and returns to about zero where the ground ends, which is the threshold.
+    For normal noise it jumps at one sigma, and returns to a twentieth of its depth at three
+    sigma.
+
+    Parameters
+    ----------
+    counts : sequence of int
+        Counts by bin, from near to far.
+
+    Returns
+    -------
+    int or None
+        None if the counts never fall.
+    """
+    change = np.diff(np.asarray(counts, np.int64))
+    if change.size == 0 or change.min() >= 0:
+        return None
+    steepest = int(np.argmin(change))
+    settled = np.flatnonzero(-change[steepest:] <= SETTLED_SHARE * -change[steepest])
+    if not settled.size:
+        return len(counts)
+    return steepest + int(settled[0]) + 1
