@@ -15,6 +15,7 @@ from tiler.export.tasks import files as file_tasks
 from tiler.filter.tasks import passes
 from tiler.grid.tasks import terrain
 from tiler.ingest.tasks import points as ingest_tasks
+from tiler.store import TileStore, open_store
 
 WORKS = {
     "spool_piece": ingest_tasks,
@@ -27,13 +28,14 @@ WORKS = {
 
 
 def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Remove a folder before, or after, a task of this kind is done for the first time."""
+    """Remove a folder before a worker begins a task of this kind, or after the first one is done."""
     work = getattr(WORKS[name], name)
 
-    def removing(*arguments: Any, **values: Any) -> dict[str, Any]:
+    def removing(store: TileStore, **values: Any) -> dict[str, Any]:
         if early:
             shutil.rmtree(place, ignore_errors=True)
-        record: dict[str, Any] = work(*arguments, **values)
+            store = open_store(store.url)  # as a worker does before the work
+        record: dict[str, Any] = work(store, **values)
         shutil.rmtree(place, ignore_errors=True)
         return record
 
