@@ -38,6 +38,9 @@ BARE = 4
 """Cell inside the survey, in a gap without points that is bridged, but wider than four times the spacing of the points
 around it."""
 
+MODELS = ("dtm", "dsm")
+"""Products whose voids can be filled."""
+
 HEIGHT = "height"
 """Value of `Product.unit` for bands in the vertical unit of the CRS."""
 

@@ -21,9 +21,6 @@ from tiler.filter.reading import TileReader
 from tiler.filter.work import FilterTile
 from tiler.store import TileStore
 
-LABELS = "labels"
-"""Name of the final labels in the store."""
-
 KEPT_LABEL = 0
 """Label of a point that does not take part in filtering and keeps the class of its source."""
 

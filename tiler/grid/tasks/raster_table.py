@@ -36,9 +36,9 @@ from ptd.matched.cells import CELL_M
 from tiler.config import AUTO_WATER, VOID_CANOPY
 from tiler.core.digests import digest_of
 from tiler.core.mask_values import MASK_VALUES, OUTSIDE
-from tiler.core.products import PRODUCTS
+from tiler.core.products import MODELS, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.core.records import records_of
+from tiler.core.records import BlockRecord, records_of
 from tiler.core.terrain_results import SurfaceResult
 from tiler.grid.block import full_halo
 from tiler.grid.block_surroundings import reach_pixels
@@ -56,7 +56,6 @@ from tiler.grid.derived import (
     surface,
 )
 from tiler.grid.flaws import above, min_pixels
-from tiler.grid.records import BlockRecord
 from tiler.grid.sigma import land_margin, reach_of, sigma, sigma_result
 from tiler.grid.steps import Counts, Read
 from tiler.grid.tasks.findings import report_above, report_implausible
@@ -67,15 +66,11 @@ from tiler.grid.tasks.gridding import (
     CANOPY_CELLS,
     CANOPY_TERRAIN,
     GAP_M,
-    MODELS,
     Grid,
     GridContext,
     canopy_cell_m,
     coarse_cell_m,
-    filled_raster,
-    final_raster,
     nodata_of,
-    outlined_models,
 )
 from tiler.grid.tasks.steps import (
     NONE,
@@ -92,6 +87,7 @@ from tiler.grid.tasks.terrain import TERRAIN, TERRAIN_OF_CANOPIES, TERRAIN_OF_WA
 from tiler.grid.tasks.water_search import water_steps
 from tiler.grid.voids import Void, fill_voids, find_voids
 from tiler.plan import Plan
+from tiler.runs.found import filled_raster, final_raster, outlined_models
 from tiler.runs.job import Job
 
 OfBlocks = Mapping[Block, Counts]
