@@ -21,7 +21,7 @@ from tiler.core.records import TileRecord
 from tiler.core.results import LabelCounts
 from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
-from tiler.filter import FilterTile
+from tiler.filter.reading import FilterTile
 from tiler.filter.tasks.passes import (
     PassInputs,
     elected_name,

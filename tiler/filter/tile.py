@@ -17,8 +17,7 @@ from tiler.core.classes import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
 from tiler.core.digests import digest_of_arrays
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.records import TileRecord
-from tiler.filter.reading import TileReader
-from tiler.filter.work import FilterTile
+from tiler.filter.reading import FilterTile, TileReader
 from tiler.store import TileStore
 
 KEPT_LABEL = 0

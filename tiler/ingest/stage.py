@@ -16,7 +16,8 @@ from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
 from tiler.core.selection import WITHHELD
 from tiler.core.words import counted
 from tiler.errors import InputError, ProcessingError
-from tiler.ingest import OUTSIDE_AREA, Strays
+from tiler.ingest.spool import OUTSIDE_AREA
+from tiler.ingest.strays import Strays
 from tiler.ingest.tasks.points import (
     assemble_tasks,
     fragments_of,

@@ -19,8 +19,9 @@ from tiler.core.classes import LABELS
 from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.records import TileRecord
-from tiler.filter import FilterTile, filter_tile, influence_margin_m, local_window
+from tiler.filter.reading import FilterTile
 from tiler.filter.tasks.tiles import BucketPoints, tiles_of
+from tiler.filter.tile import filter_tile, influence_margin_m, local_window
 from tiler.plan import Plan
 from tiler.plan.memory import held_bytes
 from tiler.runs.found import IngestResult, skip_flags

@@ -8,14 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.records import SpoolRecord
-from tiler.ingest import (
-    BucketParts,
-    SpoolPiece,
-    Strays,
-    assemble_buckets,
-    far_buckets,
-    spool_piece,
-)
+from tiler.ingest.assemble import BucketParts, assemble_buckets
+from tiler.ingest.spool import SpoolPiece, spool_piece
+from tiler.ingest.strays import Strays, far_buckets
 from tiler.inputs import SourceInfo, header_bounds, pieces, window_pieces
 from tiler.inputs.extent import can_be_strays
 from tiler.io.locations import location
