@@ -25,6 +25,7 @@ import numpy as np
 from tests.scenes.copc_files import write_copc
 from tests.scenes.ept_files import write_ept
 from tests.scenes.running import wait_for
+from tiler.core.products import PRODUCTS
 
 LEFT_OUT = ("report.html", "events.jsonl", "run.json", "classified.vpc")
 """Files with times. Of ``run.json`` the rest is read."""
@@ -112,7 +113,7 @@ def town(folder: Path) -> Arguments:
     return [
         *names,
         "--products",
-        "dtm,dsm,ndsm,hillshade,slope,density,distance,mask,sigma",
+        ",".join(PRODUCTS),
         "--voids",
         "fill",
     ]

@@ -22,6 +22,7 @@ import pytest
 from tests.docs.resident import write_client
 from tests.integration.command import environment
 from tests.waiting import PATIENCE_SECONDS, wait_until
+from tiler.core.products import PRODUCTS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -105,6 +106,12 @@ def test_parameters_are_those_of_the_source() -> None:
     assert (ROOT / "docs/parameters.md").read_text("utf-8") == made.stdout, (
         "run `python docs/reference.py`"
     )
+
+
+def test_the_table_of_products_has_all() -> None:
+    page = (ROOT / "docs/first-dtm.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    assert [name for name in rows if name in PRODUCTS] == list(PRODUCTS)
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda p: p.name)

@@ -15,7 +15,7 @@ from typing import Any
 
 from tiler.config.parsing import parse_value, plain_value
 from tiler.config.sources import load_preset, over_preset, preset_names
-from tiler.core.products import NODATA, PRODUCTS, VECTOR_PRODUCTS
+from tiler.core.products import NODATA, PRODUCTS, PRODUCTS_HELP, VECTOR_PRODUCTS
 from tiler.core.reclass import ALL, ONLY_GROUND
 from tiler.core.selection import DROP_WITHHELD, KEEP_WITHHELD, Selection
 from tiler.core.sheet_names import DEFAULT as SHEET_NAME
@@ -91,9 +91,7 @@ class RunConfig:
     )
     products: tuple[str, ...] = setting(
         ("dtm",),
-        "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), hillshade, "
-        "slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), sigma (standard "
-        "error of the heights, in their unit), mask (source of each height). Vector products, each as OUT/<name>.gpkg: "
+        f"rasters to write, each as OUT/<name>.tif: {PRODUCTS_HELP}. Vector products, each as OUT/<name>.gpkg: "
         "contours (lines), spots (tops and bottoms)",
         kind="names",
         choices=(*PRODUCTS, *VECTOR_PRODUCTS),

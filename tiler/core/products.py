@@ -93,9 +93,12 @@ class Product:
         Colour table, empty if there is none.
     values : mapping of int to str
         Meaning of each value, if the values are classes.
+    help : str
+        What the name does not say, for the help of ``--products``.
     reads : mapping of str to Read
-        Arguments of the function of the product, which has its name and is in `tiler.grid.derived`. A raster
-        ``delivered:<product>`` is another product. Empty for products with a row of their own in
+        Arguments of the function of the product, which has its name and is in `tiler.grid.derived`. They are read as
+        `tiler.grid.steps.READERS` has them, but ``delivered:<product>`` is the raster that the file of a product has.
+        At least one of them is a product or points. Empty for products with a row of their own in
         `tiler.grid.tasks.raster_table`.
     """
 
@@ -107,6 +110,7 @@ class Product:
     predictor: str = "FLOATING_POINT"
     colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
     values: Mapping[int, str] = field(default_factory=dict)
+    help: str = ""
     reads: Mapping[str, Read] = field(default_factory=dict)
 
     @property
@@ -119,9 +123,10 @@ class Product:
 
 PRODUCTS: dict[str, Product] = {
     "dtm": Product("terrain height"),
-    "dsm": Product("surface height: highest return"),
+    "dsm": Product("surface height: highest return", help="surface"),
     "ndsm": Product(
         "height of the surface above the terrain",
+        help="surface above the terrain",
         reads={"surface": Read("delivered:dsm"), "terrain": Read("delivered:dtm")},
     ),
     "hillshade": Product(
@@ -133,16 +138,28 @@ PRODUCTS: dict[str, Product] = {
         reads={"terrain": Read("delivered:dtm", 1), "place": Read("place")},
     ),
     "slope": Product(
-        "slope", "degree", reads={"terrain": Read("delivered:dtm", 1), "place": Read("place")}
+        "slope",
+        "degree",
+        help="degrees",
+        reads={"terrain": Read("delivered:dtm", 1), "place": Read("place")},
     ),
     "density": Product(
         "ground points per square metre",
         "1/m2",
         nodata=None,
+        help="ground points per m2",
         reads={"points": Read("points"), "place": Read("place")},
     ),
-    "distance": Product("distance to the nearest ground point", "metre", nodata=None),
-    "sigma": Product("standard error of the terrain height"),
+    "distance": Product(
+        "distance to the nearest ground point",
+        "metre",
+        nodata=None,
+        help="to the nearest ground point, m",
+    ),
+    "sigma": Product(
+        "standard error of the terrain height",
+        help="standard error of the heights, in their unit",
+    ),
     "mask": Product(
         "where the terrain height comes from",
         unit="",
@@ -160,6 +177,11 @@ PRODUCTS: dict[str, Product] = {
             CANOPY: (30, 90, 70),
         },
         values=MASK_VALUES,
+        help="source of each height",
     ),
 }
-"""Products by name, in the order in which they are made."""
+"""Products by name, in the order of the help and of lists."""
+PRODUCTS_HELP = ", ".join(
+    f"{name} ({product.help})" if product.help else name for name, product in PRODUCTS.items()
+)
+"""Names of all products for the help, with what the names do not say."""

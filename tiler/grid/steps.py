@@ -132,6 +132,10 @@ def run_block(store: TileStore, *, task: MakeBlock) -> Counts:
     values, counts = task.work(**reads, **task.values)
     if values is None:
         return counts
+    if values.shape != (task.block.height, task.block.width):
+        raise ValueError(
+            f"{task.name}: the function returned {values.shape} pixels for {task.block}"
+        )
     fill = np.float32(task.fill)
     pixels = np.where(np.isnan(values), fill, values.astype(np.float32))
     store.write_block(task.name, task.block, pixels)

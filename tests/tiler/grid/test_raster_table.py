@@ -12,6 +12,7 @@ import pytest
 from tiler.config import RunConfig
 from tiler.core.frame import CoordFrame
 from tiler.core.products import PRODUCTS
+from tiler.grid.steps import READERS
 from tiler.grid.tasks.gridding import Grid
 from tiler.grid.tasks.raster_table import raster_table, required_rasters
 from tiler.grid.tasks.steps import Step
@@ -48,6 +49,14 @@ def test_steps_read_and_are_given_what_their_functions_take(canopy: str, water: 
         needed = {name for name, p in read.items() if p.default is p.empty}
         assert needed <= step.reads.keys() <= read.keys(), step.name
         assert step.values.keys() <= {p.name for p in parameters} - read.keys(), step.name
+
+
+def test_a_row_of_a_product_reads_what_files_have() -> None:
+    """`raster:dtm` would be the terrain before voids are filled, and nothing would tell the blocks without a raster."""
+    for name, row in PRODUCTS.items():
+        kinds = {read.kind for read in row.reads.values()}
+        assert kinds <= {"delivered", *READERS} - {"raster"}, name
+        assert not kinds or kinds & {"delivered", "points"}, name
 
 
 def test_nothing_is_made_that_no_product_needs() -> None:
