@@ -21,9 +21,8 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
-from tiler.apps.check.results import Accuracy, AccuracyFigures, CheckedPoint, Statement
-from tiler.apps.evaluate.heights import read_heights, vertical_unit
-from tiler.apps.evaluate.rasters import open_raster
+from tiler.apps.evaluate.rasters import open_raster, read_heights, vertical_unit
+from tiler.apps.results import Accuracy, AccuracyFigures, CheckedPoint, Statement
 from tiler.core.crs import same_horizontal, split
 from tiler.core.difference_statistics import spread
 from tiler.core.units import unit_label

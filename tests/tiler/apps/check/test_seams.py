@@ -11,7 +11,7 @@ import pytest
 
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tiler.apps.check import TileEdges, seam_steps
-from tiler.apps.check.seams import seams_of
+from tiler.apps.check.consistency import seams_of
 from tiler.errors import ConfigError, InputError
 
 
@@ -36,7 +36,7 @@ def test_a_plane_has_steps_and_no_jumps(tmp_path: Path) -> None:
 def test_steps_at_the_edges_are_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
-    monkeypatch.setattr("tiler.apps.evaluate.heights.BLOCK", block)
+    monkeypatch.setattr("tiler.apps.evaluate.rasters.BLOCK", block)
     facts = seam_steps(write_surface(tmp_path / "d.tif", stepped), TileEdges(10))
     # Of six edges three are jumps of 0.1, one is a jump of 0.25, two are none.
     assert facts["tiles"]["mean_jump"] == pytest.approx((3 * 0.1 + 0.25) / 6, abs=1e-4)

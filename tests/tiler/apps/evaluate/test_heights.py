@@ -7,7 +7,7 @@ import pytest
 import rasterio
 
 from tests.tiler.apps.check.rasters import write_heights as raster
-from tiler.apps.evaluate import evaluate_dtm, heights
+from tiler.apps.evaluate import evaluate_dtm, rasters
 from tiler.errors import ConfigError, InputError
 
 
@@ -77,7 +77,7 @@ def test_blocks_change_nothing(tmp_path, monkeypatch):
     mine[rng.random(mine.shape) < 0.1] = -9999
     paths = raster(tmp_path / "a.tif", mine, 7, 60), raster(tmp_path / "b.tif", truth, 0, 70)
     whole = evaluate_dtm(*paths)
-    monkeypatch.setattr(heights, "BLOCK", 16)
+    monkeypatch.setattr(rasters, "BLOCK", 16)
     parts = evaluate_dtm(*paths, difference=tmp_path / "d.tif")
     assert (parts.pop("unit"), whole.pop("unit")) == ("metre", "metre")
     assert parts == pytest.approx(whole, rel=1e-12)

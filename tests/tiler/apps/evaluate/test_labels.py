@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiler.apps.evaluate import IGNORED, confusion, evaluate_labels, scores
-from tiler.apps.evaluate.labels import class_scores, class_table, mean_scores
+from tiler.apps.evaluate.clouds import class_scores, class_table, mean_scores
 from tiler.errors import InputError
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.tiler.apps.check.rasters import write_heights as raster
 from tiler.apps.evaluate import evaluate_dtm, sigma_beside
-from tiler.apps.evaluate.sigma import SigmaTally
+from tiler.apps.evaluate.heights import SigmaTally
 from tiler.errors import ConfigError
 
 
