@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from tiler.core.units_text import length_text
+from tiler.core.units import length_text
 from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.io.result_folder import (

@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.crs import crs_name, crs_warnings
-from tiler.core.units import unit_label
-from tiler.core.units_text import short_unit
+from tiler.core.units import short_unit, unit_label
 from tiler.errors import InputError
 from tiler.inputs import SourceInfo, find_inputs, inspect, inspect_in_child
 from tiler.inputs.lists import is_virtual

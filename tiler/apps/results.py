@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NotRequired, TypedDict
 
-from tiler.core.difference_statistics import Spread
+from tiler.apps.difference_statistics import Spread
 
 
 class AccuracyFigures(Spread):

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.reclass import ONLY_GROUND
+from tiler.core.selection import ONLY_GROUND
 
 UNCLASSIFIED = 1
 GROUND = 2
@@ -81,8 +81,8 @@ def written_classes(reclass: str) -> npt.NDArray[np.uint8]:
     Parameters
     ----------
     reclass : str
-        With `tiler.core.reclass.ALL`, a point gets the class of its label. With `ONLY_GROUND`, ground in water becomes
-        `WATER`, and a point with the label `UNCLASSIFIED` keeps the class of its producer. If that class is in
+        With `tiler.core.selection.ALL`, a point gets the class of its label. With `ONLY_GROUND`, ground in water
+        becomes `WATER`, and a point with the label `UNCLASSIFIED` keeps the class of its producer. If that class is in
         `WITHOUT_OBJECT`, the point becomes `UNCLASSIFIED`, or `WATER` in water.
 
     Returns

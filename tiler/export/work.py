@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Cell
 from tiler.core.raster import RasterSpec
-from tiler.core.reclass import ONLY_GROUND
+from tiler.core.records import NOT_IN_DIGEST
+from tiler.core.selection import ONLY_GROUND
 from tiler.io.locations import joined
 from tiler.store import KeptPiece
 

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from ptd.passes import Pass, Points
 from tiler.core.classes import REPEATED_FLAG, UNCERTIFIED_BIT, participates
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.points import PointBlock
-from tiler.core.repeats import Rows
+from tiler.core.points import PointBlock, Rows
 from tiler.filter.work import FilterTile
 from tiler.store import BucketInfo, TileStore
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Cell
+from tiler.core.records import NOT_IN_DIGEST
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.classes import GROUND, UNCERTIFIED_BIT, WITHHELD_FLAG
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.core.records import Record
+from tiler.core.records import NOT_IN_DIGEST, Record
 
 
 @dataclass(frozen=True)

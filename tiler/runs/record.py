@@ -14,7 +14,7 @@ from importlib.metadata import version
 from typing import Any
 
 from tiler.config import RunConfig
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.records import to_json
 from tiler.core.results import LeftOut, StageResult, TileResult
 from tiler.io.locations import with_slashes

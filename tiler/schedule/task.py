@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, Self
 
-from tiler.core.digests import digest_of
-from tiler.core.records import JoinedRecord, Record
+from tiler.core.records import JoinedRecord, Record, digest_of
 from tiler.version import RULES
 
 if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.

@@ -7,7 +7,7 @@ import pytest
 from ptd.ground import labelling
 from tiler.core import classes
 from tiler.core.classes import WATER_BIT, written_classes
-from tiler.core.reclass import ALL, ONLY_GROUND
+from tiler.core.selection import ALL, ONLY_GROUND
 
 NO_PART, NEITHER, GROUND, LOW, BRIDGE = 0, 1, 2, 7, 17
 PLAIN = (0, 1, 2)

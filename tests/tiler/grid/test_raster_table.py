@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tiler.config import RunConfig
-from tiler.core.frame import CoordFrame
+from tiler.core.lattice import CoordFrame
 from tiler.core.products import PRODUCTS
 from tiler.grid.tasks.gridding import Grid, final_raster
 from tiler.grid.tasks.raster_table import raster_table, required_rasters

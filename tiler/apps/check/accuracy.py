@@ -21,12 +21,11 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
+from tiler.apps.difference_statistics import spread
 from tiler.apps.evaluate.rasters import open_raster, read_heights, vertical_unit
 from tiler.apps.results import Accuracy, AccuracyFigures, CheckedPoint, Statement
 from tiler.core.crs import same_horizontal, split
-from tiler.core.difference_statistics import spread
-from tiler.core.units import unit_label
-from tiler.core.units_text import short_unit
+from tiler.core.units import short_unit, unit_label
 from tiler.errors import ConfigError
 from tiler.io.foreign_content import excerpt
 

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
-from tiler.apps.evaluate.maps import summed
+from tiler.apps.difference_statistics import spread, summed
 from tiler.apps.evaluate.rasters import (
     blocks_with_files,
     horizontal_unit,
@@ -34,7 +34,6 @@ from tiler.apps.evaluate.rasters import (
 )
 from tiler.apps.results import ComparedStrips, Seams, Steps, StripPair, Strips
 from tiler.core.classes import GROUND, WITHHELD_FLAG
-from tiler.core.difference_statistics import spread
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import METRE, unit_label, unit_named
 from tiler.errors import ConfigError, InputError

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pyproj import CRS
 
 from ptd.gridding.shape import gradients, slope_deg
+from tiler.apps.difference_statistics import SpreadTally
 from tiler.apps.evaluate.clouds import ratio
 from tiler.apps.evaluate.maps import validate_map_files
 from tiler.apps.evaluate.rasters import (
@@ -25,7 +26,6 @@ from tiler.apps.evaluate.rasters import (
 )
 from tiler.apps.results import DtmScores, SigmaFigures, SigmaReport, SigmaScores, SlopeFigures
 from tiler.core.crs import same_horizontal, split
-from tiler.core.difference_statistics import SpreadTally
 from tiler.core.raster import NODATA
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError

@@ -1,4 +1,4 @@
-"""Error maps: the kind and the share of errors per cell, summed piece by piece, as GeoTIFF and PNG."""
+"""Error maps: the kind and the share of errors per cell, as GeoTIFF and PNG."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,35 +14,12 @@ import rasterio
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from tiler.apps.difference_statistics import summed
 from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
 from tiler.io.raster_files import CACHE_MB, any_place, raster_errors, tiled_profile, write_png
-
-Cells = npt.NDArray[np.int64]
-Figure = TypeVar("Figure", np.int64, np.float64)
-
-
-def summed(cells: Cells, sums: npt.NDArray[Figure]) -> tuple[Cells, npt.NDArray[Figure]]:
-    """Return the distinct cells and the sums of their values.
-
-    The cells are sorted by the last row of ``cells``, then by the row before it, and so on.
-
-    Parameters
-    ----------
-    cells : int64, shape (k, n)
-        Indices of the cell of each value, one row per axis.
-    sums : array, shape (m, n)
-        Values to add up per cell.
-    """
-    if cells.shape[1] == 0:
-        return cells, sums
-    order = np.lexsort(cells)
-    cells = cells[:, order]
-    first = np.flatnonzero(np.r_[True, np.any(cells[:, 1:] != cells[:, :-1], axis=0)])
-    return cells[:, first], np.add.reduceat(sums[:, order], first, axis=1)
-
 
 RIGHT = 0
 """Code of a cell in which all points are right."""

@@ -15,10 +15,10 @@ from ptd.matched.evidence import percent
 from ptd.matched.passes import BLOCK_M, CanopyPass
 from ptd.methods import METHODS
 from tiler.config import VOID_CANOPY
+from tiler.core.breaklines import rings_of
 from tiler.core.lattice import Cell
-from tiler.core.map_lines import rings_of
 from tiler.core.terrain_results import CanopyResult, Doubt
-from tiler.core.units_text import length_text
+from tiler.core.units import length_text
 from tiler.filter.tasks.labelled import Labelled
 from tiler.filter.tasks.passes import elected_name, label_digests, labels_name, tile_records
 from tiler.ingest.tasks.assembled import IngestResult

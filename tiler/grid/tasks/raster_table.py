@@ -34,11 +34,9 @@ import numpy as np
 
 from ptd.matched.cells import CELL_M
 from tiler.config import AUTO_WATER, VOID_CANOPY
-from tiler.core.digests import digest_of
-from tiler.core.mask_values import MASK_VALUES, OUTSIDE
-from tiler.core.products import PRODUCTS
+from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.core.records import records_of
+from tiler.core.records import digest_of, records_of
 from tiler.core.terrain_results import SurfaceResult
 from tiler.grid.block import full_halo
 from tiler.grid.block_surroundings import reach_pixels

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
-from tiler.core.digests import digest_of
+from tiler.core.records import digest_of
 from tiler.errors import InputError
 from tiler.ingest.contents import read_files
 from tiler.ingest.tasks.points import Source

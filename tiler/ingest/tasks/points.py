@@ -7,9 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
-from tiler.core.records import SpoolRecord
+from tiler.core.records import SpoolRecord, digest_of
 from tiler.ingest import (
     BucketParts,
     SpoolPiece,

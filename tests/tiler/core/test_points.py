@@ -10,10 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiler.core.classes import REPEATED_FLAG, WITHHELD_FLAG, participates
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
-from tiler.core.points import PointBlock, pack_origin
-from tiler.core.repeats import representatives
+from tiler.core.lattice import Cell, CoordFrame, Lattice
+from tiler.core.points import PointBlock, pack_origin, representatives
 from tiler.ingest.assemble import bucket_order
 
 CELL, BUCKET, FRAME = Cell(-2, 1), Lattice(Fraction(12)), CoordFrame(origin=(-50, 5))
