@@ -9,15 +9,14 @@ from threading import Thread
 from tiler.errors import ConfigError
 from tiler.schedule.fork_server import FORKS, fork_server_running, prepare_children
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError, limits_memory
-from tiler.schedule.isolated_reading import call_isolated, half_of_memory
-from tiler.schedule.parallel_calls import ChildPool
-from tiler.schedule.serial import SerialExecutor
+from tiler.schedule.guarded_calls import ChildPool, call_isolated, half_of_memory
 from tiler.schedule.task import (
     TRIES,
     Call,
     Executor,
     Machine,
     Outcome,
+    SerialExecutor,
     Task,
     TaskLimits,
     TaskRunner,
