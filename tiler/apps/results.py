@@ -121,26 +121,21 @@ class StripPair(Spread):
     cells: int
 
 
-class ComparedStrips(TypedDict):
-    """Differences of all pairs of strips in the cells that they share.
+class Strips(TypedDict):
+    """Differences of all pairs of strips in the cells that they share, with heights in ``unit``.
 
-    ``cells`` is the number of comparisons, one per cell and pair of strips. ``rough`` is the number of comparisons left
-    out, because a strip has too few points or is too rough.
+    ``strips`` is the number of ground points by source id. ``cells`` is the number of comparisons, one per cell and
+    pair of strips. ``rough`` is the number of comparisons left out, because a strip has too few points or is too rough.
     """
-
-    cells: int
-    rough: int
-    all: Spread
-    pairs: list[StripPair]
-
-
-class Strips(ComparedStrips):
-    """Differences of strips, with heights in ``unit``, and the number of ground points by source id."""
 
     unit: str
     metres_per_unit: float
     cell_m: float
     strips: dict[str, int]
+    cells: int
+    rough: int
+    all: Spread
+    pairs: list[StripPair]
 
 
 class Judgement(TypedDict):

@@ -32,7 +32,7 @@ from tiler.apps.evaluate.rasters import (
     read_heights,
     vertical_unit,
 )
-from tiler.apps.results import ComparedStrips, Seams, Steps, StripPair, Strips
+from tiler.apps.results import Seams, Steps, StripPair, Strips
 from tiler.core.classes import GROUND, WITHHELD_FLAG
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import METRE, unit_label, unit_named
@@ -354,12 +354,16 @@ def _strips_of(paths: Sequence[Path]) -> Strips:
         raise InputError(
             f"{paths[0]}: no ground (class 2) in {len(paths)} files; give classified clouds, as `tiler run` writes them"
         )
+    rough, difference, pairs = _compared(keys, sums, MAX_ROUGH_M / float(vertical))
     return {
         "unit": unit_label(vertical),
         "metres_per_unit": float(vertical),
         "cell_m": CELL_M,
         "strips": {str(strip): strips[strip] for strip in sorted(strips)},
-        **_compared(keys, sums, MAX_ROUGH_M / float(vertical)),
+        "cells": int(difference.size),
+        "rough": rough,
+        "all": spread(difference),
+        "pairs": pairs,
     }
 
 
@@ -374,8 +378,10 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
             yield records["point_source_id"].astype(np.int64), x, y, z
 
 
-def _compared(keys: Int64s, sums: Floats, max_rough: float) -> ComparedStrips:
-    """Return the differences of all pairs of strips in the cells that they share.
+def _compared(
+    keys: Int64s, sums: Floats, max_rough: float
+) -> tuple[int, Floats, list[StripPair]]:
+    """Return the number of rough comparisons, all differences of strips in the cells that they share, and each pair's.
 
     The rows of ``keys`` are strip, column and row, sorted by row, column and strip. The rows of
     ``sums`` are the number of points, the sum of their heights, and the sum of their squared
@@ -411,9 +417,4 @@ def _compared(keys: Int64s, sums: Floats, max_rough: float) -> ComparedStrips:
                 **spread(pair_differences),
             }
         )
-    return {
-        "cells": int(difference.size),
-        "rough": rough,
-        "all": spread(difference),
-        "pairs": pairs,
-    }
+    return rough, difference, pairs
