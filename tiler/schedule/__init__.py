@@ -12,7 +12,6 @@ from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError, 
 from tiler.schedule.guarded_calls import ChildPool, call_isolated, half_of_memory
 from tiler.schedule.task import (
     TRIES,
-    Call,
     Executor,
     Machine,
     Outcome,
@@ -20,7 +19,6 @@ from tiler.schedule.task import (
     Task,
     TaskLimits,
     TaskRunner,
-    Work,
     WorkerCheck,
     calling,
 )
@@ -28,7 +26,6 @@ from tiler.schedule.task import (
 __all__ = [
     "FORKS",
     "TRIES",
-    "Call",
     "ChildDiedError",
     "ChildPool",
     "ChildProcess",
@@ -40,7 +37,6 @@ __all__ = [
     "Task",
     "TaskLimits",
     "TaskRunner",
-    "Work",
     "WorkerCheck",
     "call_isolated",
     "calling",

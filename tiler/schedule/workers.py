@@ -62,7 +62,6 @@ connection in one line."""
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Silence the loggers of Dask during the block."""
     levels = {name: logging.getLogger(name).level for name in _LOGGERS}
     for name in _LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
