@@ -11,8 +11,8 @@ from typing import Any, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.crs import crs_name, crs_warnings
+from tiler.core.points import SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.units import short_unit, unit_label
 from tiler.errors import InputError
 from tiler.inputs import SourceInfo, find_inputs, inspect, inspect_in_child

@@ -28,7 +28,7 @@ import numpy.typing as npt
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
 from tiler.core.records import digest_of_arrays, digest_of_bytes
-from tiler.core.terrain_results import Rings
+from tiler.core.results import Rings
 
 Counts = npt.NDArray[np.int64]
 

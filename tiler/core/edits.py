@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Area, AreaIndex, Places
-from tiler.core.classes import (
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
+from tiler.core.points import (
     BRIDGE,
     GROUND,
     NOISE,
@@ -20,9 +21,8 @@ from tiler.core.classes import (
     UNCLASSIFIED,
     UNSEEN_FLAGS,
     WATER,
+    PointBlock,
 )
-from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
-from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec, within
 from tiler.core.records import digest_of_bytes
 

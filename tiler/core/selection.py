@@ -16,7 +16,7 @@ FIRST, LAST = "first", "last"
 DROP_WITHHELD, KEEP_WITHHELD = "drop", "keep"
 """Values of `--withheld`."""
 ONLY_GROUND, ALL = "ground", "all"
-"""Values of `--reclass`, which `tiler.core.classes.written_classes` describes."""
+"""Values of `--reclass`, which `tiler.core.points.written_classes` describes."""
 
 WITHHELD = "withheld"
 """Key of the number of points excluded by the flag "withheld". The other keys are those of

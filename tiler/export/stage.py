@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.core.records import digest_of
-from tiler.core.terrain_results import ContourResult, SpotCounts
+from tiler.core.results import ContourResult, SpotCounts
 from tiler.core.units import short_unit
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error

@@ -106,7 +106,7 @@ class CloudCopy:
     low_is_noise : bool
         True if returns from far below the level of water become low noise.
     reclass : str
-        Rule that selects the classes that change, see `tiler.core.classes.written_classes`.
+        Rule that selects the classes that change, see `tiler.core.points.written_classes`.
     stamp : list or None
         Fingerprint of the source in the plan, which distinguishes a file that was only touched from a changed file.
     ranges : tuple of (int, int)

@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.passes import Pass, Points
-from tiler.core.classes import REPEATED_FLAG, UNCERTIFIED_BIT, participates
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.points import PointBlock, Rows
+from tiler.core.points import REPEATED_FLAG, UNCERTIFIED_BIT, PointBlock, Rows, participates
 from tiler.filter.work import FilterTile
 from tiler.store import BucketInfo, TileStore
 

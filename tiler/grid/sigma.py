@@ -22,7 +22,7 @@ from ptd.gridding.shape import gradients
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.products import CANOPY, COVERED_SHARE, EDGES_M, FILLED, GROUPS, WATER
 from tiler.core.raster import Block, RasterSpec
-from tiler.core.terrain_results import SigmaGroup, SigmaResult
+from tiler.core.results import SigmaGroup, SigmaResult
 from tiler.grid.block_surroundings import PixelCells, PointsNear, linear
 from tiler.grid.canopy import BEND_M
 from tiler.grid.steps import Counts

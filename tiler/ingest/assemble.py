@@ -8,9 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import NOISE, REPEATED_FLAG, STRAY_FLAG, WITHHELD_FLAG, participates
 from tiler.core.lattice import Bounds, Cell, CoordFrame, Lattice
-from tiler.core.points import SOURCE_SHIFT, PointBlock, preference
+from tiler.core.points import (
+    NOISE,
+    REPEATED_FLAG,
+    SOURCE_SHIFT,
+    STRAY_FLAG,
+    WITHHELD_FLAG,
+    PointBlock,
+    participates,
+    preference,
+)
 from tiler.core.records import AssembledRecord, BucketRecord
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
@@ -72,7 +80,7 @@ def assemble_buckets(
     store : TileStore
     buckets : tuple of BucketParts
     keep_classes : tuple of int or None
-        Classes that are excluded from filtering; None for the default of `tiler.core.classes.participates`.
+        Classes that are excluded from filtering; None for the default of `tiler.core.points.participates`.
     skip_flags : int
         Bits of flags that exclude a point from filtering.
 

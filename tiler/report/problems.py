@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
-from tiler.core.classes import NOISE
+from tiler.core.points import NOISE
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table

@@ -9,26 +9,24 @@ from typing import Any
 from ptd.passes import State
 from tiler.core.records import to_json
 from tiler.core.results import (
-    ClassCounts,
-    FetchedBytes,
-    LabelCounts,
-    PointCounts,
-    Stray,
-    SurveyDates,
-)
-from tiler.core.terrain_results import (
     AboveResult,
     BreaklineCounts,
     BridgeResult,
     CanopyResult,
+    ClassCounts,
     ContourResult,
     Doubt,
     EditResult,
+    FetchedBytes,
     Implausible,
+    LabelCounts,
     OutlineResult,
+    PointCounts,
     SigmaResult,
     SpotCounts,
+    Stray,
     SurfaceResult,
+    SurveyDates,
     TerrainResult,
     VoidResult,
     VoidsResult,

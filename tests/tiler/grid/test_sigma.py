@@ -15,7 +15,7 @@ from tests.tiler.grid.conftest import FINAL, Scene, make_block
 from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.products import CANOPY, EDGES_M, GROUPS, MEASURED
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.core.terrain_results import SigmaGroup
+from tiler.core.results import SigmaGroup
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded

@@ -33,7 +33,7 @@ from tiler.apps.evaluate.rasters import (
     vertical_unit,
 )
 from tiler.apps.results import Seams, Steps, StripPair, Strips
-from tiler.core.classes import GROUND, WITHHELD_FLAG
+from tiler.core.points import GROUND, WITHHELD_FLAG
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import METRE, unit_label, unit_named
 from tiler.errors import ConfigError, InputError

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from tiler.apps.evaluate.maps import ErrorGrid
 from tiler.apps.results import ClassScores, CloudScores, LabelScores, Pairing, Scores
-from tiler.core.classes import GROUND, WITHHELD_FLAG
+from tiler.core.points import GROUND, WITHHELD_FLAG
 from tiler.errors import InputError
 from tiler.io.las.headers import read_header
 from tiler.io.las.point_formats import class_and_flags, coordinate

@@ -17,7 +17,7 @@ from ptd.methods import METHODS
 from tiler.config import VOID_CANOPY
 from tiler.core.breaklines import rings_of
 from tiler.core.lattice import Cell
-from tiler.core.terrain_results import CanopyResult, Doubt
+from tiler.core.results import CanopyResult, Doubt
 from tiler.core.units import length_text
 from tiler.filter.tasks.labelled import Labelled
 from tiler.filter.tasks.passes import elected_name, label_digests, labels_name, tile_records

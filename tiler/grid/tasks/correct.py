@@ -28,7 +28,7 @@ from tiler.core.edits import (
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.records import digest_of, records_of
-from tiler.core.terrain_results import BreaklineCounts, BridgeResult, EditResult
+from tiler.core.results import BreaklineCounts, BridgeResult, EditResult
 from tiler.core.units import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError

@@ -19,7 +19,7 @@ from ptd.matched.passes import CanopyPass
 from tiler.config import VOID_CANOPY
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
-from tiler.core.terrain_results import (
+from tiler.core.results import (
     AbovePlace,
     AboveResult,
     Implausible,

@@ -37,7 +37,7 @@ from tiler.config import AUTO_WATER, VOID_CANOPY
 from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.core.records import digest_of, records_of
-from tiler.core.terrain_results import SurfaceResult
+from tiler.core.results import SurfaceResult
 from tiler.grid.block import full_halo
 from tiler.grid.block_surroundings import reach_pixels
 from tiler.grid.canopy import below_canopy, canopy, canopy_reach, crowns_margin

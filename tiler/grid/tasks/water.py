@@ -11,7 +11,7 @@ from tiler.core.area import AreaIndex
 from tiler.core.breaklines import rings_of_areas
 from tiler.core.lattice import COUNTS_PER_UNIT, Cell, row_by_row
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.terrain_results import Doubt, StationResult, WaterResult
+from tiler.core.results import Doubt, StationResult, WaterResult
 from tiler.core.units import length_text
 from tiler.core.water import LAKE, RIVER, Station, Water, Waters, lengths_along
 from tiler.core.words import counted, listed

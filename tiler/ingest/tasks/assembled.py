@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, reduce
 
-from tiler.core.classes import (
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.points import (
     OVERLAP_FLAG,
     REPEATED_FLAG,
     STRAY_FLAG,
@@ -13,7 +14,6 @@ from tiler.core.classes import (
     UNSELECTED_FLAG,
     WITHHELD_FLAG,
 )
-from tiler.core.lattice import Bounds, Cell
 from tiler.core.records import BucketRecord, buckets_in
 from tiler.plan import Plan
 from tiler.store import Commits
