@@ -21,7 +21,7 @@ seeds
     objects, and all other cells are seeds.
 summits
     Put back ridges and summits that the openings cut off: smooth and steep cells, where the
-    objects around continue the ground at most of their edges (`ptd.ground.summits`).
+    objects around continue the ground at most of their edges (`ptd.ground.cut_off_land`).
 densify
     Add object cells to the TIN of the seeds if they fit it (`ptd.ground.densify`). They are
     edges and tops that the openings cut.
