@@ -81,7 +81,7 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
     Parameters
     ----------
     density : mapping
-        Density map made by `tiler.apps.cloud_facts.density_map`.
+        Density map made by `tiler.apps.clouds.density_map`.
     encoding : str or None
         Encoding of the terminal. If it has no block characters, the shades are ASCII characters.
     """

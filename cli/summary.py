@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from tiler.core.units_text import length_text
+from tiler.core.units import length_text
 from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.io.result_folder import (
@@ -183,7 +183,7 @@ def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
 
 
 def sigma_lines(found: Mapping[str, Any], unit: str) -> list[str]:
-    """Return lines that compare standard errors with errors, from `tiler.apps.evaluate.sigma.SigmaTally.summary`."""
+    """Return lines that compare standard errors with errors, from `tiler.apps.evaluate.heights.SigmaTally.summary`."""
     if not found["pixels"]:
         return ["sigma   no pixel has both a standard error and a reference height"]
     shares = ", ".join(percent_text(found[f"within_{k}"]) for k in (1, 2, 3))

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from tiler.apps.check import PointOptions, measure, parse_requirements, terrain_in
-from tiler.apps.check.results import CheckSummary
 from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
+from tiler.apps.results import CheckSummary
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError

@@ -11,7 +11,7 @@ import click
 from cli.options import json_option
 from cli.output import print_json, print_table, write_line
 from cli.session import TilerCommand
-from tiler.core.units_text import length_text
+from tiler.core.units import length_text
 from tiler.core.words import counted
 
 FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")

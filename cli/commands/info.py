@@ -31,7 +31,7 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
     or a virtual point cloud (.vpc), it prints a table with one row per cloud, for which it
     reads only the headers and a few points.
     """
-    from tiler.apps.info_table import COLUMNS, describe_many, is_many, rows
+    from tiler.apps.clouds import COLUMNS, describe_many, is_many, rows
 
     if is_many(paths):
         clouds = describe_many(paths)

@@ -34,9 +34,17 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.noise_sums import BIN_M, MAX_SIGMA_M, PATCH_M, PatchCounts, histogram
+from ptd.ground.noise_sums import (
+    BIN_M,
+    MAX_SIGMA_M,
+    PATCH_M,
+    PatchCounts,
+    PlaceCounts,
+    histogram,
+)
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
+from ptd.places import PLACE_M
 
 MIN_POINTS = 16
 MIN_POINTS_PER_QUARTER = 4
@@ -50,6 +58,7 @@ REACH_M = PATCH_M * (REACH_CELLS + 1)
 tiles."""
 MIN_QUARTER_PLANE_POINTS = 12
 """Least number of points in a quarter of a patch for measuring its roughness by a plane."""
+PATCHES_ACROSS = round(PLACE_M / PATCH_M)
 TALLEST_M = 8.0
 """Largest height range of the points of a planar patch, which keeps the sums small."""
 
@@ -323,3 +332,22 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> PatchCoun
 def _bins(noise: Float64, scale: Scale) -> Int64:
     """Return the bins of noise values in horizontal counts, or -1 for negative values."""
     return np.where(noise < 0.0, -1, noise / scale.counts(BIN_M)).astype(np.int64)
+
+
+def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[PlaceCounts]:
+    """Return the counts that the core of a window adds to each place that it touches.
+
+    `ptd.ground.roughness.measure` describes the parameters.
+    """
+    measured_patches = patches(xyz, core, scale)
+    columns, rows = (
+        measured_patches.columns // PATCHES_ACROSS,
+        measured_patches.rows // PATCHES_ACROSS,
+    )
+    order = np.lexsort((columns, rows))
+    other = (np.diff(columns[order]) != 0) | (np.diff(rows[order]) != 0)
+    parts = np.split(order, np.flatnonzero(other) + 1) if order.size else []
+    return [
+        {"place": [int(columns[part[0]]), int(rows[part[0]])], **measured_patches.counts(part)}
+        for part in parts
+    ]

@@ -32,5 +32,5 @@ robust_cells
     ground cells they find.
 
 The passes start from the noise of each place, which is measured on the smoothest patches around
-it (`ptd.ground.noise_by_place`).
+it (`ptd.ground.noise_sums`).
 """

@@ -22,8 +22,8 @@ import scipy
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import CellLattice, Scale
+from ptd.ground.cut_off_land import REACH_CELLS, on_summits, without_thin
 from ptd.ground.morphology import Bool, CellRaster
-from ptd.ground.summits import REACH_CELLS, on_summits, without_thin
 from ptd.matched import bent_hull, growth
 from ptd.matched.bent_hull import (
     RemainingCells,
@@ -80,7 +80,7 @@ NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
 of the place's noise, and the weight of the place's noise."""
 SUMMIT_M, THICK_M = 18.0, 2.5
 """Distances along rows and columns: of the edges that decide whether a cell belongs to a ridge,
-and of the cells that must belong to it too (`ptd.ground.summits`). Thin strips are the lower
+and of the cells that must belong to it too (`ptd.ground.cut_off_land`). Thin strips are the lower
 parts of facades."""
 MILLIMETRES = Scale()
 EXTENDED_M = (1.0, 6.0)

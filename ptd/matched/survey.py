@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 
 from ptd.frame import Scale, Window
-from ptd.ground import noise_by_place, noise_sums, roughness
+from ptd.ground import noise_sums, roughness
 from ptd.ground.noise_sums import Roughness
 from ptd.matched import penetration
 from ptd.matched.cells import CELL_M, SPARSE_CELL_M, SPARSE_M2, cell_size_m
@@ -348,7 +348,7 @@ class SurveyPass(Pass):
                 "told": int(np.count_nonzero(n_returns)),
                 "several": int(np.count_nonzero(n_returns > 1)),
             }
-        measured_places = noise_by_place.measure_places(points.xyz, core, scale)
+        measured_places = roughness.measure_places(points.xyz, core, scale)
         returns_decide = not core.closed and counts["several"] >= SEVERAL_SHARE * max(
             counts["told"], 1
         )
@@ -369,7 +369,7 @@ class SurveyPass(Pass):
             *(sum(p[name] for p in parts) for name in ReturnStatistics._fields)
         )
         counted = [place for p in parts for place in p["places"]]
-        measured = noise_by_place.by_place(counted).items()
+        measured = noise_sums.by_place(counted).items()
         table = with_cell_sizes(
             {
                 name_of(*place): [*figures(place_roughness, state["run"])]

@@ -23,8 +23,8 @@ from tests.benchmarks.scorecard_scenes import (
     simulated_scenes,
 )
 from tiler.config import RunConfig
-from tiler.core.classes import LABELS, STRAY_FLAG, WITHHELD_FLAG
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.points import LABELS, STRAY_FLAG, WITHHELD_FLAG
 from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded

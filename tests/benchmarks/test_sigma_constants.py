@@ -17,7 +17,7 @@ from tests.benchmarks.sigma_constants import (
     scored,
 )
 from tests.benchmarks.sigma_scenes import Pixels
-from tiler.core.mask_values import CANOPY, MEASURED, WATER
+from tiler.core.products import CANOPY, MEASURED, WATER
 from tiler.grid.sigma import MATCHED, WEIGHTS, Measures, standard_error_m
 
 

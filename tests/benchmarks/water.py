@@ -18,7 +18,7 @@ import shapely
 
 from tests.scenes.water_scenes import UNKNOWN, WATER_KNOWN, WATER_SCENES, write_cloud
 from tiler.config import RunConfig
-from tiler.core.mask_values import WATER
+from tiler.core.products import WATER
 from tiler.pipeline import run
 from tiler.simulate import Site, describe_scene
 from tiler.simulate.files import ORIGIN

@@ -101,6 +101,8 @@ class Here:
     def __exit__(self, *error: object) -> None:
         """End nothing."""
 
+    kill = leave = __exit__
+
     def call(self, function: Any, *arguments: Any, seconds: float) -> Any:
         return function(*arguments)
 
@@ -112,7 +114,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def here(guard: Any, function: Any, *arguments: Any, **named: Any) -> Any:
         return function(*arguments, **named)
 
-    monkeypatch.setattr("tiler.schedule.isolated_reading.ChildProcess", Here)
+    monkeypatch.setattr("tiler.schedule.guarded_calls.ChildProcess", Here)
     for module in ("tiler.apps.preview", "tiler.apps.classify"):
         monkeypatch.setattr(f"{module}.read_in_child", here)
     for module in ("classify", "preview", "evaluate"):

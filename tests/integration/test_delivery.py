@@ -20,7 +20,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate import sigma_beside
-from tiler.core.mask_values import MASK_VALUES
+from tiler.core.products import MASK_VALUES
 from tiler.errors import ConfigError
 
 

@@ -12,8 +12,8 @@ import rasterio
 
 from tests.integration import deadly
 from tests.invariants.runs import do, dtm, output_digests, the_store
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.mask_values import HOLE
+from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.products import HOLE
 
 SETTINGS = {"in_process": False, "workers": 2, "tile_size": "64", "products": "dtm,mask"}
 

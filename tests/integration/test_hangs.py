@@ -63,8 +63,8 @@ def test_what_never_ends_is_given_up(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("tiler.schedule.isolated_reading.MIN_SECONDS", 1.0)
-    monkeypatch.setattr("tiler.schedule.isolated_reading.BYTES_PER_SECOND", 1e8)
+    monkeypatch.setattr("tiler.schedule.guarded_calls.MIN_SECONDS", 1.0)
+    monkeypatch.setattr("tiler.schedule.guarded_calls.BYTES_PER_SECOND", 1e8)
     assert main(asked(cloud, hostile, tmp_path / "out")[name]) == 3
     assert_one_line(
         capsys.readouterr().err,

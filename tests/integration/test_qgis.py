@@ -16,7 +16,7 @@ from tests.integration.command import command, ended, environment, tiler
 from tests.invariants import clouds
 from tests.invariants.runs import output_digests
 from tiler.core.edits import ACTIONS
-from tiler.core.mask_values import MASK_VALUES
+from tiler.core.products import MASK_VALUES
 
 # Debian's `qgis_process` is a script that calls this one with an option that it does not know.
 QGIS_PROCESS = shutil.which("qgis_process.bin") or shutil.which("qgis_process")

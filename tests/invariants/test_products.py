@@ -15,8 +15,7 @@ from tests.invariants.clouds import Cloud
 from tests.invariants.runs import all_digests, computed, do
 from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
 from tests.tiler.report import results
-from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED
-from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, NODATA, PRODUCTS
 from tiler.errors import ConfigError
 
 ALL = ",".join(PRODUCTS)

@@ -18,7 +18,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings
 from tests.scenes.drawings import EAST, NORTH, digests, draw, ground, pixels, written
 from tests.scenes.journals import connected
-from tiler.core.mask_values import WATER
+from tiler.core.products import WATER
 from tiler.errors import ConfigError, InputError
 from tiler.plan import make_plan
 

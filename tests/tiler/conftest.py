@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
+from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import PointBlock
 from tiler.store import StoreMeta, TileStore, create_store
 

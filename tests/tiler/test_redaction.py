@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tiler.core.digests import digest_of
+from tiler.core.records import digest_of
 from tiler.errors import ConfigError, CorruptStoreError, InputError
 from tiler.io.locations import as_path, location
 from tiler.redaction import printable, shown, stored, without_secrets

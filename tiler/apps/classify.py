@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, NotRequired, TypedDict
 
 from tiler.config import RunConfig
-from tiler.core.classes import LABELS, Counts, sum_by_class
 from tiler.core.lattice import Cell
+from tiler.core.points import LABELS, Counts, sum_by_class
 from tiler.errors import ConfigError, ProcessingError, TilerError
 from tiler.export.classified import write_classified
 from tiler.export.cloud_crs import crs_to_write

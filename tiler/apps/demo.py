@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from tiler.apps.evaluate import Scene, evaluate_dtm, evaluate_scenes
-from tiler.apps.evaluate.results import DtmScores, SceneReport
+from tiler.apps.results import DtmScores, SceneReport
 from tiler.config import RunConfig
-from tiler.core.links import link_error
+from tiler.core.file_names import link_error
 from tiler.errors import ConfigError, write_error
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import CLASSIFIED, EVALUATION

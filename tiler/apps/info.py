@@ -95,7 +95,7 @@ def describe(path: str) -> dict[str, Any]:
     if is_folder:
         return _describe_folder(location)
     if name.endswith("ept.json"):
-        from tiler.apps.cloud_facts import describe_point_tiles
+        from tiler.apps.clouds import describe_point_tiles
         from tiler.inputs import read_list
 
         return read_list(path, describe_point_tiles, path)
@@ -105,7 +105,7 @@ def describe(path: str) -> dict[str, Any]:
         return call_isolated(
             describe_raster, location, paths=(location,), memory_bytes=half_of_memory()
         )
-    from tiler.apps.cloud_facts import describe_cloud
+    from tiler.apps.clouds import describe_cloud
     from tiler.inputs import read_in_child
     from tiler.schedule import ChildProcess
 
@@ -235,21 +235,18 @@ def describe_raster(path: Path) -> dict[str, Any]:
             "vertical_unit": raster.units[0],
             "nodata": raster.nodata,
             "overviews": raster.overviews(1),
-            "compression": None if is_vrt else _compression_of(raster),
+            "compression": None
+            if is_vrt
+            else (raster.compression.value.lower() if raster.compression else "none"),
             "heights": _heights(raster),
             "tags": dict(raster.tags()),
             "warnings": crs_warnings(wkt, raster.bounds),
         }
 
 
-def _compression_of(raster: Any) -> str:
-    name: str = raster.compression.value.lower() if raster.compression else "none"
-    return name
-
-
 def _heights(raster: Any) -> dict[str, float]:
     """Return statistics of the first band's valid pixels, with one block in memory at a time."""
-    from tiler.apps.evaluate.heights import blocks_with_files
+    from tiler.apps.evaluate.rasters import blocks_with_files
     from tiler.export.cog import Statistics
 
     windows = (

@@ -12,13 +12,12 @@ from tiler.errors import ConfigError, ProcessingError
 from tiler.plan.machine import cores
 from tiler.runs.compiling import (
     SECONDS,
-    Kernels,
     filter_kernels,
     grid_kernels,
     kinds_of,
     silent,
 )
-from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
+from tiler.schedule import ChildDiedError, ChildPool
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,10 @@ def warm(methods: Sequence[str]) -> WarmResult:
     todo = [kernels for kernels in needed_kernels if not is_compiled(kernels.name)]
     try:
         with ChildPool(max(min(cores(), len(todo)), 1), None) as guards:
-            for done in guards.each(_compile, todo):
+            for done in guards.each(
+                lambda guard, kernels: guard.call(kernels.compile, silent, seconds=SECONDS),
+                todo,
+            ):
                 done()
     except ChildDiedError as died:
         raise ProcessingError(
@@ -70,7 +72,3 @@ def warm(methods: Sequence[str]) -> WarmResult:
         ) from died
     count = compiled_count()
     return WarmResult(str(folder), count, count - n_before, cache_refusal())
-
-
-def _compile(guard: ChildProcess, kernels: Kernels) -> None:
-    guard.call(kernels.compile, silent, seconds=SECONDS)

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any, TypeVar
 
-from tiler.core.nodata import parse_nodata
+from tiler.core.file_names import check_template, product_names
+from tiler.core.products import parse_nodata
 from tiler.core.selection import parse_angle, parse_numbers, parse_returns, parse_sources
-from tiler.core.sheet_names import check_template, product_names
 from tiler.core.units import FARTHEST, parse_area, parse_length
 from tiler.errors import ConfigError
 

@@ -15,10 +15,9 @@ from typing import Any
 
 from tiler.config.parsing import parse_value, plain_value
 from tiler.config.sources import load_preset, over_preset, preset_names
+from tiler.core.file_names import DEFAULT as SHEET_NAME
 from tiler.core.products import NODATA, PRODUCTS, PRODUCTS_HELP, VECTOR_PRODUCTS
-from tiler.core.reclass import ALL, ONLY_GROUND
-from tiler.core.selection import DROP_WITHHELD, KEEP_WITHHELD, Selection
-from tiler.core.sheet_names import DEFAULT as SHEET_NAME
+from tiler.core.selection import ALL, DROP_WITHHELD, KEEP_WITHHELD, ONLY_GROUND, Selection
 from tiler.errors import ConfigError
 
 # Values of `RunConfig.water` that are not names of files.

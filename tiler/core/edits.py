@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.area import Area, Places
-from tiler.core.area_index import AreaIndex
-from tiler.core.classes import (
+from tiler.core.area import Area, AreaIndex, Places
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
+from tiler.core.points import (
     BRIDGE,
     GROUND,
     NOISE,
@@ -21,12 +21,10 @@ from tiler.core.classes import (
     UNCLASSIFIED,
     UNSEEN_FLAGS,
     WATER,
+    PointBlock,
 )
-from tiler.core.digests import digest_of_bytes
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec, within
+from tiler.core.records import digest_of_bytes
 
 NOT_GROUND = "not_ground"
 TO_GROUND = "ground"

@@ -1,24 +1,64 @@
-"""Products of a run, with the content of each raster and its description in the file.
+"""Products of a run, with the content of each raster and its description in the file, and the meaning of its values.
 
 This is the only list of the products.
 """
 
 from __future__ import annotations
 
+import math
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
-from tiler.core.mask_values import (
-    CANOPY,
-    FILLED,
-    HOLE,
-    INTERPOLATED,
-    MASK_VALUES,
-    MEASURED,
-    OUTSIDE,
-    WATER,
-)
-from tiler.core.nodata import NODATA as NODATA
+from tiler.errors import ConfigError
+
+OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER, CANOPY = range(7)
+
+MASK_VALUES = {
+    OUTSIDE: "outside the survey",
+    MEASURED: "measured: a ground point lies in the pixel",
+    INTERPOLATED: "interpolated within the limit",
+    FILLED: "filled beyond the limit",
+    HOLE: "hole: no height inside the survey, or a tile that failed",
+    WATER: "water: level, or falling along its flow",
+    CANOPY: "canopy, bridged: crowns hide the ground",
+}
+
+
+NODATA = -9999.0
+"""Nodata value of rasters in the store, and the default of files."""
+
+LOWEST_HEIGHT = -2000.0
+"""Lowest value that could be a height, in metres or feet."""
+MAX_HEIGHT = 100_000.0
+"""Highest value that could be a height, in metres or feet."""
+
+
+def parse_nodata(value: Any) -> float:
+    """Return the nodata value, which may be NaN.
+
+    Raise ConfigError if it is not a number, is not exact in float32, or could be a height.
+    """
+    try:
+        number = float(value)
+        if math.isnan(number):
+            return number
+        exact = struct.unpack("<f", struct.pack("<f", number))[0] == number
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"nodata {value!r}: not a number; give a number like -9999 or -999999, or nan"
+        ) from None
+    except OverflowError:
+        exact = False
+    if not exact or not math.isfinite(number):
+        raise ConfigError(
+            f"nodata {value}: a float32 raster cannot hold it exactly; use -9999 or -999999"
+        )
+    if LOWEST_HEIGHT < number < MAX_HEIGHT:
+        raise ConfigError(f"nodata {value}: could be a height; use -9999 or -999999")
+    return number
+
 
 CONTOURS, SPOTS = "contours", "spots"
 VECTOR_PRODUCTS = (CONTOURS, SPOTS)
@@ -185,3 +225,12 @@ PRODUCTS_HELP = ", ".join(
     f"{name} ({product.help})" if product.help else name for name, product in PRODUCTS.items()
 )
 """Names of all products for the help, with what the names do not say."""
+
+
+OPEN, COVERED, WET = "open", "covered", "water"
+GROUPS = (OPEN, COVERED, WET)
+COVERED_SHARE = 0.5
+"""Minimum share of objects among the points around covered ground. Filled pixels and canopy are
+covered, too."""
+EDGES_M = (0.0, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
+"""Edges of the classes of the standard error, in metres."""

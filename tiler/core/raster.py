@@ -14,7 +14,7 @@ from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
 
 # Modules that work with rasters import it from here.
-from tiler.core.nodata import NODATA as NODATA
+from tiler.core.products import NODATA as NODATA
 
 BLOCK_PIXELS = 512
 """Side of a block of a raster, in pixels. One task makes a block, which is a chunk in the store

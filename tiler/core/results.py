@@ -1,14 +1,14 @@
-"""Results of a run on its inputs, points and labels, with a type for each entry of run.json.
+"""Results of a run, with a type for each entry of run.json: first inputs, points and labels, then the terrain.
 
-docs/run-json.md guarantees some of the names. Results on the terrain are in
-`tiler.core.terrain_results`.
+docs/run-json.md guarantees some of the names. Heights and distances in rasters are in units of the CRS, values with
+names that end in ``_m`` in metres.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tiler.core.classes import Counts
+from tiler.core.points import Counts
 from tiler.core.records import Record
 
 
@@ -190,3 +190,323 @@ class LabelCounts(Record):
     tiles: int
     tiles_done_again: int
     overlap_work: float
+
+
+Rings = list[list[float]]
+"""Closed rings or lines, each as x, y, x, y, ... in units of the CRS."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanopyResult(Record):
+    """Closed canopy that hides the ground.
+
+    Attributes
+    ----------
+    share : float, optional
+        Share of canopy in the area that has points.
+    mode : str
+        Setting ``--canopy``.
+    places : list of [x, y]
+        Centres of the blocks with most canopy.
+    rings : Rings
+        Outlines of canopy for the map.
+    """
+
+    share: float | None
+    mode: str
+    places: list[list[float]] | None = None
+    rings: Rings | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BreaklineCounts(Record):
+    """Numbers of breaklines and their vertices, and the lines for the map, unless they are too long."""
+
+    lines: int
+    vertices: int
+    drawn: Rings
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeResult(Record):
+    """Bridge that was removed: its size, the number of points below it, and its outline."""
+
+    length_m: float
+    width_m: float
+    clearance_m: float
+    below: int
+    rings: Rings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EditResult(Record):
+    """Changes by an edit.
+
+    Attributes
+    ----------
+    number : int
+    action : str
+    bounds : [west, south, east, north]
+    points, ground_before, ground_after : int
+        Number of points inside an edit of points, and of ground points among them before and after the edit.
+    by : str
+        How the ground of an edit with the action `ground` is chosen.
+    rings : Rings
+        Outline for the map.
+    pixels : int
+        Number of pixels that an edit of pixels set.
+    changed : bool
+    holes : int
+        Number of pixels inside the edit without a height.
+    """
+
+    number: int
+    action: str
+    bounds: list[float]
+    points: int | None = None
+    ground_before: int | None = None
+    ground_after: int | None = None
+    by: str | None = None
+    rings: Rings | None = None
+    pixels: int | None = None
+    changed: bool | None = None
+    holes: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StationResult(Record):
+    """Position along a river at which its level was estimated.
+
+    ``along`` is the distance from the first station. See `tiler.core.water.Station` for the others.
+    """
+
+    along: float
+    seen: int
+    level: float
+    left: float | None
+    right: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaterResult(Record):
+    """Body of water: highest and lowest level, size, confidence, and stations of a river."""
+
+    number: int
+    kind: str
+    level: float
+    level_end: float
+    pixels: int
+    area_m2: float
+    sure: float | None
+    bounds: list[float]
+    stations: list[StationResult]
+    rings: Rings | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt(Record):
+    """Result that should be checked: a text, and a position [x, y] or bounds [west, south, east, north]."""
+
+    text: str
+    place: list[float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TerrainResult(Record):
+    """Terrain model.
+
+    Attributes
+    ----------
+    width, height : int
+        Size of the raster in pixels.
+    resolution_m : float
+    filled, marked : int
+        Number of pixels with a height, and of pixels that are not certified.
+    blocks, blocks_done_again : int
+        Number of blocks, and of blocks that needed more than one try.
+    thinned : bool
+        Whether only some of the ground points make the surface.
+    """
+
+    width: int
+    height: int
+    resolution_m: float
+    filled: int
+    marked: int
+    blocks: int
+    blocks_done_again: int
+    thinned: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceResult(Record):
+    """Surface model: pixels with a height, and pixels with returns."""
+
+    filled: int
+    measured: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlineResult(Record):
+    """Outline of the survey.
+
+    Attributes
+    ----------
+    gap_m, widest_gap_m : float
+        Usual and largest width of the gaps that count as surveyed.
+    cell_m : float
+        Size of the cells of the search.
+    cut_pixels : int
+        Number of pixels whose height was removed.
+    rings : Rings
+    polygons : int
+        Number of polygons of the outline.
+    """
+
+    gap_m: float
+    widest_gap_m: float
+    cell_m: float
+    cut_pixels: int
+    rings: Rings | None = None
+    polygons: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaGroup(Record):
+    """Standard error of one group of ground: pixels, expected RMSE, and pixels by class of the error."""
+
+    pixels: int
+    rmse_m: float | None
+    histogram: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaResult(Record):
+    """Standard error of the terrain.
+
+    Attributes
+    ----------
+    kind : str or None
+        Kind of cloud whose constants were used. None for the larger error of both kinds.
+    edges_m : list of float
+        Edges of the classes of the histograms.
+    open, covered, water : SigmaGroup
+    """
+
+    kind: str | None
+    edges_m: list[float]
+    open: SigmaGroup
+    covered: SigmaGroup
+    water: SigmaGroup
+
+
+@dataclass(frozen=True, slots=True)
+class VoidResult(Record):
+    """Connected pixels without a height.
+
+    Attributes
+    ----------
+    pixels : int
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    at_border : bool
+        Whether one of the pixels touches a pixel outside the survey.
+    at : [x, y]
+        Centre of one of the pixels, where they are dense. The middle of the bounds may lie in none.
+    """
+
+    pixels: int
+    bounds: list[float]
+    area_m2: float
+    at_border: bool
+    at: list[float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VoidsResult(Record):
+    """Voids of the delivered terrain.
+
+    Attributes
+    ----------
+    surveyed_pixels, pixels, asked_pixels : int
+        Number of pixels that have a height or should have one, of pixels that should have one and do not, and of pixels
+        without a height because an edit asks for that.
+    number : int
+        Number of voids.
+    largest : list of VoidResult
+    """
+
+    surveyed_pixels: int
+    pixels: int
+    asked_pixels: int
+    number: int
+    largest: list[VoidResult]
+
+
+@dataclass(frozen=True, slots=True)
+class AbovePlace(Record):
+    """Connected pixels in which the terrain lies above all returns.
+
+    Attributes
+    ----------
+    pixels : int
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    height_m : float
+        Largest height above the highest return of a pixel of the terrain at its lowest corner.
+    """
+
+    pixels: int
+    bounds: list[float]
+    area_m2: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AboveResult(Record):
+    """Terrain above all returns.
+
+    Attributes
+    ----------
+    pixels : int
+        Number of pixels, also of those in small places.
+    number : int
+        Number of places that are large enough to be listed.
+    worst : list of AbovePlace
+        Places, the largest height first.
+    """
+
+    pixels: int
+    number: int
+    worst: list[AbovePlace]
+
+
+@dataclass(frozen=True, slots=True)
+class Implausible(Record):
+    """Result that cannot be true: its kind, what was found, a setting to try, and its extent if it has one."""
+
+    what: str
+    why: str
+    remedy: str
+    bounds: list[float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class ContourResult(Record):
+    """Contours: interval, numbers of lines and vertices, of lines cut in two, and of lines left out as too short."""
+
+    interval: float
+    lines: int
+    vertices: int
+    cut: int
+    short: int
+
+
+@dataclass(frozen=True, slots=True)
+class SpotCounts(Record):
+    """Numbers of tops and of bottoms."""
+
+    highs: int
+    lows: int

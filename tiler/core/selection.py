@@ -1,4 +1,7 @@
-"""Settings that select the points for the filter and the rasters by return, scan angle, source and class."""
+"""Settings that select points: for the filter and the rasters by return, scan angle and so on, and for new classes.
+
+This module does not need numpy.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,8 @@ FIRST, LAST = "first", "last"
 """Values of `--returns` that are not numbers."""
 DROP_WITHHELD, KEEP_WITHHELD = "drop", "keep"
 """Values of `--withheld`."""
+ONLY_GROUND, ALL = "ground", "all"
+"""Values of `--reclass`, which `tiler.core.points.written_classes` describes."""
 
 WITHHELD = "withheld"
 """Key of the number of points excluded by the flag "withheld". The other keys are those of

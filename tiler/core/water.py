@@ -12,12 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.area import Area
-from tiler.core.area_index import AreaIndex
-from tiler.core.digests import digest_of_bytes
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds
+from tiler.core.area import Area, AreaIndex
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import Block, RasterSpec, within
+from tiler.core.records import digest_of_bytes
 
 Counts = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from tiler.core.edits import DrawnDeck
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.export.output_files import new_file
 from tiler.export.records import FileRecord
 from tiler.export.work import OutFile

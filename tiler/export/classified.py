@@ -12,18 +12,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import (
+from tiler.core.edits import OF_POINTS
+from tiler.core.lattice import Cell
+from tiler.core.points import (
     GROUND,
     LOW_NOISE,
     UNCERTIFIED_BIT,
     UNCLASSIFIED,
     WATER_BIT,
     WITHOUT_OBJECT,
+    unpack_origin,
     written_classes,
 )
-from tiler.core.edits import OF_POINTS
-from tiler.core.lattice import Cell
-from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, write_error
 from tiler.export.cloud_crs import new_crs
 from tiler.export.cloud_frame import (
@@ -88,7 +88,7 @@ def write_classified(store: TileStore, *, cloud: CloudCopy) -> CloudRecord:
     store : TileStore
     cloud : CloudCopy
         A point keeps the source's class if its label is 0, the store does not hold it, or it lies outside the area.
-        `tiler.core.classes.written_classes` gives the classes of the other points.
+        `tiler.core.points.written_classes` gives the classes of the other points.
 
     Returns
     -------

@@ -22,7 +22,7 @@ import rasterio.shutil
 from rasterio.windows import Window
 
 from tiler.core.crs import raster_crs
-from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
+from tiler.core.lattice import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.products import HEIGHT, PRODUCTS, Product
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import unit_label

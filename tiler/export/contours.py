@@ -13,7 +13,7 @@ import scipy
 import shapely
 
 from tiler.core.area import Area
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec, within
 from tiler.core.units import METRE
 from tiler.export.contour_lines import (

@@ -11,7 +11,7 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
 from tiler.core.crs import raster_crs
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError

@@ -11,8 +11,8 @@ import rasterio.transform
 import shapely
 from affine import Affine
 
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.map_lines import rings_of
+from tiler.core.breaklines import rings_of
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import BARE, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.export.output_files import new_file

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, TypedDict
 
-from tiler.core.classes import Counts
+from tiler.core.points import Counts
 from tiler.core.records import Record
-from tiler.core.terrain_results import Rings
+from tiler.core.results import Rings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +128,7 @@ class CloudRecord(FileRecord):
         Number of points by new class.
     kept : dict of str to int, optional
         Number of filtered points, by class, that keep the class of an object from the source (classes that are not in
-        `tiler.core.classes.WITHOUT_OBJECT`). None for clouds of earlier versions, which kept no classes.
+        `tiler.core.points.WITHOUT_OBJECT`). None for clouds of earlier versions, which kept no classes.
     ground : int, optional
         Number of points whose label is ground. Points of class 2 that keep the class of the source are not counted.
         None for clouds of earlier versions.

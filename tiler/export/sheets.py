@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.nodata import NODATA
+from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.products import NODATA
 from tiler.core.raster import Block, RasterSpec
 from tiler.export.output_files import new_file
 from tiler.export.records import FileRecord

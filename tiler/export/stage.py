@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tiler.core.digests import digest_of
 from tiler.core.products import CONTOURS, SPOTS
-from tiler.core.terrain_results import ContourResult, SpotCounts
-from tiler.core.units_text import short_unit
+from tiler.core.records import digest_of
+from tiler.core.results import ContourResult, SpotCounts
+from tiler.core.units import short_unit
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
 from tiler.export.records import (

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
+from tiler.core.lattice import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.water import Counts, Water, lengths_along
 from tiler.export.output_files import new_file
 from tiler.export.records import WaterFileRecord

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Cell
 from tiler.core.raster import RasterSpec
-from tiler.core.reclass import ONLY_GROUND
+from tiler.core.records import NOT_IN_DIGEST
+from tiler.core.selection import ONLY_GROUND
 from tiler.io.locations import joined
 from tiler.store import KeptPiece
 
@@ -106,7 +106,7 @@ class CloudCopy:
     low_is_noise : bool
         True if returns from far below the level of water become low noise.
     reclass : str
-        Rule that selects the classes that change, see `tiler.core.classes.written_classes`.
+        Rule that selects the classes that change, see `tiler.core.points.written_classes`.
     stamp : list or None
         Fingerprint of the source in the plan, which distinguishes a file that was only touched from a changed file.
     ranges : tuple of (int, int)

@@ -14,11 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.passes import Pass, Points
-from tiler.core.classes import REPEATED_FLAG, UNCERTIFIED_BIT, participates
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.points import PointBlock
-from tiler.core.repeats import Rows
+from tiler.core.points import REPEATED_FLAG, UNCERTIFIED_BIT, PointBlock, Rows, participates
+from tiler.core.records import NOT_IN_DIGEST
 from tiler.store import BucketInfo, TileStore
 
 

@@ -19,7 +19,7 @@ from ptd.passes import MethodRefusal, Partial, Pass, State
 from ptd.places import PLACES, TABLES, TREES
 from tiler.core.records import TileRecord
 from tiler.core.results import LabelCounts
-from tiler.core.units_text import in_unit_of_crs
+from tiler.core.units import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter.reading import FilterTile
 from tiler.filter.tasks.passes import (

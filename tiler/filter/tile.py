@@ -13,10 +13,9 @@ import numpy.typing as npt
 from ptd.frame import OPEN, Scale, Window
 from ptd.methods import METHODS
 from ptd.passes import Model, Pass, Points, joined
-from tiler.core.classes import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
-from tiler.core.digests import digest_of_arrays
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.records import TileRecord
+from tiler.core.points import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
+from tiler.core.records import TileRecord, digest_of_arrays
 from tiler.filter.reading import FilterTile, TileReader
 from tiler.store import TileStore
 

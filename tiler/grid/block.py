@@ -21,8 +21,7 @@ from ptd.gridding.nearest import inverse_distance
 from ptd.tin import KnownWindow, Pixels, Tin, TinRaster, rasterise
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.edits import OF_PIXELS
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.core.records import JoinedRecord
 from tiler.errors import ProcessingError

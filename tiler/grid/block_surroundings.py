@@ -15,10 +15,9 @@ import numpy.typing as npt
 
 from ptd.gridding.above_ground import NOTHING, HighestReturns
 from ptd.gridding.nearest import nearest_points
-from tiler.core.classes import WATER
 from tiler.core.edits import FLAT, OF_PIXELS, Edit
-from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
-from tiler.core.lattice import Bounds, Cell
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, CoordFrame
+from tiler.core.points import WATER
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.grid.block import pixels_of

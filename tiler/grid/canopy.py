@@ -24,10 +24,9 @@ from ptd.frame import Scale
 from ptd.matched.cells import CELL_M
 from ptd.matched.step import COVERED, size_of_cells
 from ptd.passes import Points
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Lattice
-from tiler.core.nodata import NODATA
+from tiler.core.lattice import COUNTS_PER_UNIT, Lattice
 from tiler.core.points import PointBlock
+from tiler.core.products import NODATA
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block_surroundings import PointsNear, linear
 from tiler.grid.coarse import distances, opened

@@ -18,9 +18,10 @@ import numpy.typing as npt
 
 from ptd.gridding.above_ground import NOTHING
 from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds
-from tiler.core.mask_values import (
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
+from tiler.core.points import PointBlock
+from tiler.core.products import (
+    BEYOND,
     CANOPY,
     FILLED,
     HOLE,
@@ -28,10 +29,10 @@ from tiler.core.mask_values import (
     MASK_VALUES,
     MEASURED,
     OUTSIDE,
+    SURVEYED,
+    VOID,
     WATER,
 )
-from tiler.core.points import PointBlock
-from tiler.core.products import BEYOND, SURVEYED, VOID
 from tiler.core.raster import NODATA, Block
 from tiler.grid.block import full_halo, rasterise_window
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
@@ -92,7 +93,7 @@ def mask(
     failed: Bools,
     area: Bools,
 ) -> tuple[Float64, Counts]:
-    """Return where the height of each pixel comes from (`tiler.core.mask_values`).
+    """Return where the height of each pixel comes from (`tiler.core.products`).
 
     A pixel with a height is measured if a ground point lies in it, else interpolated. A pixel
     without a height is a hole inside the survey (see `tiler.grid.coverage`), else outside.

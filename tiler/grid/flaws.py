@@ -13,12 +13,11 @@ import numpy.typing as npt
 import scipy
 
 from ptd.gridding.above_ground import NOTHING
-from ptd.ground.plateaus import ROOF_CELL_M
-from ptd.ground.remaining_roofs import reach_m, remaining_roofs
+from ptd.ground.plateaus import ROOF_CELL_M, reach_m, remaining_roofs
 from ptd.matched.crowns import BLOCK, Crowns, crowns
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
-from tiler.core.units_text import length_text
+from tiler.core.units import length_text
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import label_block, padded
 from tiler.grid.steps import Counts

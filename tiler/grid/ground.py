@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.gridding.above_ground import near_objects
-from tiler.core.classes import NOISE, UNCERTIFIED_BIT, WITHHELD_FLAG
 from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints, ground_with
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.points import PointBlock
+from tiler.core.points import NOISE, UNCERTIFIED_BIT, WITHHELD_FLAG, PointBlock
 from tiler.errors import StoreError
 from tiler.grid.records import GridBlock, GroundSelection
 from tiler.store import TileStore

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import GROUND, UNCERTIFIED_BIT, WITHHELD_FLAG
-from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Bounds, Lattice
+from tiler.core.points import GROUND, UNCERTIFIED_BIT, WITHHELD_FLAG
 from tiler.core.raster import Block, RasterSpec
-from tiler.core.records import BlockRecord, Record
+from tiler.core.records import NOT_IN_DIGEST, BlockRecord, Record
 
 
 @dataclass(frozen=True)

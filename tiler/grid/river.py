@@ -16,7 +16,7 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.area import Area
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.water import Counts, Station, lengths_along, lifted_line, places_along
 
 Floats = npt.NDArray[np.float64]

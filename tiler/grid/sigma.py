@@ -19,12 +19,10 @@ import numpy.typing as npt
 
 from ptd.gridding.ground_cells import CellWindow, box_sums, cell_counts, plane_variance
 from ptd.gridding.shape import gradients
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Bounds, Lattice
-from tiler.core.mask_values import CANOPY, FILLED, WATER
+from tiler.core.lattice import Bounds, CoordFrame, Lattice
+from tiler.core.products import CANOPY, COVERED_SHARE, EDGES_M, FILLED, GROUPS, WATER
 from tiler.core.raster import Block, RasterSpec
-from tiler.core.sigma_groups import COVERED_SHARE, EDGES_M, GROUPS
-from tiler.core.terrain_results import SigmaGroup, SigmaResult
+from tiler.core.results import SigmaGroup, SigmaResult
 from tiler.grid.block_surroundings import PixelCells, PointsNear, linear
 from tiler.grid.canopy import BEND_M
 from tiler.grid.steps import Counts
@@ -376,8 +374,8 @@ def sigma(
     -------
     errors : float64 (height, width)
     counts : dict
-        ``groups``: number of pixels and sum of squares in mm2 by group (`tiler.core.sigma_groups.GROUPS`).
-        ``histogram``: number of pixels by the classes of `tiler.core.sigma_groups.EDGES_M`, by group.
+        ``groups``: number of pixels and sum of squares in mm2 by group (`tiler.core.products.GROUPS`).
+        ``histogram``: number of pixels by the classes of `tiler.core.products.EDGES_M`, by group.
     """
     height, width = mask.shape
     there = ~np.isnan(terrain[margin : margin + height, margin : margin + width])

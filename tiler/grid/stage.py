@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from tiler.config import NO_WATER
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import BlockRecord, records_of
+from tiler.core.results import Implausible, OutlineResult, TerrainResult
 from tiler.core.selection import WITHHELD
-from tiler.core.terrain_results import Implausible, OutlineResult, TerrainResult
-from tiler.core.units_text import length_text
+from tiler.core.units import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
 from tiler.grid.records import TerrainRecord

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Bounds
+from tiler.core.lattice import Bounds, CoordFrame
 from tiler.core.points import PointBlock
 from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec

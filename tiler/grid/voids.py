@@ -15,7 +15,7 @@ import scipy
 
 from ptd.tin import Tin, rasterise
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west, within
 from tiler.grid.block import heights_in_units, pixels_of

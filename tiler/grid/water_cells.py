@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.core.classes import WATER
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.points import WATER
 from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
 from tiler.grid.coarse import blocks_under, distances, opened, padded

@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.area import Area
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.coarse import padded

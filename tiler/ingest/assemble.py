@@ -8,12 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import NOISE, REPEATED_FLAG, STRAY_FLAG, WITHHELD_FLAG, participates
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.points import SOURCE_SHIFT, PointBlock
+from tiler.core.lattice import Bounds, Cell, CoordFrame, Lattice
+from tiler.core.points import (
+    NOISE,
+    REPEATED_FLAG,
+    SOURCE_SHIFT,
+    STRAY_FLAG,
+    WITHHELD_FLAG,
+    PointBlock,
+    participates,
+    preference,
+)
 from tiler.core.records import AssembledRecord, BucketRecord
-from tiler.core.repeats import preference
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
 from tiler.store import TileStore
@@ -29,7 +35,7 @@ class BucketOrder:
         Indices of the points: candidates in the order of their fine cells, then the others by fine cell, z, x, y.
     n_candidates : int
     repeated : bool, shape (n,)
-        Mask of the points at the position of another point, which represents them (`tiler.core.repeats`).
+        Mask of the points at the position of another point, which represents them (`tiler.core.points`).
     duplicates_within, duplicates_between : int
         Number of points that repeat the position of a point of the same source, and of another source.
     """
@@ -74,7 +80,7 @@ def assemble_buckets(
     store : TileStore
     buckets : tuple of BucketParts
     keep_classes : tuple of int or None
-        Classes that are excluded from filtering; None for the default of `tiler.core.classes.participates`.
+        Classes that are excluded from filtering; None for the default of `tiler.core.points.participates`.
     skip_flags : int
         Bits of flags that exclude a point from filtering.
 

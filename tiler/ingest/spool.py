@@ -11,12 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Runs, in_runs
-from tiler.core.classes import UNSELECTED_FLAG, WITHHELD_FLAG
-from tiler.core.digests import NOT_IN_DIGEST
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Bounds, Lattice
-from tiler.core.points import PointBlock, pack_origin
-from tiler.core.records import SpoolRecord
+from tiler.core.lattice import Bounds, CoordFrame, Lattice
+from tiler.core.points import UNSELECTED_FLAG, WITHHELD_FLAG, PointBlock, pack_origin
+from tiler.core.records import NOT_IN_DIGEST, SpoolRecord
 from tiler.core.selection import (
     EVERY_POINT,
     FIRST,

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
 
-from tiler.core.classes import sum_by_class
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Cell
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell
+from tiler.core.points import sum_by_class
 from tiler.core.records import SpoolRecord, TileRecord, buckets_in
 from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
 from tiler.core.selection import WITHHELD

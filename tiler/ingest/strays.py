@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
 from tiler.core.points import PointBlock, unpack_origin
 from tiler.inputs.extent import FAR, can_be_strays
 

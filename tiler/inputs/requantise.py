@@ -12,8 +12,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
-from tiler.core.lattice import Bounds
+from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
 
 _SAFE = 2**62
 BEYOND = 2**53

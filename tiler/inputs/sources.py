@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ptd.matched.evidence import Evidence
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.errors import InputError, ProcessingError
 from tiler.inputs.extent import DensityPatch, find_extent
 from tiler.inputs.georeference import Georeference, georeference

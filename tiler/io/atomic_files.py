@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tiler.core.digests import digest_of_bytes
-from tiler.core.links import without_links
+from tiler.core.file_names import without_links
+from tiler.core.records import digest_of_bytes
 from tiler.errors import first_line, is_in_use
 
 _ONE_MORE_BYTES = 1 << 22

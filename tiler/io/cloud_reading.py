@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-from tiler.core.digests import new_digest
+from tiler.core.records import new_digest
 from tiler.io.locations import is_url, storage_errors
 
 BLOCK_BYTES = 1 << 22

@@ -12,8 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tiler.core.links import link_error
-from tiler.core.sheet_names import fault_on_windows
+from tiler.core.file_names import fault_on_windows, link_error
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import is_url, plain_scheme, without_local_scheme

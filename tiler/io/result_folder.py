@@ -13,8 +13,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from tiler.core.file_names import product_names
 from tiler.core.products import PRODUCTS
-from tiler.core.sheet_names import product_names
 from tiler.errors import ConfigError
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at, with_slashes

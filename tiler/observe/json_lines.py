@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, TypedDict, cast
 
-from tiler.core.links import link_error, without_links
+from tiler.core.file_names import link_error, without_links
 from tiler.errors import write_error
 from tiler.observe.events import (
     Event,

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from ptd.matched.evidence import DIM, Finding
 from ptd.matched.survey import in_words
 from tiler.config import RunConfig
-from tiler.core.units import METRE
-from tiler.core.units_text import length_text, short_unit, written_unit
+from tiler.core.units import METRE, length_text, short_unit, written_unit
 
 Float64 = npt.NDArray[np.float64]
 

@@ -10,9 +10,8 @@ from pathlib import Path
 from ptd.matched.evidence import DIM, LIDAR
 from tiler.config import RunConfig
 from tiler.core.area import Area, Runs
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds
-from tiler.core.units_text import length_text
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
+from tiler.core.units import length_text
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo, bounds_in_counts, header_bounds
 from tiler.io.vector import CUT

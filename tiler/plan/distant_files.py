@@ -18,8 +18,7 @@ import scipy
 
 from tiler.core.area import Area
 from tiler.core.crs import placement
-from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
-from tiler.core.lattice import Bounds
+from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
 from tiler.errors import ConfigError
 from tiler.inputs import SourceInfo
 from tiler.plan.sizes import bounds_of, middle, union_bounds

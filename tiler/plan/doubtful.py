@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 from tiler.core.crs import crs_name, misplaced, point_scale_factor
-from tiler.core.sheet_names import DEFAULT as SHEET_NAME
-from tiler.core.units_text import length_option, length_text, whole_length
+from tiler.core.file_names import DEFAULT as SHEET_NAME
+from tiler.core.units import length_option, length_text, whole_length
 from tiler.plan.memory import WIDE_TILE
 from tiler.plan.method import steps_of
 from tiler.plan.model import Plan

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tiler.core.breaklines import MAX_SEGMENT, two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
-from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
+from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.water import Water
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import (

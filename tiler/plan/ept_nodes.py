@@ -17,7 +17,7 @@ from pyproj import CRS
 from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.crs import same_horizontal, split
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
 from tiler.inputs import (
     EptDataset,

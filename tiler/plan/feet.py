@@ -7,8 +7,16 @@ from dataclasses import fields
 from fractions import Fraction
 
 from tiler.config import RunConfig
-from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, BareLength, FeetLength, Units
-from tiler.core.units_text import number_text, short_unit
+from tiler.core.units import (
+    FOOT,
+    METRE,
+    US_SURVEY_FOOT,
+    BareLength,
+    FeetLength,
+    Units,
+    number_text,
+    short_unit,
+)
 
 VERTICAL_SETTINGS = ("contour_interval", "sigma", "spike")
 """Settings that are vertical lengths."""

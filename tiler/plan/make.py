@@ -12,9 +12,8 @@ from ptd.matched.evidence import decided_by
 from ptd.methods import METHODS, make_params
 from ptd.params import to_json
 from tiler.config import RunConfig
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
-from tiler.core.units_text import in_unit_of_crs
+from tiler.core.lattice import CoordFrame, Lattice
+from tiler.core.units import in_unit_of_crs
 from tiler.core.words import listed
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo, find_inputs, resolve_common_crs

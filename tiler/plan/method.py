@@ -11,7 +11,7 @@ from ptd.matched.evidence import Evidence
 from ptd.matched.survey import run_facts
 from ptd.passes import State
 from tiler.config import RunConfig
-from tiler.core.stage_names import stage_title
+from tiler.core.words import stage_title
 from tiler.plan.memory import PlannedPass
 
 KEEP = "keep"

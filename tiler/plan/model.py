@@ -9,8 +9,7 @@ from functools import cached_property
 
 from ptd.matched.evidence import Finding, decided_by
 from tiler.config import RunConfig
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS, MIN_PART
 from tiler.plan.inputs import Inputs
 from tiler.plan.memory import (

@@ -9,9 +9,8 @@ from typing import Any
 
 from ptd.matched.survey import in_words
 from tiler.core.crs import at_degrees, vertical_name
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.units import unit_label
-from tiler.core.units_text import length_text, short_unit
+from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.units import length_text, short_unit, unit_label
 from tiler.core.words import counted, name_in_wkt
 from tiler.io.locations import with_slashes
 from tiler.plan.disk import projected_disk

@@ -7,9 +7,8 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Cell
-from tiler.core.units_text import length_text
+from tiler.core.lattice import COUNTS_PER_UNIT, Cell
+from tiler.core.units import length_text
 from tiler.core.words import name_in_wkt
 from tiler.errors import ConfigError, StoreError
 from tiler.inputs import DensityPatch

@@ -11,9 +11,8 @@ import numpy as np
 
 from ptd.matched.evidence import DIM
 from tiler.config import RunConfig
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds
-from tiler.core.units_text import length_text
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
+from tiler.core.units import length_text
 from tiler.inputs import SourceInfo
 from tiler.plan.density_map import DensityMap
 from tiler.plan.memory import ASSEMBLY_POINT_BYTES, BASE_BYTES, PlannedPass, filter_bytes

@@ -10,11 +10,16 @@ from fractions import Fraction
 from pathlib import Path
 
 from tiler.config import RunConfig
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.links import link_error
+from tiler.core.file_names import (
+    check_template,
+    fault_on_windows,
+    link_error,
+    name_prefix,
+    product_names,
+)
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS, VECTOR_PRODUCTS
-from tiler.core.sheet_names import check_template, fault_on_windows, name_prefix, product_names
-from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
+from tiler.core.units import in_unit_of_crs, length_option, whole_length
 from tiler.core.words import listed
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Area
-from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
-from tiler.core.lattice import Bounds
+from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
 from tiler.core.water import KINDS, LAKE, RIVER, Water, lengths_along, lifted_line
 from tiler.errors import InputError
 from tiler.io.vector import LINES, LINES_AND_POLYGONS, POINTS, POLYGONS, Feature

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tiler.core.sigma_groups import COVERED, GROUPS, OPEN, WET
-from tiler.core.units_text import short_unit
+from tiler.core.products import COVERED, GROUPS, OPEN, WET
+from tiler.core.units import short_unit
 from tiler.core.words import counted
 from tiler.errors import write_error
 from tiler.io.atomic_files import write_atomic

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from tiler.core.units_text import length_text, short_unit, small_area_text
+from tiler.core.units import length_text, short_unit, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.problems import MAX_ROWS, Run

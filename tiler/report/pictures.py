@@ -19,9 +19,8 @@ from fsspec.core import url_to_fs
 from rasterio.enums import Resampling
 
 from ptd.gridding.shape import multidirectional_hillshade
-from tiler.core.mask_values import MASK_VALUES, OUTSIDE
-from tiler.core.products import PRODUCTS
-from tiler.core.units_text import short_unit
+from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
+from tiler.core.units import short_unit
 from tiler.io.locations import is_url, plain_scheme
 from tiler.io.raster_files import palette_png_bytes
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
-from tiler.core.classes import NOISE
-from tiler.core.units_text import length_text, small_area_text
+from tiler.core.points import NOISE
+from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.runfile import title_of

@@ -10,8 +10,8 @@ from typing import Any
 
 from pyproj.exceptions import CRSError
 
-from tiler.core.links import without_links
-from tiler.core.stage_names import stage_title
+from tiler.core.file_names import without_links
+from tiler.core.words import stage_title
 from tiler.errors import InputError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.result_folder import AGAIN_WITHOUT_RUN, RUN, read_run

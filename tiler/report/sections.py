@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from ptd.places import TABLES
-from tiler.core.units_text import area_text, length_text
+from tiler.core.units import area_text, length_text
 from tiler.core.words import counted, name_in_wkt
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table

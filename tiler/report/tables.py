@@ -13,11 +13,9 @@ from urllib.parse import quote
 from pyproj import CRS
 
 from tiler.core.crs import at_degrees, split, vertical_name
-from tiler.core.nodata import NODATA
-from tiler.core.products import PRODUCTS
-from tiler.core.sheet_names import DEFAULT as SHEET_NAME
-from tiler.core.stage_names import GRID
-from tiler.core.words import counted
+from tiler.core.file_names import DEFAULT as SHEET_NAME
+from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.words import GRID, counted
 from tiler.io.result_folder import CLASSIFIED, written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, bar, el, facts, section, table

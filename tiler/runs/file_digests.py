@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from tiler.core.digests import digest_of
+from tiler.core.records import digest_of
 from tiler.inputs.contents import read_files
 from tiler.io.locations import FileState
 from tiler.observe.events import StageFinished, StageStarted, TaskDone

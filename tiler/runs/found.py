@@ -11,7 +11,9 @@ from typing import Any
 
 from ptd.matched.survey import SurveyPass
 from tiler.config import RunConfig
-from tiler.core.classes import (
+from tiler.core.edits import DrawnDeck
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.points import (
     OVERLAP_FLAG,
     REPEATED_FLAG,
     STRAY_FLAG,
@@ -19,8 +21,6 @@ from tiler.core.classes import (
     UNSELECTED_FLAG,
     WITHHELD_FLAG,
 )
-from tiler.core.edits import DrawnDeck
-from tiler.core.lattice import Bounds, Cell
 from tiler.core.products import MODELS
 from tiler.core.raster import RasterSpec
 from tiler.core.records import BlockRecord, BucketRecord, SpoolRecord, buckets_in

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiler.core.units_text import in_unit_of_crs
+from tiler.core.units import in_unit_of_crs
 from tiler.errors import ConfigError
 from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.result_folder import RUN, local_folder, written_rasters

@@ -15,33 +15,31 @@ from typing import Any
 
 from ptd.passes import State
 from tiler.config import RunConfig
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.records import to_json
 from tiler.core.results import (
-    ClassCounts,
-    FetchedBytes,
-    LabelCounts,
-    LeftOut,
-    PointCounts,
-    StageResult,
-    Stray,
-    SurveyDates,
-    TileResult,
-)
-from tiler.core.terrain_results import (
     AboveResult,
     BreaklineCounts,
     BridgeResult,
     CanopyResult,
+    ClassCounts,
     ContourResult,
     Doubt,
     EditResult,
+    FetchedBytes,
     Implausible,
+    LabelCounts,
+    LeftOut,
     OutlineResult,
+    PointCounts,
     SigmaResult,
     SpotCounts,
+    StageResult,
+    Stray,
     SurfaceResult,
+    SurveyDates,
     TerrainResult,
+    TileResult,
     VoidResult,
     VoidsResult,
     WaterResult,

@@ -9,19 +9,16 @@ from threading import Thread
 from tiler.errors import ConfigError
 from tiler.schedule.fork_server import FORKS, fork_server_running, prepare_children
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError, limits_memory
-from tiler.schedule.isolated_reading import call_isolated, half_of_memory
-from tiler.schedule.parallel_calls import ChildPool
-from tiler.schedule.serial import SerialExecutor
+from tiler.schedule.guarded_calls import ChildPool, call_isolated, half_of_memory
 from tiler.schedule.task import (
     TRIES,
-    Call,
     Executor,
     Machine,
     Outcome,
+    SerialExecutor,
     Task,
     TaskLimits,
     TaskRunner,
-    Work,
     WorkerCheck,
     calling,
 )
@@ -29,7 +26,6 @@ from tiler.schedule.task import (
 __all__ = [
     "FORKS",
     "TRIES",
-    "Call",
     "ChildDiedError",
     "ChildPool",
     "ChildProcess",
@@ -41,7 +37,6 @@ __all__ = [
     "Task",
     "TaskLimits",
     "TaskRunner",
-    "Work",
     "WorkerCheck",
     "call_isolated",
     "calling",

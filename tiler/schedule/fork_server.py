@@ -284,7 +284,10 @@ def serve(control_socket: socket.socket, answer_calls: Callable[[int | None], No
     while asked or lines:
         events = selector.select(0 if prepared else None)
         if prepared and not events:
-            _prepare(prepared.popleft())
+            with suppress(
+                BaseException
+            ):  # A child that needs the function raises the error again.
+                resolve_name(prepared.popleft())()
         for source in [key.fileobj for key, _ in events]:
             if source is ended:
                 ended.recv(4096)
@@ -358,11 +361,6 @@ def _request(control_socket: socket.socket) -> tuple[Any, list[int]] | None:
             return None
         request += part
     return pickle.loads(request), files  # The pickle is from the process that started this one.
-
-
-def _prepare(name: str) -> None:
-    with suppress(BaseException):  # A child that needs the function raises the error again.
-        resolve_name(name)()
 
 
 def _import(call: bytes, prepare: bytes) -> None:

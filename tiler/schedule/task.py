@@ -1,4 +1,4 @@
-"""Tasks, and the protocol of their executors.
+"""Tasks, the protocol of their executors, and the executor that runs them in this process.
 
 A task is a pure function of the store: it reads whole arrays, and writes keys that no other
 task writes.
@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, Self
 
-from tiler.core.digests import digest_of
-from tiler.core.records import JoinedRecord, Record
+from tiler.core.records import JoinedRecord, Record, digest_of
 from tiler.version import RULES
 
-if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
+if TYPE_CHECKING:
     from tiler.core.lattice import Bounds
     from tiler.store import TileStore
+
 
 P = ParamSpec("P")
 Result = Record | Mapping[str, Any]
@@ -253,3 +253,31 @@ class Executor(Protocol):
     def close(self) -> None:
         """Release the workers."""
         ...
+
+
+class SerialExecutor:
+    """Executor without workers, which is the simple reference for `DaskExecutor`."""
+
+    workers = 1
+
+    def on_each_worker(self, look: WorkerCheck) -> None:
+        """Do nothing, since there are no workers of a cluster."""
+
+    def machines(self) -> list[Machine]:
+        """Return an empty list, since there is no cluster."""
+        return []
+
+    def run(
+        self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]
+    ) -> Iterator[Outcome]:
+        """Run tasks and yield outcomes in the order of the tasks."""
+        for task in tasks:
+            for tries in range(1, task.tries + 1):
+                outcome = run_task(store_url, task)
+                again = outcome.again and tries < task.tries
+                yield replace(outcome, again=again)
+                if not again:
+                    break
+
+    def close(self) -> None:
+        """Do nothing."""

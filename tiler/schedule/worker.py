@@ -53,12 +53,6 @@ def peak_rss_bytes() -> int:
         return int(memory.rss)
 
 
-def _forget_peak() -> None:
-    """Reset the peak of `peak_rss_bytes`, if the system can."""
-    with suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as peak:
-        peak.write("5")
-
-
 def _give_back() -> None:
     """Return freed memory to the system if it is more than `prepare` allows a worker to keep.
 
@@ -142,7 +136,9 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
     if _kept_bytes:
         _keep_freed_memory()
     _begin_stage(task.stage)
-    _forget_peak()
+    # Reset the peak of `peak_rss_bytes`, if the system can.
+    with suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as peak:
+        peak.write("5")
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
     try:

@@ -1,7 +1,7 @@
 """Executor of tasks on Dask workers: on this machine, in the command's own process, or on a running cluster.
 
 There is no graph of all tasks. Each worker has a few tasks at a time, and another one is
-submitted when one is done. A failed task is retried. `tiler.schedule.children` runs a task on a
+submitted when one is done. A failed task is retried. `tiler.schedule.dask_workers` runs a task on a
 worker.
 """
 
@@ -23,15 +23,17 @@ from distributed import KilledWorker
 from distributed.comm.addressing import get_address_host_port
 
 from tiler.errors import ConfigError, ConnectionLostError, first_line
-from tiler.schedule.children import (
+from tiler.schedule.dask_workers import (
     WORKER_DIED,
     ExecutorSettings,
+    SharedContext,
     call_in_child,
+    cluster_here,
+    defaults_of_dask,
     end_children,
     machine_of,
     run_task_in_child,
 )
-from tiler.schedule.local_cluster import SharedContext, cluster_here, defaults_of_dask
 from tiler.schedule.task import Machine, Outcome, Task, TaskLimits, TaskRunner, WorkerCheck
 
 WAITING_PER_WORKER = 1
@@ -60,7 +62,6 @@ connection in one line."""
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Silence the loggers of Dask during the block."""
     levels = {name: logging.getLogger(name).level for name in _LOGGERS}
     for name in _LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)

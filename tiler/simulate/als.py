@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
+from tiler.core.points import GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from tiler.simulate.objects import LOW_VEGETATION, WIRE, Floats, Objects, Rays
 from tiler.simulate.points import Box, SimulatedPoints, UInt8s, alone, vegetation_label
 from tiler.simulate.randomness import (

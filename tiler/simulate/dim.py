@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.special import ndtri
 
-from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
+from tiler.core.points import GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from tiler.simulate.matched_surface import (
     PIXEL_M,
     SHADOW_REACH_M,

@@ -18,7 +18,7 @@ import laspy
 import numpy as np
 import pyproj
 
-from tiler.core.classes import UNCLASSIFIED
+from tiler.core.points import UNCLASSIFIED
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError, ProcessingError
 from tiler.io.atomic_files import clear_partial, partial_path, replace_file

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from tiler.core.classes import GROUND, WATER
+from tiler.core.points import GROUND, WATER
 from tiler.simulate.objects import (
     BRIDGE,
     BUILDING,

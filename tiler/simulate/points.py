@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, UNCLASSIFIED, WATER
+from tiler.core.points import GROUND, HIGH_NOISE, LOW_NOISE, UNCLASSIFIED, WATER
 from tiler.simulate.objects import (
     BRIDGE,
     BUILDING,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tiler.core.classes import UNCLASSIFIED
+from tiler.core.points import UNCLASSIFIED
 from tiler.simulate.objects import BUILDING, Crown, Objects, PlantPatch, Solid
 from tiler.simulate.randomness import BLOCKS, generator
 from tiler.simulate.terrain import Line, Terrain

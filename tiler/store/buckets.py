@@ -11,10 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core import repeats
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.points import PointBlock
-from tiler.core.repeats import Rows
+from tiler.core.points import PointBlock, Rows, representatives
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
 from tiler.store.arrays import StoredArray, find_or_make
@@ -114,7 +112,7 @@ class BucketStore(ColumnStore):
         ``block`` is what `read_bucket` returned for all points of the bucket, with their flags.
         """
         n_candidates = _count_of(self._bucket(cell), True)
-        return repeats.representatives(block, n_candidates, self.meta.fine, self.meta.frame)
+        return representatives(block, n_candidates, self.meta.fine, self.meta.frame)
 
     def buckets(self) -> dict[Cell, BucketInfo]:
         """Return the published buckets, row by row from the south-west."""

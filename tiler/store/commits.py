@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 
 from tiler.core.area import Area
 from tiler.core.breaklines import Breaklines
-from tiler.core.digests import digest_of
 from tiler.core.edits import Edits
 from tiler.core.lattice import Bounds
+from tiler.core.records import digest_of
 from tiler.core.water import Waters
 from tiler.errors import StoreError
 from tiler.store import layout

@@ -27,8 +27,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError, StoreError
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.digests import digest_of_bytes
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
+from tiler.core.records import digest_of_bytes
 from tiler.errors import ConfigError, CorruptStoreError, StoreError
 from tiler.store import arrays, layout
 from tiler.store.arrays import StoredArray, StorePart

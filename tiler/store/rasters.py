@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.nodata import NODATA
+from tiler.core.products import NODATA
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.errors import StoreError
 from tiler.store import arrays, layout

@@ -11,8 +11,8 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from tiler.core.crs import crs_name
-from tiler.core.digests import digest_of
-from tiler.core.links import link_error
+from tiler.core.file_names import link_error
+from tiler.core.records import digest_of
 from tiler.errors import ConfigError, ForeignStoreError, StoreError, TilerError
 from tiler.store import layout, lock
 from tiler.store.buckets import LabelStore

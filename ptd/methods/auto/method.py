@@ -12,7 +12,7 @@ find morphological seeds, densify in a few rounds, and remove what still rises l
 survey
     Decide between laser scanning and image matching by returns and penetration
     (`ptd.matched.survey`). Measure density and noise of each place
-    (`ptd.ground.noise_by_place`). The thresholds follow from the density (`label_thresholds`).
+    (`ptd.ground.noise_sums`). The thresholds follow from the density (`label_thresholds`).
 noise
     Find low noise: points below a dense layer of others (`ptd.ground.low_noise`). Elect the
     lowest other point of each cell.
@@ -21,7 +21,7 @@ seeds
     objects, and all other cells are seeds.
 summits
     Put back ridges and summits that the openings cut off: smooth and steep cells, where the
-    objects around continue the ground at most of their edges (`ptd.ground.summits`).
+    objects around continue the ground at most of their edges (`ptd.ground.cut_off_land`).
 densify
     Add object cells to the TIN of the seeds if they fit it (`ptd.ground.densify`). They are
     edges and tops that the openings cut.

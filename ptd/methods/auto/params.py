@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ptd.frame import Scale
-from ptd.ground import low_noise, strips, treetops
+from ptd.ground import low_noise, treetops
 from ptd.ground.criteria import FacetLimits
+from ptd.ground.cut_off_land import PIT_REACH_CELLS, STRIP_REACH_M
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
-from ptd.ground.summits import PIT_REACH_CELLS
 from ptd.methods.auto.cells import Drop, Residuals, Shape
 from ptd.methods.classic import Progressive
 from ptd.params import check, like, parameter
@@ -224,7 +224,7 @@ class AutoParameters:
     @property
     def treetop_reach(self) -> int:
         """Distance in thinning cells beyond which points do not change the code of a cell in the pass `treetops`."""
-        return math.ceil(max(treetops.reach_m(), strips.REACH_M) / self.thin_cell_m)
+        return math.ceil(max(treetops.reach_m(), STRIP_REACH_M) / self.thin_cell_m)
 
     @property
     def halo_m(self) -> float:

@@ -8,13 +8,12 @@ import numpy as np
 
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
+from ptd.ground.cut_off_land import on_strips, on_summits
 from ptd.ground.labelling import GROUND
 from ptd.ground.low_noise import low_noise
 from ptd.ground.morphology import Bool, CellRaster, blocks
 from ptd.ground.outliers import low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
-from ptd.ground.strips import on_strips
-from ptd.ground.summits import on_summits
 from ptd.ground.treetops import on_treetops
 from ptd.matched.step import is_matched
 from ptd.methods.auto.cells import (

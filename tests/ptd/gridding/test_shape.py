@@ -13,8 +13,7 @@ import rasterio
 
 from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
 from tests.tiler.grid.conftest import make_block
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.products import PRODUCTS, Read
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units

@@ -9,7 +9,7 @@ import pytest
 
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
-from ptd.ground import strips
+from ptd.ground.cut_off_land import STRIP_REACH_M, on_strips
 from ptd.ground.plateaus import Plateaus
 
 SCALE = Scale(origin=(123_457, -98_765))
@@ -28,7 +28,7 @@ def found(part: Part, side: int = SIDE, turns: int = 0) -> tuple[np.ndarray, np.
     points = Xyz(*(np.round(1000 * c).astype(np.int32) for c in (x, y, z)))
     points = Xyz(points.x - 457, points.y + 765, points.z)
     rule = Plateaus.of(SCALE, 200.0)
-    return high, strips.on_strips(points, high, ~high, CELLS, 1.0, rule, SCALE)
+    return high, on_strips(points, high, ~high, CELLS, 1.0, rule, SCALE)
 
 
 @pytest.mark.parametrize(
@@ -72,23 +72,23 @@ def test_rough_cells_are_no_land() -> None:
     z = high * np.random.default_rng(2).uniform(2, 6, x.size)
     points = Xyz(*(np.round(1000 * c).astype(np.int32) for c in (x, y, z)))
     rule = Plateaus.of(SCALE, 200.0)
-    assert not strips.on_strips(points, high, ~high, CELLS, 1.0, rule, SCALE).any()
+    assert not on_strips(points, high, ~high, CELLS, 1.0, rule, SCALE).any()
 
 
 def test_points_beyond_the_reach_do_not_matter() -> None:
     """A strip of 400 m that ends as a house does, and windows of it."""
-    side, reach = 400, int(strips.REACH_M) + 2
+    side, reach = 400, int(STRIP_REACH_M) + 2
     x, y = (c.ravel() + 0.5 for c in np.meshgrid(np.arange(side), np.arange(60)))
     high = (y > 48) & (x < 350)
     z = 4.0 * high + np.random.default_rng(3).normal(0, 0.02, x.size)
     points = Xyz(*(np.round(1000 * c).astype(np.int32) for c in (x, y, z)))
     scale = Scale(origin=(0, 0))
     cells, rule = CellLattice.of(1.0, scale), Plateaus.of(scale, 200.0)
-    whole = strips.on_strips(points, high, ~high, cells, 1.0, rule, scale)
+    whole = on_strips(points, high, ~high, cells, 1.0, rule, scale)
     assert 0.4 < whole[high].mean() < 0.9
     for east in (150, 260, 330, 400):
         seen = x < east
-        part = strips.on_strips(
+        part = on_strips(
             Xyz(*(c[seen] for c in points)), high[seen], ~high[seen], cells, 1.0, rule, scale
         )
         sure = (x < east - reach) | (east == side)

@@ -9,8 +9,8 @@ import pytest
 
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
+from ptd.ground.cut_off_land import PIT_REACH_CELLS, on_summits, without_thin
 from ptd.ground.morphology import CellRaster
-from ptd.ground.summits import PIT_REACH_CELLS, on_summits, without_thin
 
 SCALE = Scale(origin=(123_500, -98_500))
 AROUND = 18

@@ -13,7 +13,7 @@ import rasterio.shutil
 
 from cli.main import main
 from tests.tiler.apps.check.rasters import write_heights
-from tiler.apps.cloud_facts import density_map
+from tiler.apps.clouds import density_map
 from tiler.apps.info import describe
 from tiler.errors import InputError
 

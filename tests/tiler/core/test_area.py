@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.core.area import MAX_EDGE, Area, Places, in_runs, segmentized
-from tiler.core.area_index import AreaIndex
+from tiler.core.area import MAX_EDGE, Area, AreaIndex, Places, in_runs, segmentized
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 

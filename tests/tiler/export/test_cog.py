@@ -15,8 +15,7 @@ import pytest
 import rasterio
 from rio_cogeo import cog_validate
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError

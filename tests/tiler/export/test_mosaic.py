@@ -11,8 +11,7 @@ import pytest
 import rasterio
 import rasterio.shutil
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.units import Units
 from tiler.export.cog import write_cog

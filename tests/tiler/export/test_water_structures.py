@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from tiler.core.area import Area
-from tiler.core.frame import CoordFrame
+from tiler.core.lattice import CoordFrame
 from tiler.core.water import LAKE, RIVER, Water
 from tiler.export.water import dams, structures
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.core.products import Read
 from tiler.core.raster import Block, RasterSpec

@@ -14,8 +14,7 @@ import pytest
 from tests.tiler.grid.conftest import FINAL, Scene, make_block, sources_of
 from tiler.core.area import Area
 from tiler.core.edits import FLAT, Edit, Edits
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.products import Read
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units

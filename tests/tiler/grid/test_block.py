@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from tests.scenes.ground_points import islands, l_shape, plane_points, scattered, void
-from tiler.core.classes import WITHHELD_FLAG
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
+from tiler.core.points import WITHHELD_FLAG
 from tiler.core.raster import NODATA, RasterSpec, north_west
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from tests.invariants import clouds
 from tiler.config import RunConfig
-from tiler.core.digests import digest_of
 from tiler.core.edits import Edits
 from tiler.core.lattice import Lattice
+from tiler.core.records import digest_of
 from tiler.grid.tasks.gridding import Corrections, GridContext, ground_rule
 from tiler.plan import make_plan
 from tiler.runs.found import IngestResult

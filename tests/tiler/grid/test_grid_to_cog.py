@@ -9,7 +9,7 @@ import pyproj
 import pytest
 import rasterio
 
-from tiler.core.frame import CoordFrame
+from tiler.core.lattice import CoordFrame
 from tiler.core.raster import NODATA
 from tiler.core.units import FOOT, METRE, Units
 from tiler.export.cog import write_cog

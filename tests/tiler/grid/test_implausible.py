@@ -10,7 +10,7 @@ import pytest
 
 from tiler.core.lattice import Lattice
 from tiler.core.raster import RasterSpec
-from tiler.core.terrain_results import VoidsResult
+from tiler.core.results import VoidsResult
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.tasks.findings import report_implausible
 

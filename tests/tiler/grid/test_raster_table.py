@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tiler.config import RunConfig
-from tiler.core.frame import CoordFrame
+from tiler.core.lattice import CoordFrame
 from tiler.core.products import PRODUCTS
 from tiler.grid.steps import READERS
 from tiler.grid.tasks.gridding import Grid

@@ -12,13 +12,10 @@ import pytest
 from scipy.spatial import KDTree
 
 from tests.tiler.grid.conftest import FINAL, Scene, make_block
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
-from tiler.core.mask_values import CANOPY, MEASURED
-from tiler.core.products import Read
+from tiler.core.lattice import CoordFrame, Lattice
+from tiler.core.products import CANOPY, EDGES_M, GROUPS, MEASURED, Read
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.core.sigma_groups import EDGES_M, GROUPS
-from tiler.core.terrain_results import SigmaGroup
+from tiler.core.results import SigmaGroup
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded

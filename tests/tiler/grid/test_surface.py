@@ -13,9 +13,8 @@ from scipy.spatial import KDTree
 from tests.scenes.ground_points import islands, l_shape, scattered, void
 from tests.tiler.grid.conftest import FINAL, Scene, make_block, sources_of
 from tests.tiler.grid.test_above import REACH, SPIKE, above_block
-from tiler.core.classes import WITHHELD_FLAG
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
+from tiler.core.points import WITHHELD_FLAG
 from tiler.core.products import SURVEYED, Read
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units

@@ -8,10 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.core.classes import WITHHELD_FLAG
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
-from tiler.core.points import PointBlock, pack_origin
+from tiler.core.lattice import Cell, CoordFrame, Lattice
+from tiler.core.points import WITHHELD_FLAG, PointBlock, pack_origin
 from tiler.core.records import to_json
 from tiler.ingest.assemble import BucketParts, assemble_buckets, bucket_order
 

@@ -12,8 +12,7 @@ import laspy
 import numpy as np
 import pytest
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
+from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import SOURCE_SHIFT
 from tiler.export.classified import write_classified
 from tiler.export.work import CloudCopy

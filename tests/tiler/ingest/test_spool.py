@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.points import PointBlock, unpack_origin
 from tiler.core.records import SpoolRecord
 from tiler.ingest.spool import (

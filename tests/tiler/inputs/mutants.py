@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tiler.core.frame import CoordFrame
+from tiler.core.lattice import CoordFrame
 from tiler.errors import InputError
 from tiler.ingest.spool import columns, to_local_counts
 from tiler.inputs import inspect, pieces

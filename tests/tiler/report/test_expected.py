@@ -11,8 +11,8 @@ import rasterio
 from affine import Affine
 
 from tests.tiler.report import results
+from tiler.core.products import EDGES_M
 from tiler.core.records import to_json
-from tiler.core.sigma_groups import EDGES_M
 from tiler.grid.sigma import sigma_result
 from tiler.report.accuracy import AtCheckpoints, at_checkpoints, expected
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from tiler.core.map_lines import MAX_VERTICES, rings_of
+from tiler.core.breaklines import MAX_VERTICES, rings_of
 from tiler.report.drawn import drawn, shapes
 
 RING = [0.0, 0.0, 9.0, 0.0, 9.0, 9.0, 0.0, 0.0]

@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 
-from tiler.core.digests import NOT_IN_DIGEST
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.lattice import Bounds, CoordFrame, Lattice
+from tiler.core.records import NOT_IN_DIGEST
 from tiler.schedule import Task, calling
 from tiler.schedule.worker import compute, run_task
 from tiler.store import StoreMeta, TileStore, create_store, open_store

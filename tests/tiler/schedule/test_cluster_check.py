@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.errors import ConfigError
 from tiler.io.locations import state_of
 from tiler.schedule import Machine, cluster_check

@@ -14,8 +14,7 @@ import numpy as np
 import psutil
 import pytest
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.schedule import ChildProcess, Task, limits_memory
 from tiler.schedule.worker import compute, peak_rss_bytes, prepare, run_task
 from tiler.store import StoreMeta, TileStore, create_store

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
+from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
 

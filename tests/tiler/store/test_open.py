@@ -14,8 +14,7 @@ import pytest
 import zarr
 
 from tests.tiler.store.conftest import make_points
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
+from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block
 from tiler.core.units import US_SURVEY_FOOT, Units

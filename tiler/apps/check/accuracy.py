@@ -21,13 +21,16 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
-from tiler.apps.check.results import Accuracy, AccuracyFigures, CheckedPoint, Statement
-from tiler.apps.evaluate.heights import read_heights, vertical_unit
-from tiler.apps.evaluate.rasters import open_raster
+from tiler.apps.difference_statistics import spread
+from tiler.apps.evaluate.rasters import (
+    horizontal_unit,
+    open_raster,
+    read_heights,
+    vertical_unit,
+)
+from tiler.apps.results import Accuracy, AccuracyFigures, CheckedPoint, Statement
 from tiler.core.crs import same_horizontal, split
-from tiler.core.difference_statistics import spread
-from tiler.core.units import unit_label
-from tiler.core.units_text import short_unit
+from tiler.core.units import short_unit, unit_label
 from tiler.errors import ConfigError
 from tiler.io.foreign_content import excerpt
 
@@ -302,14 +305,8 @@ def min_points(area_km2: float) -> int:
 
 
 def _area_km2(raster: Any) -> float:
-    """Return the area of the whole raster, including pixels without data.
-
-    Without a projected CRS, the units of the raster count as metres.
-    """
-    factor = 1.0
-    if raster.crs is not None and raster.crs.is_projected:
-        factor = raster.crs.linear_units_factor[1]
-    pixel = abs(float(raster.transform.determinant)) * float(factor) ** 2
+    """Return the area of the whole raster, including pixels without data."""
+    pixel = abs(float(raster.transform.determinant)) * float(horizontal_unit(raster)) ** 2
     return pixel * int(raster.width) * int(raster.height) / 1e6
 
 

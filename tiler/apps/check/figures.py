@@ -16,9 +16,8 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from tiler.apps.check.accuracy import pixel_places
-from tiler.apps.check.results import Accuracy
-from tiler.apps.evaluate.heights import files_of_raster
-from tiler.apps.evaluate.rasters import open_raster, raster_named
+from tiler.apps.evaluate.rasters import files_of_raster, open_raster, raster_named
+from tiler.apps.results import Accuracy
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
 from tiler.io.locations import as_path

@@ -196,7 +196,10 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
 
     Raise InputError if x, y or z is missing, is not a finite number, or is too large.
     """
-    row_values = {column: _value(values, names) for column, names in _COLUMNS.items()}
+    row_values = {
+        column: next((values[name] for name in names if values.get(name) is not None), None)
+        for column, names in _COLUMNS.items()
+    }
     numbers = []
     for axis in ("x", "y", "z"):
         text = row_values[axis]
@@ -221,10 +224,6 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
         texts.append("" if text is None else str(text).strip())
     x, y, z = numbers
     return Row(x, y, z, *texts)
-
-
-def _value(values: Mapping[str, Any], names: Sequence[str]) -> Any:
-    return next((values[name] for name in names if values.get(name) is not None), None)
 
 
 def _kind(path: Path, text: str) -> str:

@@ -1,36 +1,52 @@
-"""Comparison of a DTM with a reference raster, block by block."""
+"""Comparison of a DTM with a reference raster, and of its standard errors with its actual errors, block by block."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from fractions import Fraction
+from math import sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import rasterio
 from pyproj import CRS
 
-from tiler.apps.evaluate.labels import ratio
+from ptd.gridding.shape import gradients, slope_deg
+from tiler.apps.difference_statistics import SpreadTally
+from tiler.apps.evaluate.clouds import ratio
 from tiler.apps.evaluate.maps import validate_map_files
-from tiler.apps.evaluate.rasters import open_raster, raster_named
-from tiler.apps.evaluate.results import DtmScores, SigmaScores
-from tiler.apps.evaluate.sigma import SigmaTally, slopes_of
+from tiler.apps.evaluate.rasters import (
+    blocks_with_files,
+    files_of_raster,
+    horizontal_unit,
+    open_raster,
+    read_heights,
+    vertical_unit,
+)
+from tiler.apps.results import DtmScores, SigmaFigures, SigmaReport, SigmaScores, SlopeFigures
 from tiler.core.crs import same_horizontal, split
-from tiler.core.difference_statistics import SpreadTally
 from tiler.core.raster import NODATA
-from tiler.core.units import METRE, exact_unit, unit_label, unit_named
-from tiler.errors import ConfigError, InputError
+from tiler.core.units import unit_label
+from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.raster_files import RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.result_folder import raster_places, read_run
 
-BLOCK = 1024
-"""Side in pixels of a block. One block per raster is in memory at a time."""
+SLOPES_DEG = (0, 5, 15, 30, 90)
+"""Edges of the classes of slope, degrees."""
+PER_DECADE = 100
+"""Number of classes of standard errors and errors per factor of ten.
+
+Values in a class are not ordered.
+"""
+LOWEST, HIGHEST = -5.0, 4.0
+"""Decimal logarithms of the lowest and the highest class, in units of the heights."""
+LOOKED_AT = 0.1
+"""Share of the area that a person may inspect."""
+
+N_CLASSES = round((HIGHEST - LOWEST) * PER_DECADE) + 1
 
 Float64s = npt.NDArray[np.float64]
 
@@ -85,7 +101,9 @@ def evaluate_dtm(
             if sigma is None
             else _Judge(stack.enter_context(_opened(Path(sigma), Path(truth))))
         )
-        for row, col, dtm_heights, true in _blocks(pair):
+        for row, col, height, width in blocks_with_files(pair.truth, pair.dtm):
+            dtm_heights = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
+            true = read_heights(pair.truth, row, col, height, width)
             has_mine, has_true = np.isfinite(dtm_heights), np.isfinite(true)
             common = has_mine & has_true
             both += int(common.sum())
@@ -109,29 +127,6 @@ def evaluate_dtm(
         "quantile_step": tally.step,
         **judged,
     }
-
-
-class _Judge:
-    """Comparison of standard errors with actual errors, block by block.
-
-    Parameters
-    ----------
-    pair : Pair
-        Raster of standard errors, and the reference.
-    """
-
-    def __init__(self, pair: Pair) -> None:
-        self._pair, self.tally = pair, SigmaTally()
-        across = abs(pair.truth.transform.a) * _crs_unit(pair.truth)
-        self._step = float(across / float(vertical_unit(pair.truth)))
-
-    def add(self, row: int, col: int, mine: Float64s, true: Float64s) -> None:
-        """Add a block of the reference from pixel (row, col), in which the DTM has the heights ``mine``."""
-        pair = self._pair
-        sigma = read_heights(pair.dtm, row - pair.row, col - pair.col, *true.shape)
-        slope = slopes_of(true, self._step)
-        common = np.isfinite(mine) & np.isfinite(true) & np.isfinite(sigma) & (sigma > 0)
-        self.tally.add((mine - true)[common], sigma[common], slope[common])
 
 
 def sigma_beside(dtm: Path | str) -> Path | None:
@@ -174,20 +169,6 @@ def validate_targets(
     check_targets(targets, reads)
     if maps is not None:
         validate_map_files(maps, names)
-
-
-def files_of_raster(path: Path | str) -> list[str]:
-    """Return the files of a raster, including the files to which a VRT refers."""
-    files, todo = [str(path)], [str(path)]
-    while todo:
-        try:
-            with open_raster(todo.pop()) as raster:
-                new = [file for file in raster.files if file not in files]
-        except InputError:  # The fault is reported when the raster is read.
-            continue
-        files += new
-        todo += [file for file in new if file.lower().endswith(".vrt")]
-    return files
 
 
 @contextmanager
@@ -252,99 +233,121 @@ def _whole_number(value: float) -> bool:
     return abs(value - round(value)) < 1e-3
 
 
-def _blocks(pair: Pair) -> Iterator[tuple[int, int, Float64s, Float64s]]:
-    """Yield row and column in the reference and the heights of both rasters (NaN: none), per block."""
-    for row, col, height, width in blocks_with_files(pair.truth, pair.dtm):
-        dtm_heights = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
-        yield row, col, dtm_heights, read_heights(pair.truth, row, col, height, width)
-
-
-def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int, int]]:
-    """Yield row, column, height and width of the blocks of an open raster.
-
-    Blocks of a VRT are left out if they are not near a file of the VRT or of ``others``,
-    rasters on the same lattice. A VRT over the sheets of distant sites has millions of empty
-    blocks.
-    """
-    height, width = raster.shape
-    if raster.driver == "VRT" and not (raster.transform.b or raster.transform.d):
-        reached: set[tuple[int, int]] = set()
-        for each in (raster, *others):
-            for path in _files(each):
-                reached.update(_reached(raster, path))
-        block_corners = sorted(reached)
-    else:
-        block_corners = list(itertools.product(range(0, height, BLOCK), range(0, width, BLOCK)))
-    for row, col in block_corners:
-        yield row, col, min(BLOCK, height - row), min(BLOCK, width - col)
-
-
-def _files(raster: Any) -> list[str]:
-    """Return the files that contain the pixels of an open raster."""
-    if raster.driver != "VRT":
-        return [raster.name]
-    return [path for path in raster.files if path != raster.name]
-
-
-def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
-    """Yield row and column of the blocks of a VRT that are at most two pixels from a file."""
-    with rasterio.open(path) as part:
-        x0, y0, x1, y1 = part.bounds
-    transform = vrt.transform
-    left, right = sorted((x - transform.c) / transform.a for x in (x0, x1))
-    top, bottom = sorted((y - transform.f) / transform.e for y in (y0, y1))
-    for row in range(
-        max(int(top) - 1, 0) // BLOCK * BLOCK, min(int(bottom) + 2, vrt.height), BLOCK
-    ):
-        for col in range(
-            max(int(left) - 1, 0) // BLOCK * BLOCK, min(int(right) + 2, vrt.width), BLOCK
-        ):
-            yield row, col
-
-
-def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Float64s:
-    """Read a window of an open raster's first band, with NaN without data and beyond the raster.
+class _Judge:
+    """Comparison of standard errors with actual errors, block by block.
 
     Parameters
     ----------
-    raster : rasterio data set
-    row, col, height, width : int
-        First pixel and size of the window in pixels. It may lie partly or wholly beyond the raster.
-
-    Returns
-    -------
-    float64, shape (height, width)
+    pair : Pair
+        Raster of standard errors, and the reference.
     """
-    heights = np.full((height, width), np.nan)
-    top, left = max(row, 0), max(col, 0)
-    bottom, right = min(row + height, raster.height), min(col + width, raster.width)
-    if top < bottom and left < right:
-        with raster_named(raster.name):
-            part = raster.read(1, window=((top, bottom), (left, right)), masked=True).astype(
-                np.float64
+
+    def __init__(self, pair: Pair) -> None:
+        self._pair, self.tally = pair, SigmaTally()
+        across = abs(pair.truth.transform.a) * horizontal_unit(pair.truth)
+        self._step = float(across / float(vertical_unit(pair.truth)))
+
+    def add(self, row: int, col: int, mine: Float64s, true: Float64s) -> None:
+        """Add a block of the reference from pixel (row, col), in which the DTM has the heights ``mine``."""
+        pair = self._pair
+        sigma = read_heights(pair.dtm, row - pair.row, col - pair.col, *true.shape)
+        slope = slopes_of(true, self._step)
+        common = np.isfinite(mine) & np.isfinite(true) & np.isfinite(sigma) & (sigma > 0)
+        self.tally.add((mine - true)[common], sigma[common], slope[common])
+
+
+class SigmaTally:
+    """Counter of errors and of the standard errors at the same pixels, in bounded memory."""
+
+    def __init__(self) -> None:
+        self._within = np.zeros(3, np.int64)
+        self._by_slope = np.zeros((len(SLOPES_DEG) - 1, 3))
+        self._by_sigma = np.zeros((N_CLASSES, 2))
+        self._by_error = np.zeros((N_CLASSES, 2))
+
+    def add(self, difference: Float64s, sigma: Float64s, slope: Float64s) -> None:
+        """Count pixels by their errors, standard errors and slopes.
+
+        Parameters
+        ----------
+        difference, sigma : float64, shape (n,)
+            Errors and standard errors in units of the heights.
+        slope : float64, shape (n,)
+            Slopes in degrees.
+        """
+        squared, size = difference**2, np.abs(difference)
+        for k in (1, 2, 3):
+            self._within[k - 1] += np.count_nonzero(size <= k * sigma)
+        classes = np.clip(
+            np.searchsorted(SLOPES_DEG, slope, side="right") - 1, 0, len(SLOPES_DEG) - 2
+        )
+        for column, values in enumerate((np.ones_like(sigma), squared, sigma**2)):
+            self._by_slope[:, column] += np.bincount(classes, values, len(SLOPES_DEG) - 1)
+        for table, values in ((self._by_sigma, sigma), (self._by_error, size)):
+            class_numbers = _classes(values)
+            table[:, 0] += np.bincount(class_numbers, minlength=N_CLASSES)
+            table[:, 1] += np.bincount(class_numbers, squared, N_CLASSES)
+
+    def summary(self) -> SigmaReport:
+        """Return the statistics of all counted pixels."""
+        n, squared, predicted = self._by_slope.sum(axis=0)
+        within_1, within_2, within_3 = (
+            ratio(within, int(n)) for within in self._within.tolist()
+        )
+        by_slope: list[SlopeFigures] = [
+            {"from_deg": low, "to_deg": high, **_figures(*row)}
+            for low, high, row in zip(
+                SLOPES_DEG, SLOPES_DEG[1:], self._by_slope.tolist(), strict=False
             )
-        heights[top - row : bottom - row, left - col : right - col] = part.filled(np.nan)
-    return heights
+        ]
+        curve, best = _curve(self._by_sigma), _curve(self._by_error)
+        return {
+            **_figures(n, squared, predicted),
+            "within_1": within_1,
+            "within_2": within_2,
+            "within_3": within_3,
+            "by_slope": by_slope,
+            "area": _area(curve),
+            "area_at_best": _area(best),
+            "in_first_tenth": None if curve is None else float(np.interp(LOOKED_AT, *curve)),
+        }
 
 
-def vertical_unit(raster: Any) -> Fraction:
-    """Return the metres in one unit of an open raster's heights: that of the band, else of the CRS."""
-    if raster.units[0]:
-        return unit_named(raster.units[0])
-    return _crs_unit(raster)
+def slopes_of(truth: Float64s, step: float) -> Float64s:
+    """Return the slopes of a block of heights in degrees.
 
-
-def horizontal_unit(dtm: Path) -> Fraction:
-    """Return the metres in one unit of a raster's coordinates, or 1 without a projected CRS.
-
-    Raise InputError if the raster cannot be read.
+    ``step`` is the side of a pixel in units of the heights.
     """
-    with open_raster(dtm) as raster:
-        return _crs_unit(raster)
+    return slope_deg(*gradients(np.pad(truth, 1, constant_values=np.nan), step))
 
 
-def _crs_unit(raster: Any) -> Fraction:
-    """Return the metres in one unit of a raster's CRS, or 1 without a projected CRS."""
-    if raster.crs is None or not raster.crs.is_projected:
-        return METRE
-    return exact_unit(raster.crs.linear_units_factor[1])
+def _classes(values: Float64s) -> npt.NDArray[np.int64]:
+    logarithm = np.log10(np.maximum(values, 10.0**LOWEST))
+    class_numbers: npt.NDArray[np.int64] = np.rint(
+        (np.minimum(logarithm, HIGHEST) - LOWEST) * PER_DECADE
+    ).astype(np.int64)
+    return class_numbers
+
+
+def _figures(n: float, squared: float, predicted: float) -> SigmaFigures:
+    if not n:
+        return {"pixels": 0, "rmse": None, "predicted_rmse": None}
+    return {"pixels": int(n), "rmse": sqrt(squared / n), "predicted_rmse": sqrt(predicted / n)}
+
+
+def _curve(table: Float64s) -> tuple[Float64s, Float64s] | None:
+    """Return shares of the pixels, largest value first, and their shares of the sum of squared errors.
+
+    Return None if there are no errors.
+    """
+    if not table[:, 1].sum():
+        return None
+    shares = np.cumsum(table[::-1], axis=0) / table.sum(axis=0)
+    return np.append(0.0, shares[:, 0]), np.append(0.0, shares[:, 1])
+
+
+def _area(curve: tuple[Float64s, Float64s] | None) -> float | None:
+    if curve is None:
+        return None
+    x, y = curve
+    return float(np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2))

@@ -14,8 +14,8 @@ import rasterio
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from tiler.apps.cell_sums import summed
-from tiler.core.classes import GROUND
+from tiler.apps.difference_statistics import summed
+from tiler.core.points import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path

@@ -9,10 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tiler.apps.classify import classify_file
-from tiler.apps.evaluate.clouds import LabelComparison, compare_files
-from tiler.apps.evaluate.labels import IGNORED, mean_scores
+from tiler.apps.evaluate.clouds import IGNORED, LabelComparison, compare_files, mean_scores
 from tiler.apps.evaluate.maps import ErrorGrid, write_error_map
-from tiler.apps.evaluate.results import (
+from tiler.apps.results import (
     FilteredScene,
     FilterReport,
     Pairing,

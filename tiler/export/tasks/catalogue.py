@@ -16,10 +16,10 @@ from typing import Any
 from urllib.parse import quote
 
 from tiler.config import plain_value
-from tiler.core.digests import digest_of
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
+from tiler.core.records import digest_of
 from tiler.core.results import SurveyDates
 from tiler.core.units import unit_label
 from tiler.export import stac

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from tiler.core.classes import Counts, sum_by_class
-from tiler.core.reclass import ONLY_GROUND
+from tiler.core.points import Counts, sum_by_class
+from tiler.core.selection import ONLY_GROUND
 from tiler.core.words import counted
 from tiler.export.records import CloudRecord
 from tiler.io.result_folder import CLASSIFIED

@@ -8,15 +8,14 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from tiler.config import LOW_AS_NOISE
-from tiler.core.classes import LABELS
 from tiler.core.crs import vertical_name
-from tiler.core.digests import digest_of
+from tiler.core.file_names import product_names, validate_distinct_names
 from tiler.core.lattice import Cell
+from tiler.core.points import LABELS
 from tiler.core.products import MODELS, NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.reclass import ONLY_GROUND
-from tiler.core.records import SpoolRecord
-from tiler.core.sheet_names import product_names, validate_distinct_names
+from tiler.core.records import SpoolRecord, digest_of
+from tiler.core.selection import ONLY_GROUND
 from tiler.core.water import Waters
 from tiler.export.classified import write_classified
 from tiler.export.cloud_crs import crs_to_write

@@ -6,12 +6,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.file_names import DEFAULT, product_names, sheet_name
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
 from tiler.core.products import MODELS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import BlockRecord
-from tiler.core.sheet_names import DEFAULT, product_names, sheet_name
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export.sheets import find_sheets

@@ -15,10 +15,9 @@ from typing import Any
 from ptd.frame import Scale
 from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes, read_at_candidates
-from tiler.core.classes import LABELS
-from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
-from tiler.core.records import TileRecord
+from tiler.core.points import LABELS
+from tiler.core.records import TileRecord, digest_of
 from tiler.filter.reading import FilterTile
 from tiler.filter.tasks.tiles import BucketPoints, tiles_of
 from tiler.filter.tile import filter_tile, influence_margin_m, local_window

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import UNCERTIFIED_BIT
 from tiler.core.lattice import Bounds
-from tiler.core.points import PointBlock
+from tiler.core.points import UNCERTIFIED_BIT, PointBlock
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.bridges.deck import Deck, find_deck
 from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells

@@ -11,9 +11,9 @@ import shapely
 from ptd.matched.evidence import percent
 from ptd.matched.passes import BLOCK_M, CanopyPass
 from tiler.config import VOID_CANOPY
-from tiler.core.map_lines import rings_of
-from tiler.core.terrain_results import CanopyResult, Doubt
-from tiler.core.units_text import length_text
+from tiler.core.breaklines import rings_of
+from tiler.core.results import CanopyResult, Doubt
+from tiler.core.units import length_text
 from tiler.observe.events import Warned
 from tiler.runs.found import Labelled
 from tiler.runs.job import Job

@@ -14,8 +14,7 @@ import scipy
 import shapely
 
 from tiler.core.area import Area
-from tiler.core.breaklines import MIN_LENGTH_M, Breaklines
-from tiler.core.digests import digest_of
+from tiler.core.breaklines import MIN_LENGTH_M, Breaklines, drawn, rings_of_areas
 from tiler.core.edits import (
     DECK,
     OF_PIXELS,
@@ -26,13 +25,11 @@ from tiler.core.edits import (
     Edit,
     Edits,
 )
-from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
-from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.map_lines import drawn, rings_of_areas
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.records import records_of
-from tiler.core.terrain_results import BreaklineCounts, BridgeResult, EditResult
-from tiler.core.units_text import length_text
+from tiler.core.records import digest_of, records_of
+from tiler.core.results import BreaklineCounts, BridgeResult, EditResult
+from tiler.core.units import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M

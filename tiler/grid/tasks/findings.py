@@ -17,17 +17,11 @@ import scipy
 from ptd.matched.crowns import Crowns
 from ptd.matched.passes import CanopyPass
 from tiler.config import VOID_CANOPY
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.records import BlockRecord
-from tiler.core.terrain_results import (
-    AbovePlace,
-    AboveResult,
-    Implausible,
-    VoidResult,
-    VoidsResult,
-)
-from tiler.core.units_text import length_text, small_area_text
+from tiler.core.results import AbovePlace, AboveResult, Implausible, VoidResult, VoidsResult
+from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.grid.coarse import join_pieces

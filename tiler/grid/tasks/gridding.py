@@ -13,9 +13,9 @@ from fractions import Fraction
 from typing import Any
 
 from tiler.core.breaklines import Breaklines
-from tiler.core.classes import GROUND, LABELS
 from tiler.core.edits import DrawnDeck, Edits
 from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.points import GROUND, LABELS
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import Waters

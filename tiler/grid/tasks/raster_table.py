@@ -34,12 +34,10 @@ import numpy as np
 
 from ptd.matched.cells import CELL_M
 from tiler.config import AUTO_WATER, VOID_CANOPY
-from tiler.core.digests import digest_of
-from tiler.core.mask_values import MASK_VALUES, OUTSIDE
-from tiler.core.products import MODELS, PRODUCTS, Read
+from tiler.core.products import MASK_VALUES, MODELS, OUTSIDE, PRODUCTS, Read
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.core.records import BlockRecord, records_of
-from tiler.core.terrain_results import SurfaceResult
+from tiler.core.records import BlockRecord, digest_of, records_of
+from tiler.core.results import SurfaceResult
 from tiler.grid import derived
 from tiler.grid.block import full_halo
 from tiler.grid.block_surroundings import reach_pixels

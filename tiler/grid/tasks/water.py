@@ -7,13 +7,12 @@ from dataclasses import replace
 from fractions import Fraction
 
 from tiler.config import AUTO_WATER
-from tiler.core.area_index import AreaIndex
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Cell, row_by_row
-from tiler.core.map_lines import rings_of_areas
+from tiler.core.area import AreaIndex
+from tiler.core.breaklines import rings_of_areas
+from tiler.core.lattice import COUNTS_PER_UNIT, Cell, row_by_row
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.terrain_results import Doubt, StationResult, WaterResult
-from tiler.core.units_text import length_text
+from tiler.core.results import Doubt, StationResult, WaterResult
+from tiler.core.units import length_text
 from tiler.core.water import LAKE, RIVER, Station, Water, Waters, lengths_along
 from tiler.core.words import counted, listed
 from tiler.grid.coarse import padded

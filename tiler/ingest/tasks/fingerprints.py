@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from typing import Any, NotRequired, TypedDict
 
-from tiler.core.digests import digest_of
+from tiler.core.records import digest_of
 from tiler.errors import InputError
 from tiler.inputs import SourceInfo
 from tiler.io.locations import is_url, location

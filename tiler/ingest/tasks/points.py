@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 
-from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
-from tiler.core.records import SpoolRecord
+from tiler.core.records import SpoolRecord, digest_of
 from tiler.ingest.assemble import BucketParts, assemble_buckets
 from tiler.ingest.spool import SpoolPiece, spool_piece
 from tiler.ingest.strays import Strays, far_buckets

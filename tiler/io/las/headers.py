@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
-from tiler.core.digests import new_digest
+from tiler.core.records import new_digest
 from tiler.errors import InputError
 from tiler.io.cloud_reading import open_location
 from tiler.io.foreign_content import packing_of

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.matched.evidence import Evidence
-from tiler.core.classes import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.core.points import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records, record_dtype
 
@@ -44,7 +44,7 @@ def coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np
 def class_and_flags(
     records: Records, point_format: int
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """Return class and flags (bits of `tiler.core.classes`), uint8 of shape (n,) each."""
+    """Return class and flags (bits of `tiler.core.points`), uint8 of shape (n,) each."""
     if is_legacy(point_format):
         raw = records["raw_classification"].astype(np.uint8)
         classification = raw & np.uint8(_LEGACY_CLASS_MASK)

@@ -16,7 +16,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from tiler.core.area import Area, segmentized
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.io.vector.opening import check_file, reading, unchanged

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ptd
-from ptd.ground.noise_by_place import REACH_M
+from ptd.ground.noise_sums import REACH_M
 
 LENGTH_M, WIDTH_M = 1400.0, 8.0
 SURFACE_SEES_M = 1000.0

@@ -13,7 +13,7 @@ import pytest
 
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tiler.apps.check import Checkpoints, PointOptions, check_dtm
-from tiler.apps.check.seams import seams_of
+from tiler.apps.check.consistency import seams_of
 from tiler.apps.evaluate import evaluate_dtm
 from tiler.apps.info import describe_raster
 from tiler.errors import ConfigError, InputError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.laz_chunks import variable_chunks
-from tiler.core.classes import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.core.points import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.errors import InputError
 from tiler.io.las.headers import read_header
 from tiler.io.las.point_formats import class_and_flags, colours, returns, write_classes

@@ -1,18 +1,20 @@
-"""Steps of a DTM across the edges of tiles, compared with steps within tiles.
+"""Checks without checkpoints: steps of a DTM across the edges of tiles, and differences of overlapping flight strips.
 
-A *step* is the absolute difference of two neighbouring pixels. A *jump* is the part of a step
-that the slopes on both sides do not explain. For heights a, b, c, d in a row, the jump between
-b and c is |(c - b) - ((b - a) + (d - c)) / 2|. It is 0 on any plane and any parabola, so it
-shows a seam on steep ground as well.
+Steps across edges are compared with steps within tiles. A *step* is the absolute difference of two neighbouring pixels.
+A *jump* is the part of a step that the slopes on both sides do not explain. For heights a, b, c, d in a row, the jump
+between b and c is |(c - b) - ((b - a) + (d - c)) / 2|. It is 0 on any plane and any parabola, so it shows a seam on
+steep ground as well.
 
-A few edges cross only a small part of the terrain, which may be rougher than the rest. So edges
-are compared with the lines of pixels next to them, which cross the same terrain.
+A few edges cross only a small part of the terrain, which may be rougher than the rest. So edges are compared with the
+lines of pixels next to them, which cross the same terrain.
+
+Strips are distinguished by the point source ids of their points.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -22,20 +24,27 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
-from tiler.apps.check.results import Seams, Steps
-from tiler.apps.evaluate.heights import (
+from tiler.apps.difference_statistics import spread, summed
+from tiler.apps.evaluate.rasters import (
     blocks_with_files,
     horizontal_unit,
+    open_raster,
     read_heights,
     vertical_unit,
 )
-from tiler.apps.evaluate.rasters import open_raster
+from tiler.apps.results import Seams, Steps, StripPair, Strips
+from tiler.core.points import GROUND, WITHHELD_FLAG
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.units import unit_label, unit_named
+from tiler.core.units import METRE, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
+from tiler.inputs import find_inputs, inspect
 from tiler.io.foreign_content import parse_json_object
+from tiler.io.las.headers import read_header
+from tiler.io.las.point_formats import class_and_flags, coordinate
+from tiler.io.las.reader import EVERYTHING, PointReader
 from tiler.io.locations import as_path
 from tiler.io.result_folder import RUN
+from tiler.schedule import call_isolated, half_of_memory
 
 BESIDE = (3, 20)
 """Minimum and maximum distance, in pixels from an edge, of the lines of pixels with which the edge is compared.
@@ -126,7 +135,7 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
             raise ConfigError(f"{dtm} is rotated; seams need rows and columns along the axes")
         if edges.tile < 4 * max(abs(raster.transform.a), abs(raster.transform.e)):
             raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
-        metres = vertical_unit(raster)
+        metres, horizontal_metres = vertical_unit(raster), horizontal_unit(raster)
         tallies = {
             name: (StepStatistics(), StepStatistics())
             for name in ("interior", "tiles", "beside_tiles")
@@ -147,7 +156,7 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
     seams = {
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
-        "horizontal_metres_per_unit": float(horizontal_unit(as_path(dtm))),
+        "horizontal_metres_per_unit": float(horizontal_metres),
         "tile": edges.tile,
         "bucket": edges.bucket,
         **found,
@@ -187,7 +196,8 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> Seams | None:
     TilerError
         `seam_steps` or `edges_of_run` raises it, the DTM cannot be read, or ``tile_m`` is not positive.
     """
-    metres = horizontal_unit(as_path(dtm))
+    with open_raster(as_path(dtm)) as raster:
+        metres = horizontal_unit(raster)
     if tile_m is None:
         edges = edges_of_run(as_path(dtm))
         if edges is None:
@@ -287,3 +297,124 @@ def edges_of_run(dtm: Path) -> TileEdges | None:
         raise InputError(
             f"{path} is not of a run of this version ({error!r}); give --tile-size"
         ) from error
+
+
+CELL_M = 2.0
+"""Side of the compared cells in metres.
+
+They are large enough for a few points of each strip, and small enough to be nearly flat.
+"""
+MIN_POINTS = 3
+"""Minimum number of points of each strip in a compared cell."""
+MAX_ROUGH_M = 0.1
+"""Maximum standard deviation of a strip's heights in a compared cell, metres.
+
+Other cells are too rough or too steep.
+"""
+
+Int64s = npt.NDArray[np.int64]
+
+
+def strip_differences(clouds: Sequence[str | Path]) -> Strips:
+    """Compare the ground heights of strips in the cells of 2 m that they share.
+
+    The files are read piece by piece. Memory grows with the number of cells that contain
+    ground.
+
+    Parameters
+    ----------
+    clouds : sequence of path
+        Files, folders, globs, all of one CRS, with class 2 for ground.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or there is no ground.
+    """
+    paths = find_inputs(clouds, results=True)
+    return call_isolated(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
+
+
+def _strips_of(paths: Sequence[Path]) -> Strips:
+    place = inspect(paths[0]).georeference
+    horizontal = place.horizontal or METRE
+    vertical = place.vertical or horizontal
+    keys, sums = np.empty((3, 0), np.int64), np.empty((3, 0))
+    strips: dict[int, int] = {}
+    for path in paths:
+        for source, x, y, z in _ground(path):
+            for strip, points in zip(*np.unique(source, return_counts=True), strict=True):
+                strips[int(strip)] = strips.get(int(strip), 0) + int(points)
+            side = CELL_M / float(horizontal)
+            cells = (source, *(np.floor(place / side).astype(np.int64) for place in (x, y)))
+            keys = np.concatenate((keys, np.stack(cells)), axis=1)
+            sums = np.concatenate((sums, np.stack((np.ones(z.size), z, z**2))), axis=1)
+            keys, sums = summed(keys, sums)
+    if not strips:
+        raise InputError(
+            f"{paths[0]}: no ground (class 2) in {len(paths)} files; give classified clouds, as `tiler run` writes them"
+        )
+    rough, difference, pairs = _compared(keys, sums, MAX_ROUGH_M / float(vertical))
+    return {
+        "unit": unit_label(vertical),
+        "metres_per_unit": float(vertical),
+        "cell_m": CELL_M,
+        "strips": {str(strip): strips[strip] for strip in sorted(strips)},
+        "cells": int(difference.size),
+        "rough": rough,
+        "all": spread(difference),
+        "pairs": pairs,
+    }
+
+
+def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
+    """Yield source ids and coordinates of the ground points of a file, piece by piece."""
+    header = read_header(path)
+    with PointReader(header, EVERYTHING) as reader:
+        for records in reader.pieces():
+            classes, flags = class_and_flags(records, header.point_format)
+            records = records[(classes == GROUND) & ((flags & WITHHELD_FLAG) == 0)]
+            x, y, z = (coordinate(records, header, axis) for axis in range(3))
+            yield records["point_source_id"].astype(np.int64), x, y, z
+
+
+def _compared(
+    keys: Int64s, sums: Floats, max_rough: float
+) -> tuple[int, Floats, list[StripPair]]:
+    """Return the number of rough comparisons, all differences of strips in the cells that they share, and each pair's.
+
+    The rows of ``keys`` are strip, column and row, sorted by row, column and strip. The rows of
+    ``sums`` are the number of points, the sum of their heights, and the sum of their squared
+    heights.
+    """
+    n, total, squares = sums
+    mean = total / n
+    deviation = np.sqrt(np.maximum(squares / n - mean**2, 0.0))
+    fit = (n >= MIN_POINTS) & (deviation <= max_rough)
+    firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    rough, step = 0, 1
+    while True:
+        # Strips of a cell are consecutive, so the strips of a pair are ``step`` apart.
+        same = np.all(keys[1:, step:] == keys[1:, :-step], axis=0)
+        if not same.any():
+            break
+        usable = same & fit[step:] & fit[:-step]
+        rough += int(same.sum() - usable.sum())
+        firsts.append(np.flatnonzero(usable))
+        seconds.append(firsts[-1] + step)
+        step += 1
+    first, second = np.concatenate(firsts), np.concatenate(seconds)
+    difference = mean[second] - mean[first]
+    of_first, of_second = keys[0, first], keys[0, second]
+    pairs: list[StripPair] = []
+    for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True))):
+        pair_differences = difference[(of_first == a) & (of_second == b)]
+        pairs.append(
+            {
+                "first": a,
+                "second": b,
+                "cells": int(pair_differences.size),
+                **spread(pair_differences),
+            }
+        )
+    return rough, difference, pairs

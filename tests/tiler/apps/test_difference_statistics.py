@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiler.core import difference_statistics as module
-from tiler.core.difference_statistics import SpreadTally, spread
+from tiler.apps.difference_statistics import SpreadTally, spread
 
 
 def expected(d: np.ndarray) -> dict[str, float]:
@@ -44,7 +43,7 @@ def test_a_tally_equals_the_spread_up_to_its_step() -> None:
 
 
 def test_a_tally_that_grows_too_large_gets_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_STEPS", 300)
+    monkeypatch.setattr("tiler.apps.difference_statistics.MAX_STEPS", 300)
     d = np.random.default_rng(6).uniform(-5, 5, 20_000)
     tally = SpreadTally()
     for part in np.split(d, 20):

@@ -1,10 +1,10 @@
-"""Mean, RMSE and percentiles of height differences: exact, or estimated in bounded memory."""
+"""Mean, RMSE and percentiles of height differences, exact or estimated in bounded memory, and sums per cell."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypedDict
+from typing import TypedDict, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -144,3 +144,26 @@ def quantiles(values: Float64s, counts: Int64s, percents: Sequence[float]) -> li
         above = values[np.searchsorted(ends, int(np.ceil(rank)), side="right")]
         percentiles.append(float(below + (above - below) * (rank % 1.0)))
     return percentiles
+
+
+Figure = TypeVar("Figure", np.int64, np.float64)
+
+
+def summed(cells: Int64s, sums: npt.NDArray[Figure]) -> tuple[Int64s, npt.NDArray[Figure]]:
+    """Return the distinct cells and the sums of their values.
+
+    The cells are sorted by the last row of ``cells``, then by the row before it, and so on.
+
+    Parameters
+    ----------
+    cells : int64, shape (k, n)
+        Indices of the cell of each value, one row per axis.
+    sums : array, shape (m, n)
+        Values to add up per cell.
+    """
+    if cells.shape[1] == 0:
+        return cells, sums
+    order = np.lexsort(cells)
+    cells = cells[:, order]
+    first = np.flatnonzero(np.r_[True, np.any(cells[:, 1:] != cells[:, :-1], axis=0)])
+    return cells[:, first], np.add.reduceat(sums[:, order], first, axis=1)

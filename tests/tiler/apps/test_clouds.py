@@ -9,7 +9,7 @@ import pytest
 
 from cli.main import main
 from tests.tiler.apps.test_info import write_cloud
-from tiler.apps.info_table import (
+from tiler.apps.clouds import (
     COLUMNS,
     ListedCloud,
     UnreadableCloud,

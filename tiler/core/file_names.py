@@ -1,9 +1,15 @@
-"""File names of sheets, from a template like ``{name}_{x}_{y}``."""
+"""Files into which a run writes: names of sheets, from a template like ``{name}_{x}_{y}``, and links.
+
+Nothing is written through a symbolic link. Other users who can write to a folder can make links in it. A write through
+such a link would change the file to which it leads, with the rights of the user who runs tiler.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
+from pathlib import Path
 from string import Formatter
 
 from tiler.core.products import PRODUCTS
@@ -159,3 +165,16 @@ def validate_distinct_names(template: str, names: Iterable[str]) -> None:
                 f"--sheet-name {template}: two sheets would have the name {name}; use more digits"
             )
         seen.add(name.lower())
+
+
+def link_error(path: Path, option: str = "") -> ConfigError:
+    """Return the error for a link through which a command would write."""
+    return ConfigError(
+        f"{option} {path} is a link, through which tiler does not write; remove the link and run again".strip()
+    )
+
+
+def without_links(path: str, flags: int) -> int:
+    """Open a file, but not through a link with its name (an ``opener`` of `open`). Raise OSError for a link."""
+    # Windows has no such flag. Its users need a privilege to make links.
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale, Window
-from ptd.ground.noise_by_place import AROUND, REACH_M, by_place, measure_places
-from ptd.ground.noise_sums import merge
+from ptd.ground.noise_sums import AROUND, REACH_M, by_place, merge
 from ptd.ground.roughness import REACH_M as SEEN_M
-from ptd.ground.roughness import measure
+from ptd.ground.roughness import measure, measure_places
 from ptd.places import PLACE_M, field, name_of, value_at
 
 MM, EVERYTHING = Scale(), Window.everything()

@@ -12,7 +12,7 @@ from tests.waiting import PATIENCE_SECONDS, wait_until
 from tiler.errors import InputError
 from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
 from tiler.schedule.fork_server import FORKS
-from tiler.schedule.parallel_calls import AHEAD
+from tiler.schedule.guarded_calls import AHEAD
 
 
 def work(guard: ChildProcess, item: int) -> int:

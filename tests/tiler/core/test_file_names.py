@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tiler.config import RunConfig
-from tiler.core.sheet_names import (
+from tiler.core.file_names import (
     DEFAULT,
     check_template,
     name_prefix,
