@@ -23,7 +23,7 @@ from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_scope, ti
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import StagesPassedOver, Warned
 from tiler.plan import KEEP
-from tiler.plan.advice import overridden_kind
+from tiler.plan.warnings import overridden_kind
 from tiler.runs.compiling import filter_kernels, likely_kind
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage

@@ -14,12 +14,9 @@ from tiler.core.units import unit_label
 from tiler.core.units_text import length_text, short_unit
 from tiler.core.words import counted, name_in_wkt
 from tiler.io.locations import with_slashes
-from tiler.plan.disk import projected_disk
-from tiler.plan.memory import PlannedPass
-from tiler.plan.method import steps_of
+from tiler.plan.estimates import overlap_of, projected_disk, projected_memory, projected_seconds
+from tiler.plan.method import PlannedPass, steps_of
 from tiler.plan.model import Plan
-from tiler.plan.projection import overlap_of, projected_memory
-from tiler.plan.rates import projected_seconds
 from tiler.plan.sizes import middle
 
 WIDTH = 120

@@ -50,10 +50,15 @@ from tiler.io.result_folder import (
     raster_file,
 )
 from tiler.io.vector.opening import validate_closed
-from tiler.plan.disk import free_bytes, needed_bytes, pixels_of, sparse_raster_remedy
-from tiler.plan.machine import memory_bytes
+from tiler.plan.estimates import (
+    free_bytes,
+    needed_bytes,
+    pixels_of,
+    projected_memory,
+    sparse_raster_remedy,
+)
+from tiler.plan.memory import memory_bytes
 from tiler.plan.model import Plan
-from tiler.plan.projection import projected_memory
 from tiler.plan.sizes import resolution_of
 
 Replan = Callable[..., Plan]

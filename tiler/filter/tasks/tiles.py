@@ -25,9 +25,8 @@ from typing import NamedTuple
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
-from tiler.plan.halos import MAX_HALO_FACTOR, widest_halo
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
-from tiler.plan.method import MAX_HALF
+from tiler.plan.method import MAX_HALF, MAX_HALO_FACTOR, widest_halo
 from tiler.plan.sizes import SPARSE_TILE_M
 
 MAX_WINDOW = MAX_EXTENT // 2
