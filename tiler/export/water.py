@@ -12,9 +12,7 @@ import shapely
 
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.water import Counts, Water, lengths_along
-from tiler.export.output_files import new_file
-from tiler.export.records import WaterFileRecord
-from tiler.export.work import OutFile
+from tiler.export.output_files import OutFile, WaterFileRecord, new_file
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore
 

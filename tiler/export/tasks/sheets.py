@@ -12,7 +12,7 @@ from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.sheet_names import DEFAULT, product_names, sheet_name
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
-from tiler.export.sheets import find_sheets
+from tiler.export.polygons import find_sheets
 from tiler.grid.records import BlockRecord
 from tiler.grid.tasks.gridding import MODELS, GridContext, Sheet, final_raster
 from tiler.runs.job import Job
