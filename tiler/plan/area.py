@@ -7,7 +7,7 @@ files of its nodes, the values in the files are used and a note reports it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -41,9 +41,6 @@ from tiler.schedule import call_isolated
 NODE_TOLERANCE = 1.0
 """Distance, in units of the CRS, by which points may lie outside their node: some writers round
 inaccurately."""
-
-Contradiction = str | None
-"""Text about a contradiction, or None if there is none."""
 
 NEAR_M = 1000
 """Distance in metres around the area within which nodes are read, in addition to ``--max-edge`` and ``--halo``.
@@ -313,75 +310,47 @@ def contradictions(
     if all_nodes:
         yield from tiles.other_total(sum(counts.values()))
     same_crs: dict[str, bool] = {}
-    checks: tuple[Callable[[SourceInfo], Contradiction], ...] = (
-        lambda source: _check_points(counts, source),
-        lambda source: _check_bounds(tiles, source),
-        lambda source: _check_crs(tiles, source, same_crs),
-        lambda source: _check_scales(tiles, source),
-        lambda source: _check_colours(tiles, source),
-    )
-    for check in checks:
-        faults = []
-        for source in sources:
-            text = check(source)
-            if text is not None:
-                faults.append((source.path, text))
+    compared = [_compare(tiles, counts[source.path], source, same_crs) for source in sources]
+    for texts in zip(*compared, strict=True):
+        faults = [(s.path, text) for s, text in zip(sources, texts, strict=True) if text]
         if faults:
             path, text = faults[0]
             more = f" ({len(faults)} of {len(sources)} files)" if len(sources) > 1 else ""
             yield f"{tiles.text}: {text} in {path.name}{more}; the values in the files are used; create ept.json again"
 
 
-def _check_points(counts: Mapping[Path, int], source: SourceInfo) -> Contradiction:
-    listed = counts[source.path]
-    if listed == source.points:
-        return None
-    return f"its hierarchy lists {listed} points, but there are {source.points}"
+def _compare(
+    tiles: EptDataset, n_listed: int, source: SourceInfo, same_crs: dict[str, bool]
+) -> tuple[str, ...]:
+    """Return a text for each kind of contradiction between ``ept.json`` and a file, empty if there is none.
 
-
-def _check_bounds(tiles: EptDataset, source: SourceInfo) -> Contradiction:
+    ``n_listed`` is the number of points in the hierarchy. ``same_crs`` keeps the results by the WKT of files.
+    """
+    points = bounds = crs = scales = colours = ""
+    if n_listed != source.points:
+        points = f"its hierarchy lists {n_listed} points, but there are {source.points}"
     key = key_of(source.path)
-    if source.bounds is None or key is None:
-        return None
-    x0, y0, _, x1, y1, _ = source.bounds
-    west, south, east, north = tiles.box(key)
-    if min(x0 - west, y0 - south, east - x1, north - y1) >= -NODE_TOLERANCE:
-        return None
-    return (
-        f"its bounds place the node in {west:.10g} {south:.10g} {east:.10g} {north:.10g}, "
-        f"but points lie in {x0:.10g} {y0:.10g} {x1:.10g} {y1:.10g}"
-    )
-
-
-def _check_crs(
-    tiles: EptDataset, source: SourceInfo, same_crs: dict[str, bool]
-) -> Contradiction:
-    """Compare the CRS of a file with that of ``ept.json``. ``same_crs`` keeps the results by the WKT of files."""
+    if source.bounds is not None and key is not None:
+        x0, y0, _, x1, y1, _ = source.bounds
+        west, south, east, north = tiles.box(key)
+        if not min(x0 - west, y0 - south, east - x1, north - y1) >= -NODE_TOLERANCE:
+            bounds = (
+                f"its bounds place the node in {west:.10g} {south:.10g} {east:.10g} {north:.10g}, "
+                f"but points lie in {x0:.10g} {y0:.10g} {x1:.10g} {y1:.10g}"
+            )
     wkt = source.georeference.wkt
-    if tiles.wkt is None or wkt is None:
-        return None
-    if wkt not in same_crs:
-        file_crs, _ = split(CRS.from_wkt(wkt))
-        ept_crs, _ = split(CRS.from_wkt(tiles.wkt))
-        same_crs[wkt] = (
-            file_crs is None or ept_crs is None or same_horizontal(ept_crs, file_crs)
-        )
-    if same_crs[wkt]:
-        return None
-    return (
-        f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
-    )
-
-
-def _check_scales(tiles: EptDataset, source: SourceInfo) -> Contradiction:
-    if tiles.scales in (None, source.scales):
-        return None
-    return f"its schema has scales {tiles.scales}, but they are {source.scales}"
-
-
-def _check_colours(tiles: EptDataset, source: SourceInfo) -> Contradiction:
-    if tiles.has_rgb in (None, source.has_rgb):
-        return None
-    if tiles.has_rgb:
-        return "its schema has colours, but there are none"
-    return "its schema has no colours, but there are some"
+    if tiles.wkt is not None and wkt is not None:
+        if wkt not in same_crs:
+            of_file, of_ept = (split(CRS.from_wkt(text))[0] for text in (wkt, tiles.wkt))
+            same_crs[wkt] = (
+                of_file is None or of_ept is None or same_horizontal(of_ept, of_file)
+            )
+        if not same_crs[wkt]:
+            crs = f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
+    if tiles.scales not in (None, source.scales):
+        scales = f"its schema has scales {tiles.scales}, but they are {source.scales}"
+    if tiles.has_rgb not in (None, source.has_rgb):
+        colours = "its schema has no colours, but there are some"
+        if tiles.has_rgb:
+            colours = "its schema has colours, but there are none"
+    return points, bounds, crs, scales, colours
