@@ -25,15 +25,15 @@ from tiler.io.atomic_files import replace_file
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.las.point_formats import newer_bytes
 from tiler.plan.memory import (
+    ASSEMBLY_POINT_BYTES,
     BASE_BYTES,
     EXPORT_BYTES,
     EXPORT_POINTS,
     GROUND_BYTES,
-    bucket_bytes,
+    SPOOL_POINT_BYTES,
     elected_peak,
     filter_bytes,
-    held_bytes,
-    ingest_bytes,
+    tile_peak,
 )
 from tiler.plan.method import MAX_HALF, PlannedPass, expected_passes, widest_halo
 from tiler.plan.model import PIECE_POINTS, Plan
@@ -95,8 +95,10 @@ def projected_memory(plan: Plan) -> dict[str, int]:
     )
     largest = min(max(source.points for source in plan.inputs.sources), EXPORT_POINTS)
     expected = expected_passes(plan.method.passes, plan.method.kind, plan.inputs.density)
+    spooled = PIECE_POINTS * SPOOL_POINT_BYTES
+    assembled = plan.max_bucket_points * ASSEMBLY_POINT_BYTES
     return {
-        "ingest": ingest_bytes(PIECE_POINTS, plan.max_bucket_points),
+        "ingest": int(BASE_BYTES + max(spooled, assembled)),
         "filter": max((_pass_bytes(plan, step) for step in expected), default=0),
         "grid": BASE_BYTES + ground + plan.line_bytes,
         "export": BASE_BYTES + EXPORT_BYTES + largest,
@@ -145,10 +147,7 @@ def filter_peak(
     if step.pass_.raster_cell_m:
         area = min(side**2, math.prod(plan.sides_m))
     window = filter_bytes(points, area, plan.method.candidate_cell_m, step, plan.grid.fine_m)
-    kept_buckets = 0
-    if step.pass_.label_margin_m:
-        kept_buckets = held_bytes(plan.resources.memory)
-    return int(BASE_BYTES + window + bucket_bytes(bucket) + kept_buckets)
+    return tile_peak(window, bucket, step, plan.resources.memory)
 
 
 def widest_halo_m(plan: Plan, step: PlannedPass) -> float:

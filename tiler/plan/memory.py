@@ -189,16 +189,22 @@ def held_bytes(memory: int) -> int:
     return min(HELD_BYTES, max(memory - BASE_BYTES, 0) // HELD_SHARE)
 
 
-def bucket_bytes(points: float) -> int:
-    """Return the bytes that labelling a bucket of ``points`` points needs in addition to its window."""
-    return int(points * BUCKET_POINT_BYTES)
+def tile_peak(window_bytes: float, bucket_points: float, step: PlannedPass, memory: int) -> int:
+    """Return the peak bytes of a worker with a tile of a pass.
 
-
-def ingest_bytes(piece_points: int, bucket_points: float) -> int:
-    """Return the peak bytes of a worker that decodes pieces and assembles buckets."""
-    return int(
-        BASE_BYTES + max(piece_points * SPOOL_POINT_BYTES, bucket_points * ASSEMBLY_POINT_BYTES)
-    )
+    Parameters
+    ----------
+    window_bytes : float
+        Bytes of the tile's window by `filter_bytes`.
+    bucket_points : float
+        Number of points of the fullest bucket with the margin within which its points are labelled.
+    step : PlannedPass
+    memory : int
+        Memory of the worker, for the buckets that it keeps.
+    """
+    kept_bytes = held_bytes(memory) if step.pass_.label_margin_m else 0
+    bucket_bytes = int(bucket_points * BUCKET_POINT_BYTES)
+    return int(BASE_BYTES + window_bytes + bucket_bytes + kept_bytes)
 
 
 def cores() -> int:
