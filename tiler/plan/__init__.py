@@ -9,7 +9,6 @@ chooses buckets, tiles and pixels. `method` has the passes and their halos, `mem
 
 from tiler.plan.area import buckets_of, chunks_of
 from tiler.plan.estimates import projected_memory, remember, sparse_raster_remedy, stage_seconds
-from tiler.plan.inspection import output_names
 from tiler.plan.make import make_plan, settled, settled_by, settled_by_points
 from tiler.plan.method import KEEP, MIN_MATCHED_M2, PlannedPass
 from tiler.plan.model import PIECE_POINTS, Plan
@@ -27,7 +26,6 @@ __all__ = [
     "buckets_of",
     "chunks_of",
     "make_plan",
-    "output_names",
     "plan_json",
     "plan_lines",
     "projected_memory",

@@ -141,7 +141,6 @@ def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
 
 
 def _warn_two_heights(lines: list[Counts]) -> list[str]:
-    """Warn if breaklines have two heights at a position."""
     positions = two_heights(lines)
     if not len(positions):
         return []
@@ -401,7 +400,11 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
         change = station_levels - np.rint(np.interp(along, lengths, flow[:, 2]))
         if (np.abs(change) <= SAME_COUNTS).all():
             return body
-        lifted = lifted_line(flow, *_changed_heights(lengths, flow[:, 2], along, change))
+        positions = np.unique(np.concatenate((lengths, along)))
+        heights = np.interp(positions, lengths, flow[:, 2]) + np.interp(
+            positions, along, change
+        )
+        lifted = lifted_line(flow, positions, heights)
     if (np.diff(lifted[:, 2]) > 0).any():
         if (np.diff(lifted[:, 2]) < 0).any():
             file_text = known[int(order[0])][0].place.rpartition(",")[0]
@@ -410,17 +413,6 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
             )
         lifted = lifted[::-1].copy()
     return replace(body, level=None, flow=lifted)
-
-
-def _changed_heights(
-    lengths: npt.NDArray[Any],
-    z: npt.NDArray[Any],
-    along: npt.NDArray[Any],
-    change: npt.NDArray[Any],
-) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return positions along a line in counts, and its heights there with the interpolated changes."""
-    positions = np.unique(np.concatenate((lengths, along)))
-    return positions, np.interp(positions, lengths, z) + np.interp(positions, along, change)
 
 
 def _flow(body: Water) -> npt.NDArray[np.int64]:

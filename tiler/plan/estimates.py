@@ -62,10 +62,6 @@ CLASSIFIED_SHARE = 1.2
 MAX_PIXELS = 2e10
 """Maximum number of pixels of a mostly empty file. GDAL writes some 5e7 empty pixels per
 second."""
-MANY_PIXELS = 1e9
-"""Number of pixels below which files are written without a warning, however empty they are."""
-MOSTLY_EMPTY = 0.99
-"""Share of empty pixels above which a warning recommends `--sheets`."""
 
 TYPICAL = {
     "spool": 1.3,
@@ -311,9 +307,13 @@ def needed_bytes(plan: Plan) -> int:
 
 def free_bytes(out: Path) -> int:
     """Return the free bytes on the disk of OUT, which need not exist yet."""
+    return shutil.disk_usage(existing_folder(out)).free
+
+
+def existing_folder(out: Path) -> Path:
+    """Return OUT, or the nearest of its parents that exists."""
     folders = (out, *Path(os.path.realpath(out)).parents)
-    existing = next(folder for folder in folders if folder.exists())
-    return shutil.disk_usage(existing).free
+    return next(folder for folder in folders if folder.exists())
 
 
 def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
@@ -333,22 +333,6 @@ def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
     return (
         f"a single raster would have {pixels.largest:.2g} pixels, most of them empty; "
         "use --sheets or --bounds, or check the coordinates"
-    )
-
-
-def sparse_raster_warning(plan: Plan) -> str | None:
-    """Return a warning about a large and mostly empty raster, or None."""
-    pixels = pixels_of(plan)
-    whole = pixels.filled + pixels.empty
-    if (
-        plan.config.sheets is not None
-        or whole < MANY_PIXELS
-        or pixels.empty < MOSTLY_EMPTY * whole
-    ):
-        return None
-    return (
-        f"the files lie far apart: of the {whole:.2g} pixels of a raster, only {100 * pixels.filled / whole:.2g} % are "
-        "near points; use --sheets to write only these"
     )
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from ptd.matched.evidence import DIM, LIDAR, Evidence, Finding, decided_by
+from ptd.matched.evidence import Evidence, Finding, decided_by
 from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.crs import placement
@@ -32,6 +32,7 @@ from tiler.io.locations import as_path, is_url, without_query
 from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX
 from tiler.plan import sizes
 from tiler.plan.memory import default_workers
+from tiler.plan.method import KIND_WORDS
 from tiler.plan.model import Inputs, filled_sources
 from tiler.plan.sizes import DensityMap, bounds_of, middle, union_bounds
 from tiler.schedule import FORKS, ChildPool
@@ -55,7 +56,6 @@ LeftOut = list[tuple[SourceInfo, str]]
 
 MIN_SHARE = 0.01
 """Smallest share of the area that clouds of one writer must cover for their kind to count."""
-NAMES = {LIDAR: "a LiDAR cloud", DIM: "a photogrammetric cloud"}
 
 FILES_PER_READER = 2 if FORKS else 16
 """Number of inputs per reading process. Starting a process takes as long as inspecting this
@@ -250,7 +250,9 @@ def _in_words(findings: Iterable[tuple[Finding, SourceInfo]]) -> str:
     texts = []
     for finding, source in findings:
         certainty = f"{100 * (finding.sure or 0):.0f} % sure"
-        texts.append(f"{source.path} is {NAMES[finding.kind]} ({certainty}: {finding.why})")
+        texts.append(
+            f"{source.path} is {KIND_WORDS[finding.kind]} ({certainty}: {finding.why})"
+        )
     return " and ".join(texts)
 
 
@@ -294,7 +296,8 @@ def files_beyond_frame(
             remedy = "too far for one run; run them separately, or check the coordinates"
             far = outlying_files(kept, wkt, metres, remedy)
         left_out += far
-        kept = _without(kept, far)
+        far_paths = {s.path for s, _ in far}
+        kept = [s for s in kept if s.path not in far_paths]
     return left_out
 
 
@@ -379,11 +382,6 @@ def _km(bounds: Bounds, metres: float) -> str:
 
 def _fits(bounds: Bounds) -> bool:
     return _span(bounds) <= FRAME
-
-
-def _without(sources: Iterable[SourceInfo], far: LeftOut) -> list[SourceInfo]:
-    far_paths = {s.path for s, _ in far}
-    return [s for s in sources if s.path not in far_paths]
 
 
 def _reason(

@@ -25,7 +25,7 @@ from tiler.io.result_folder import CLOUD_SUFFIXES, earlier_statistics
 from tiler.plan import sizes
 from tiler.plan.area import EptInputs, area_of, part_of, validate_distances
 from tiler.plan.drawings import with_user_features
-from tiler.plan.estimates import sparse_raster_remedy, sparse_raster_warning
+from tiler.plan.estimates import sparse_raster_remedy
 from tiler.plan.inspection import (
     InspectedInputs,
     files_beyond_frame,
@@ -52,7 +52,12 @@ from tiler.plan.validation import (
     validate_resolution,
     validate_targets,
 )
-from tiler.plan.warnings import incomplete_files, preflight_warnings, warnings_of
+from tiler.plan.warnings import (
+    incomplete_files,
+    preflight_warnings,
+    sparse_raster_warning,
+    warnings_of,
+)
 from tiler.store import StoreMeta, TileStore
 
 VERTICAL_SETTINGS = ("contour_interval", "sigma", "spike")
@@ -125,9 +130,8 @@ def make_plan(
             paths_of_notes.setdefault(text, []).append(str(source.path))
     notes += [f"{listed(of, 2, 'files')}: {text}" for text, of in paths_of_notes.items()]
     if not filled_sources(sources):
-        raise InputError(
-            f"{_names(sources)}: no points to make a terrain from; give clouds with points"
-        )
+        names = listed([str(source.path) for source in sources], 1, "files")
+        raise InputError(f"{names}: no points to make a terrain from; give clouds with points")
     area = area_of(config, crs.wkt, notes)
     inspected = InspectedInputs(
         given=inputs, sources=sources, left_out=left_out, crs=crs, area=area, notes=notes
@@ -262,10 +266,6 @@ def _method_plan(
 def _candidate_cell_m(params: Any) -> float:
     """Return the side of the method's thinning cells in metres, 0 if it has none."""
     return 0.0 if params is None else float(params.candidate_cell_m)
-
-
-def _names(sources: Sequence[SourceInfo]) -> str:
-    return listed([str(source.path) for source in sources], 1, "files")
 
 
 def with_survey_feet(config: RunConfig, units: Units) -> RunConfig:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, TypeVar
 
-from ptd.matched.evidence import Evidence
+from ptd.matched.evidence import DIM, LIDAR, Evidence
 from ptd.matched.survey import run_facts
 from ptd.methods import METHODS, make_params
 from ptd.passes import Pass, State
@@ -17,6 +17,8 @@ from tiler.errors import ConfigError
 
 KEEP = "keep"
 """Name of the method that keeps the classes of the input."""
+
+KIND_WORDS = {LIDAR: "a LiDAR cloud", DIM: "a photogrammetric cloud"}
 
 FINE_CELL_M = Fraction(1, 2)
 """Side in metres of the store's cells with one candidate each, if the method's cells do not

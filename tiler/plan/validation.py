@@ -51,6 +51,7 @@ from tiler.io.result_folder import (
 )
 from tiler.io.vector.opening import validate_closed
 from tiler.plan.estimates import (
+    existing_folder,
     free_bytes,
     needed_bytes,
     pixels_of,
@@ -372,7 +373,7 @@ def _validate_disk(plan: Plan, out: Path) -> None:
             f"-o {out}: its name is not UTF-8; give another folder, or use a UTF-8 locale (LC_ALL=C.UTF-8)"
         ) from error
     try:
-        existing = next(p for p in (out, *Path(os.path.realpath(out)).parents) if p.exists())
+        existing = existing_folder(out)
     except OSError as error:
         raise ConfigError(f"-o {out}: {error.strerror}; give another folder") from error
     if not existing.is_dir():

@@ -20,7 +20,7 @@ from tiler.core.units_text import (
     whole_length,
     written_unit,
 )
-from tiler.plan.estimates import overlap_of
+from tiler.plan.estimates import overlap_of, pixels_of
 from tiler.plan.memory import WIDE_TILE
 from tiler.plan.method import steps_of
 from tiler.plan.model import Plan
@@ -37,6 +37,11 @@ warning recommends larger tiles."""
 
 FEW_PIXELS = 5
 """Number of columns and rows of a terrain below which a warning names the resolution."""
+
+MANY_PIXELS = 1e9
+"""Number of pixels below which files are written without a warning, however empty they are."""
+MOSTLY_EMPTY = 0.99
+"""Share of empty pixels above which a warning recommends `--sheets`."""
 
 STRETCHED = 1.05
 """Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning
@@ -71,7 +76,6 @@ def incomplete_files(plan: Plan) -> list[str]:
 
 
 def _too_high(plan: Plan) -> list[str]:
-    """Warn about heights that terrain cannot have."""
     units = plan.frame.units
     boxes = [
         (s.path, s.bounds) for s in plan.inputs.sources if s.points and s.bounds is not None
@@ -204,4 +208,20 @@ def overridden_kind(config: RunConfig, looks_like: str) -> str:
     return (
         f"the points look like {looks_like}; {config.kind_option} overrides that, which loses ground if it is wrong: "
         f"use --kind {other} then"
+    )
+
+
+def sparse_raster_warning(plan: Plan) -> str | None:
+    """Return a warning about a large and mostly empty raster, or None."""
+    pixels = pixels_of(plan)
+    whole = pixels.filled + pixels.empty
+    if (
+        plan.config.sheets is not None
+        or whole < MANY_PIXELS
+        or pixels.empty < MOSTLY_EMPTY * whole
+    ):
+        return None
+    return (
+        f"the files lie far apart: of the {whole:.2g} pixels of a raster, only {100 * pixels.filled / whole:.2g} % are "
+        "near points; use --sheets to write only these"
     )
