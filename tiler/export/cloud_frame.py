@@ -230,18 +230,16 @@ def write_copc_back(
 
 def _kept_by_copc(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
     """Return the records of the source without the octree, waveforms, and a CRS that is replaced."""
-    return [record for record in _kept(records, crs) if not _is_waveform(record)]
-
-
-def _is_waveform(record: Vlr) -> bool:
-    return record.user_id == _WAVE_USER and record.record_id in _WAVE_RECORDS
+    return [
+        record
+        for record in _kept(records, crs)
+        if record.user_id != _WAVE_USER or record.record_id not in _WAVE_RECORDS
+    ]
 
 
 def _kept(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
     """Return the records of the source without the octree and without a CRS that is replaced."""
-    if crs is not None:
-        records = _without_crs(records)
-    return [record for record in records if not record.is_copc]
+    return [r for r in records if not (r.is_copc or (crs is not None and _is_crs(r)))]
 
 
 def _copy(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
@@ -324,11 +322,6 @@ def crs_to_write(info: SourceInfo, run_wkt: str | None, given: str | None) -> st
 def _gives_heights(crs: str) -> bool:
     """Return whether a text of ``--crs`` names a CRS with heights."""
     return crs.strip().lower() != "none" and split(CRS.from_user_input(crs))[1] is not None
-
-
-def _without_crs(records: Sequence[Vlr]) -> list[Vlr]:
-    """Return all records except those of a CRS."""
-    return [record for record in records if not _is_crs(record)]
 
 
 def _is_crs(record: Vlr) -> bool:

@@ -230,7 +230,6 @@ def write_contours(
 
 
 def _interval(terrain: _Terrain, low: float, high: float, noise: float) -> Fraction:
-    """Return the default interval for the relief and noise of the terrain."""
     floor = FLOOR_M if terrain.store.meta.frame.units.vertical == METRE else FLOOR_FEET
     return default_interval(0.0 if np.isnan(low) else high - low, floor, noise)
 

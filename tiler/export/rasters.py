@@ -194,7 +194,6 @@ def _read(store: TileStore, part: RasterPart, block: Block) -> npt.NDArray[np.fl
 
 
 def _raster_metadata(frame: CoordFrame, info: ProductInfo) -> RasterMetadata:
-    """Return the metadata of the file of a product."""
     product = _product(info)
     unit = product.unit
     if unit == HEIGHT:

@@ -78,7 +78,6 @@ def write_water(store: TileStore, *, to: OutFile, waters: str) -> WaterFileRecor
 
 
 def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -> None:
-    """Write the stations of rivers as layer ``reaches``."""
     rivers = [body for body in bodies if body.stations]
     stations = [station for body in rivers for station in body.stations]
     along, slopes = [np.empty(0)], [np.empty(0)]
