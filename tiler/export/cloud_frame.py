@@ -1,4 +1,4 @@
-"""What surrounds the points of a classified cloud: header, records, CRS, file positions, and statistics.
+"""Header, records, CRS, file positions and statistics around the points of a classified cloud.
 
 laspy drops text after a NUL, reserved bytes, counts, dates and bytes between records. Here all
 of them are copied as bytes, and only the points pass through lazrs. CRS records are replaced only
