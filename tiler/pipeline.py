@@ -323,7 +323,7 @@ def _stages(job: Job, until: str) -> None:
     gridding = grid(job, assembled, labelled, corrections)
     if until == "grid":
         return
-    export(job, gridding, sources, spooled, labelled, corrections)
+    export(job, gridding, sources, spooled, labelled)
 
 
 def _make_folder(out: Path) -> None:

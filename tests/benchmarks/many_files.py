@@ -105,9 +105,8 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from tiler.filter.tasks.passes import PassInputs, filter_tasks, label_digests
     from tiler.grid.tasks.gridding import GridContext
     from tiler.grid.tasks.raster_table import required_rasters
-    from tiler.ingest.tasks.assembled import IngestResult
-    from tiler.ingest.tasks.points import Source
     from tiler.plan import make_plan
+    from tiler.runs.found import IngestResult, Source
     from tiler.store import BucketInfo, create_store
 
     facts: dict[str, Any] = {"buckets": number}
@@ -162,6 +161,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         }
         for raster in required_rasters(plan):
             made = timed(f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(g)))
+            g.fills[raster.name] = raster.fill
             g.made[raster.name] = {
                 t.key: (t.digest, {"checksum": t.digest, **found}) for t in made
             }
@@ -177,11 +177,13 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         }
         sources = [Source(plan.inputs.sources[0], i, f"{i:032x}") for i in range(number // 20)]
         inputs = inputs_of(sources, spooled)
-        g.sheets = timed("sheets", lambda: sheets(g, with_points(g)))
+        gridded = g.found()
+        cut = timed("sheets", lambda: sheets(gridded, with_points(gridded)))
+        gridded = replace(gridded, sheets=cut)
         facts["sheets"] = len(
-            timed("tasks_sheets", lambda: list(cog_tasks(g, inputs, "x", scratch)))
+            timed("tasks_sheets", lambda: list(cog_tasks(gridded, inputs, "x", scratch)))
         )
-        timed("tasks_vrt", lambda: list(mosaic_tasks(g, "x", scratch)))
+        timed("tasks_vrt", lambda: list(mosaic_tasks(gridded, "x", scratch)))
         if memory:
             return {"tables_and_tasks_mb": round(tracemalloc.get_traced_memory()[1] / 1e6)}
         bounds = lattice.bounds(cells[number // 2])

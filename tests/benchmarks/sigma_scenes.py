@@ -23,10 +23,9 @@ from tests.benchmarks.scorecard_scenes import (
     simulated_scenes,
 )
 from tiler.config import RunConfig
-from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG
+from tiler.core.classes import LABELS, STRAY_FLAG, WITHHELD_FLAG
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
-from tiler.filter.tile import LABELS
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded
 from tiler.grid.records import GroundSelection

@@ -11,8 +11,9 @@ import numpy as np
 
 from tiler.core.lattice import Cell
 from tiler.core.records import AssembledRecord, TileRecord
-from tiler.filter import FilterTile, filter_tile
-from tiler.ingest import assemble_buckets
+from tiler.filter.reading import FilterTile
+from tiler.filter.tile import filter_tile
+from tiler.ingest.assemble import assemble_buckets
 from tiler.store import TileStore
 
 CELL = "TILER_TEST_DEADLY_CELL"

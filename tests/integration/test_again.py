@@ -26,7 +26,8 @@ from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.core.records import TileRecord
 from tiler.errors import ConfigError, InputError, ProcessingError
-from tiler.filter import FilterTile, filter_tile
+from tiler.filter.reading import FilterTile
+from tiler.filter.tile import filter_tile
 from tiler.grid.flaws import Advice
 from tiler.simulate import DemoScene
 from tiler.store import TileStore

@@ -17,9 +17,9 @@ from tests.invariants.runs import do, settings
 from tiler.apps import classify
 from tiler.errors import InputError
 from tiler.export.tasks import files as file_tasks
-from tiler.ingest.tasks import fingerprints
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.io.las.reader import PointReader
+from tiler.runs import file_digests
 
 CHANGED = "was replaced or changed during the run"
 Work = Callable[[str, dict[str, Any]], dict[str, Any]]
@@ -156,7 +156,7 @@ def test_replaced_while_its_digest_is_made(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good, path, other = files
-    change_before(monkeypatch, fingerprints, "read_files", by_name, path, other)
+    change_before(monkeypatch, file_digests, "read_files", by_name, path, other)
     result = do([good, path], tmp_path / "out")
     assert [q["path"] for q in result.summary["quarantined"]] == [path.as_posix()]
     assert result.exit_code == 5
@@ -197,7 +197,7 @@ def test_an_empty_file_and_one_that_went_away(
         tmp_path / "aside.las",
         r"^no input could be read; the first error: .*east\.las: .*was removed during",
     )
-    for module, name in ((fingerprints, "read_files"), (ingest_tasks, "spool_piece")):
+    for module, name in ((file_digests, "read_files"), (ingest_tasks, "spool_piece")):
         with monkeypatch.context() as patch:
             change_before(patch, module, name, Path.rename, path, aside)
             with pytest.raises(InputError, match=line):

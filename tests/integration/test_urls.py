@@ -20,7 +20,7 @@ from tests.invariants.runs import dtm, settings
 from tests.tiler.servers import ftp_server, http_server
 from tiler.core.records import SpoolRecord
 from tiler.errors import InputError
-from tiler.ingest import SpoolPiece, spool_piece
+from tiler.ingest.spool import SpoolPiece, spool_piece
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.inputs import inspect
 from tiler.io.locations import as_path, list_inputs, location, state_of

@@ -18,8 +18,8 @@ from tiler.filter.tasks.passes import label_digests
 from tiler.grid.block import block_heights
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_table import raster_table
-from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import make_plan
+from tiler.runs.found import IngestResult
 
 SIZES = st.fractions(min_value=Fraction(1, 3), max_value=3000, max_denominator=400)
 COUNTS = st.integers(-(10**7), 10**7)

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NotRequired, TypedDict
 
 from tiler.config import RunConfig
-from tiler.core.classes import Counts, sum_by_class
+from tiler.core.classes import LABELS, Counts, sum_by_class
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError, TilerError
 from tiler.export.classified import write_classified
@@ -20,8 +20,6 @@ from tiler.export.cloud_frame import crs_to_write
 from tiler.export.output_files import CloudCopy, CloudRecord
 from tiler.export.tasks.class_counts import kept_text
 from tiler.export.tasks.files import kept_pieces
-from tiler.filter import LABELS
-from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
 from tiler.io.locations import as_path, is_url, location
 from tiler.io.overwrite_check import Target, check_links, check_targets
@@ -30,6 +28,7 @@ from tiler.observe.events import Listener, Note, ignore_events
 from tiler.pipeline import run
 from tiler.plan import KEEP, Plan
 from tiler.redaction import without_secrets
+from tiler.runs.found import Source, by_source
 from tiler.schedule import ChildPool, ChildProcess
 from tiler.store import TileStore, open_store
 

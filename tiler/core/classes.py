@@ -38,6 +38,10 @@ which represents them. A run sees only that point, and they get its label."""
 UNSEEN_FLAGS = WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG | REPEATED_FLAG
 """Flags of points that a run ignores, independent of its other settings."""
 
+LABELS = "labels"
+"""Name in the store of the labels that a run ends with."""
+LABELS = "labels"
+"""Name in the store of the labels that a run ends with."""
 UNCERTIFIED_BIT = 0x80
 """Bit of a label that data outside the filter's window could change."""
 WATER_BIT = 0x40

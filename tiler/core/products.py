@@ -38,8 +38,37 @@ BARE = 4
 """Cell inside the survey, in a gap without points that is bridged, but wider than four times the spacing of the points
 around it."""
 
+MODELS = ("dtm", "dsm")
+"""Products whose voids can be filled."""
+
 HEIGHT = "height"
 """Value of `Product.unit` for bands in the vertical unit of the CRS."""
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a step reads for a block of a raster (`tiler.grid.steps`).
+
+    Attributes
+    ----------
+    of : str
+        Kind of what is read, and after a colon the name of a raster.
+    margin : int
+        Width of what is read around the block: in pixels of a raster, in counts of points.
+    """
+
+    of: str
+    margin: int = 0
+
+    @property
+    def kind(self) -> str:
+        """Key of `tiler.grid.steps.READERS`."""
+        return self.of.partition(":")[0]
+
+    @property
+    def raster(self) -> str:
+        """Name of the raster, or empty text."""
+        return self.of.partition(":")[2]
 
 
 @dataclass(frozen=True)
@@ -64,6 +93,10 @@ class Product:
         Colour table, empty if there is none.
     values : mapping of int to str
         Meaning of each value, if the values are classes.
+    reads : mapping of str to Read
+        Arguments of the function of the product, which has its name and is in `tiler.grid.derived`. A raster
+        ``delivered:<product>`` is another product. Empty for products with a row of their own in
+        `tiler.grid.tasks.raster_table`.
     """
 
     description: str
@@ -74,6 +107,7 @@ class Product:
     predictor: str = "FLOATING_POINT"
     colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
     values: Mapping[int, str] = field(default_factory=dict)
+    reads: Mapping[str, Read] = field(default_factory=dict)
 
     @property
     def categories(self) -> tuple[str, ...]:
@@ -86,10 +120,27 @@ class Product:
 PRODUCTS: dict[str, Product] = {
     "dtm": Product("terrain height"),
     "dsm": Product("surface height: highest return"),
-    "ndsm": Product("height of the surface above the terrain"),
-    "hillshade": Product("multidirectional hillshade", "", "uint8", 0, predictor="STANDARD"),
-    "slope": Product("slope", "degree"),
-    "density": Product("ground points per square metre", "1/m2", nodata=None),
+    "ndsm": Product(
+        "height of the surface above the terrain",
+        reads={"surface": Read("delivered:dsm"), "terrain": Read("delivered:dtm")},
+    ),
+    "hillshade": Product(
+        "multidirectional hillshade",
+        "",
+        "uint8",
+        0,
+        predictor="STANDARD",
+        reads={"terrain": Read("delivered:dtm", 1), "place": Read("place")},
+    ),
+    "slope": Product(
+        "slope", "degree", reads={"terrain": Read("delivered:dtm", 1), "place": Read("place")}
+    ),
+    "density": Product(
+        "ground points per square metre",
+        "1/m2",
+        nodata=None,
+        reads={"points": Read("points"), "place": Read("place")},
+    ),
     "distance": Product("distance to the nearest ground point", "metre", nodata=None),
     "sigma": Product("standard error of the terrain height"),
     "mask": Product(

@@ -231,3 +231,22 @@ class TileRecord(Record):
     elected_points: list[int] | None = None
     partial: Mapping[str, Any]
     stats: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockRecord(Record):
+    """Record of a block of a raster.
+
+    Attributes
+    ----------
+    filled : int
+        Number of pixels or cells that have a value.
+    checksum : str
+        Checksum of the pixels, empty before they are written.
+    pixels : int, optional
+        Number of pixels. Rasters of coarse cells that no step makes do not have it.
+    """
+
+    filled: int
+    checksum: str = ""
+    pixels: int | None = None

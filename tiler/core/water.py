@@ -250,6 +250,11 @@ class Waters:
         text = json.dumps([[body.number, *body.digest] for body in self.bodies])
         return digest_of_bytes(text.encode())
 
+    @property
+    def stored_key(self) -> str | None:
+        """Key of the bodies in the store, or None if there are none."""
+        return self.key if self.bodies else None
+
     @cached_property
     def index(self) -> AreaIndex:
         """Spatial index of the bodies."""

@@ -46,13 +46,11 @@ from tiler.export.tasks.outdated import (
     invalidate_changed_outputs,
 )
 from tiler.export.tasks.sheets import cut
-from tiler.filter.tasks.labelled import Labelled
-from tiler.grid.tasks.gridding import Corrections, GridContext
-from tiler.ingest.tasks.points import Source
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
 from tiler.observe.events import Detail
+from tiler.runs.found import Gridded, Labelled, Source
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
@@ -87,18 +85,17 @@ class FileTasks:
 
 def export(
     job: Job,
-    gridding: GridContext,
+    gridding: Gridded,
     sources: list[Source],
     spooled: Commits,
     labelled: Labelled,
-    corrections: Corrections,
 ) -> None:
     """Write the files for users: rasters, vector products, classified clouds, and the catalogue."""
     out = job.products
-    gridding.sheets = cut(job, gridding)
+    gridding = replace(gridding, sheets=cut(job, gridding))
     if job.plan.config.sheets is not None:
         job.results.sheets = len(gridding.sheets)
-    tasks = _file_tasks(job, gridding, sources, spooled, labelled, corrections)
+    tasks = _file_tasks(job, gridding, sources, spooled, labelled)
     basis, paths = _basis(gridding), _paths(gridding, tasks, out)
     earlier = dict(job.results.digests)
     # The plan checked this as well, but the run may have taken hours since.
@@ -130,20 +127,17 @@ def export(
 
 def _file_tasks(
     job: Job,
-    gridding: GridContext,
+    gridding: Gridded,
     sources: list[Source],
     spooled: Commits,
     labelled: Labelled,
-    corrections: Corrections,
 ) -> FileTasks:
     """Return the tasks of all files but those of the index of the sheets and of the catalogue."""
-    out, edits = job.products, corrections.edits
+    out = job.products
     digest = digest_of(sorted(source.content for source in sources))
     clouds: list[Task] = []
     if job.plan.writes_clouds:
-        edits_key = None if edits is None else edits.key
-        digests, waters = labelled.digests, gridding.waters
-        clouds += classified_tasks(job.plan, sources, spooled, digests, waters, edits_key, out)
+        clouds += classified_tasks(gridding, sources, spooled, labelled.digests, out)
         report_earlier_classes(job, clouds)
     return FileTasks(
         cogs=list(cog_tasks(gridding, inputs_of(sources, spooled), digest, out)),
@@ -153,7 +147,7 @@ def _file_tasks(
     )
 
 
-def _paths(gridding: GridContext, tasks: FileTasks, out: str) -> dict[str, str]:
+def _paths(gridding: Gridded, tasks: FileTasks, out: str) -> dict[str, str]:
     """Return the path in OUT of each file that the run writes, by the key of its task."""
     files = _files([*tasks.cogs, *tasks.drawn, *tasks.clouds, *tasks.mosaics])
     paths = {key: below(out, location) for key, location in files.items()}
@@ -274,7 +268,7 @@ def _validate_outputs_exist(job: Job) -> None:
         )
 
 
-def _basis(gridding: GridContext) -> str:
+def _basis(gridding: Gridded) -> str:
     """Return the digest of everything from which the products are made: points, labels and settings.
 
     Settings that only change the format of the files are not in it.
@@ -286,7 +280,6 @@ def _basis(gridding: GridContext) -> str:
         if config.sheets
         else config.product_name
     )
-    water = gridding.water_key
     return digest_of(
         terrain,
         config.voids,
@@ -294,7 +287,7 @@ def _basis(gridding: GridContext) -> str:
         str(config.spike),
         into,
         gridding.plan.inputs.area_key,
-        water,
+        gridding.waters.stored_key,
     )
 
 

@@ -1,6 +1,1 @@
 """Filtering of tiles: a pass of a method runs on a core and a halo, which grows while labels are uncertified."""
-
-from tiler.filter.tile import LABELS, filter_tile, influence_margin_m, local_window
-from tiler.filter.work import FilterTile
-
-__all__ = ["LABELS", "FilterTile", "filter_tile", "influence_margin_m", "local_window"]

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
+from ptd.matched.cells import CELL_M
 from ptd.matched.evidence import SURE
+from ptd.matched.passes import CanopyPass
 from ptd.matched.survey import SurveyPass, run_facts
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Partial, Pass, State
@@ -17,14 +21,21 @@ from tiler.core.records import TileRecord
 from tiler.core.results import LabelCounts
 from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
-from tiler.filter import FilterTile
-from tiler.filter.tasks.labelled import MATCHED, Labelled
-from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_scope, tile_records
-from tiler.ingest.tasks.assembled import IngestResult
+from tiler.filter.reading import FilterTile
+from tiler.filter.tasks.passes import (
+    PassInputs,
+    elected_name,
+    filter_tasks,
+    label_digests,
+    labels_name,
+    labels_scope,
+    tile_records,
+)
 from tiler.observe.events import StagesPassedOver, Warned
 from tiler.plan import KEEP
 from tiler.plan.warnings import overridden_kind
 from tiler.runs.compiling import filter_kernels, likely_kind
+from tiler.runs.found import MATCHED, CanopyCells, IngestResult, Labelled
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
@@ -92,7 +103,29 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
         state = state_after
         if step.name == SurveyPass.name:
             _warn_of_doubtful_kind(job, state["survey"])
-    return Labelled.of(config, pass_inputs.digests, statistics)
+    canopy = _canopy_cells(job, assembled, passes, statistics)
+    return Labelled.of(config, pass_inputs.digests, statistics, canopy)
+
+
+def _canopy_cells(
+    job: Job, assembled: IngestResult, passes: Sequence[Pass], statistics: Mapping[str, State]
+) -> CanopyCells | None:
+    """Return where the store has the cells of the canopy search, or None if the filter found no canopy."""
+    state = statistics.get(CanopyPass.name)
+    if state is None or not state["canopy"]["share"]:
+        return None
+    number = next(n for n, step in enumerate(passes) if step.name == CanopyPass.name)
+    # The cells of the search were elected by the last electing pass before it.
+    electing = max(
+        n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state)
+    )
+    made, blocks = job.store.committed(f"filter{number}"), Counter[tuple[int, int]]()
+    for tile in tile_records(made):
+        for column, row, area_m2 in tile.partial["blocks"]:
+            blocks[column, row] += area_m2
+    side = job.plan.frame.counts(Fraction(repr(CELL_M)))
+    digests = label_digests(assembled, made)
+    return CanopyCells(elected_name(electing), labels_name(number), side, digests, blocks)
 
 
 def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:

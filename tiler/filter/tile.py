@@ -17,12 +17,8 @@ from tiler.core.classes import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
 from tiler.core.digests import digest_of_arrays
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.records import TileRecord
-from tiler.filter.reading import TileReader
-from tiler.filter.work import FilterTile
+from tiler.filter.reading import FilterTile, TileReader
 from tiler.store import TileStore
-
-LABELS = "labels"
-"""Name of the final labels in the store."""
 
 KEPT_LABEL = 0
 """Label of a point that does not take part in filtering and keeps the class of its source."""

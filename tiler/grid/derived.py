@@ -37,7 +37,7 @@ from tiler.grid.block import full_halo, rasterise_window
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.canopy import OPEN
 from tiler.grid.records import Facets
-from tiler.grid.steps import Counts
+from tiler.grid.steps import Counts, Position
 from tiler.grid.voids import hole_cells, holes_of_block
 
 Bools = npt.NDArray[np.bool_]
@@ -48,24 +48,24 @@ FIRST_SHARE = 4
 """Divisor of the cap for the first search of points, as few blocks need the whole cap."""
 
 
-def hillshade(terrain: Float64, *, pixel: float) -> tuple[Float64, Counts]:
-    """Return the shade of the terrain. ``pixel`` is the side of a pixel in units of the heights."""
-    return multidirectional_hillshade(*gradients(terrain, pixel)), {}
+def hillshade(terrain: Float64, place: Position) -> tuple[Float64, Counts]:
+    """Return the shade of the terrain, which is read with a margin of a pixel."""
+    return multidirectional_hillshade(*gradients(terrain, place.pixel_in_heights)), {}
 
 
-def slope(terrain: Float64, *, pixel: float) -> tuple[Float64, Counts]:
-    """Return the slope of the terrain in degrees. ``pixel`` is the side of a pixel in units of the heights."""
-    return slope_deg(*gradients(terrain, pixel)), {}
+def slope(terrain: Float64, place: Position) -> tuple[Float64, Counts]:
+    """Return the slope of the terrain in degrees, which is read with a margin of a pixel."""
+    return slope_deg(*gradients(terrain, place.pixel_in_heights)), {}
 
 
-def height_above_ground(surface: Float64, terrain: Float64) -> tuple[Float64, Counts]:
+def ndsm(surface: Float64, terrain: Float64) -> tuple[Float64, Counts]:
     """Return surface minus terrain. The surface is not below the terrain, except in voids that were filled."""
     return surface - terrain, {}
 
 
-def density(points: PointsNear, *, pixel_m2: float) -> tuple[Float64, Counts]:
+def density(points: PointsNear, place: Position) -> tuple[Float64, Counts]:
     """Return ground points per square metre."""
-    counts: Float64 = points.ground_per_pixel() / pixel_m2
+    counts: Float64 = points.ground_per_pixel() / place.pixel_m2
     return counts, {}
 
 

@@ -15,7 +15,7 @@ from tiler.core.classes import GROUND, UNCERTIFIED_BIT, WITHHELD_FLAG
 from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.core.records import Record
+from tiler.core.records import BlockRecord, Record
 
 
 @dataclass(frozen=True)
@@ -121,25 +121,6 @@ class GridBlock(Facets, BlockWork):
     percent: int | None = None
     breaklines: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     max_points: int | None = field(default=None, metadata=NOT_IN_DIGEST)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BlockRecord(Record):
-    """Record of a block of a raster.
-
-    Attributes
-    ----------
-    filled : int
-        Number of pixels or cells that have a value.
-    checksum : str
-        Checksum of the pixels, empty before they are written.
-    pixels : int, optional
-        Number of pixels. Rasters of coarse cells that no step makes do not have it.
-    """
-
-    filled: int
-    checksum: str = ""
-    pixels: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

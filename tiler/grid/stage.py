@@ -16,31 +16,27 @@ from tiler.config import NO_WATER
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.core.records import records_of
+from tiler.core.records import BlockRecord, records_of
 from tiler.core.selection import WITHHELD
 from tiler.core.terrain_results import Implausible, OutlineResult, TerrainResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
-from tiler.filter.tasks.labelled import Labelled
-from tiler.grid.records import (
-    BlockRecord,
-    TerrainRecord,
-)
+from tiler.grid.records import TerrainRecord
 from tiler.grid.steps import erase_blocks
-from tiler.grid.tasks.canopy import canopy_cells
+from tiler.grid.tasks.canopy import report_canopy
 from tiler.grid.tasks.correct import report_edited_pixels
 from tiler.grid.tasks.findings import advise, report_voids
-from tiler.grid.tasks.gridding import GAP_M, Corrections, GridContext, final_raster
+from tiler.grid.tasks.gridding import GAP_M, Corrections, GridContext
 from tiler.grid.tasks.raster_table import required_rasters
 from tiler.grid.tasks.steps import Step
 from tiler.grid.tasks.terrain import OnTin, join_blocks
 from tiler.grid.tasks.water import find_waters, report_waters
-from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import Note, Warned
 from tiler.plan import KEEP
 from tiler.plan.model import MAX_GROUND
 from tiler.runs.compiling import grid_kernels
+from tiler.runs.found import Gridded, IngestResult, Labelled, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import Join, run_stage
 from tiler.schedule import Task, calling
@@ -61,15 +57,16 @@ MAX_CLASSES = 10
 
 def grid(
     job: Job, assembled: IngestResult, labelled: Labelled, corrections: Corrections
-) -> GridContext:
+) -> Gridded:
     """Make all rasters that the products need, block by block."""
     if labelled.matched and job.plan.config.method != KEEP:
         _settle_surface(job)
     gridding = GridContext(
         job.plan, assembled, labelled.digests, _holes(job), corrections=corrections,
         returns_show_water=not labelled.matched, kind=labelled.kind,
-        canopy=canopy_cells(job, assembled, labelled),
+        canopy=labelled.canopy,
     )  # fmt: skip
+    report_canopy(job, labelled)
     rasters = required_rasters(job.plan)
     for raster in rasters:
         name = raster.name
@@ -77,11 +74,12 @@ def grid(
             gridding.waters = find_waters(job, gridding)
         tasks = list(raster.tasks(gridding))
         join = partial(join_blocks, job.plan, assembled.records) if name == "dtm" else None
+        gridding.fills[name] = raster.fill
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster.grid), tasks, join)
         if name == "dtm":
             report_edited_pixels(job, gridding.made[name])
             _report_terrain(job, gridding, tasks, gridding.made[name])
-    advise(job, labelled, gridding.spec, gridding.made["dtm"], gridding.water_key)
+    advise(job, labelled, gridding.spec, gridding.made["dtm"], gridding.waters.stored_key)
     if job.plan.config.water != NO_WATER:
         report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
     job.results.dtm = replace(job.results.dtm, filled=_delivered_heights(gridding, "dtm"))
@@ -90,7 +88,7 @@ def grid(
     for raster in rasters:
         if isinstance(raster, Step) and raster.finish is not None:
             raster.finish(job, gridding, gridding.counts(raster.name, raster.grid))
-    return gridding
+    return gridding.found()
 
 
 def _settle_surface(job: Job) -> None:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
+from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import padded
@@ -24,32 +25,6 @@ Bools = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 Counts = Mapping[str, Any]
 """What a block adds to the summary of its raster, as JSON can hold it. It is the record of the block."""
-
-
-@dataclass(frozen=True)
-class Read:
-    """What a step reads for a block.
-
-    Attributes
-    ----------
-    of : str
-        Key of `READERS`, and after a colon the name of a raster.
-    margin : int
-        Width of what is read around the block: in pixels of a raster, in counts of points.
-    """
-
-    of: str
-    margin: int = 0
-
-    @property
-    def kind(self) -> str:
-        """Key of `READERS`."""
-        return self.of.partition(":")[0]
-
-    @property
-    def raster(self) -> str:
-        """Name of the raster, or empty text."""
-        return self.of.partition(":")[2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,6 +73,17 @@ class Position(NamedTuple):
     def pixel_m(self) -> float:
         """Side of a pixel or cell in metres."""
         return float(self.spec.lattice.size * self.frame.metres_xy)
+
+    @property
+    def pixel_m2(self) -> float:
+        """Area of a pixel or cell in square metres."""
+        return float((self.spec.lattice.size * self.frame.metres_xy) ** 2)
+
+    @property
+    def pixel_in_heights(self) -> float:
+        """Side of a pixel in units of the heights, as plan and heights may have different units."""
+        metres = self.spec.lattice.size * self.frame.metres_xy
+        return float(metres / self.frame.units.vertical)
 
     @property
     def unit_m(self) -> float:

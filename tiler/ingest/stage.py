@@ -16,14 +16,11 @@ from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
 from tiler.core.selection import WITHHELD
 from tiler.core.words import counted
 from tiler.errors import InputError, ProcessingError
-from tiler.ingest import OUTSIDE_AREA, Strays
-from tiler.ingest.tasks.assembled import IngestResult
+from tiler.ingest.spool import OUTSIDE_AREA
+from tiler.ingest.strays import Strays
 from tiler.ingest.tasks.points import (
-    Source,
     assemble_tasks,
-    by_source,
     fragments_of,
-    source_of,
     spool_tasks,
     strays_of,
 )
@@ -31,6 +28,7 @@ from tiler.inputs import FAR
 from tiler.io.locations import is_url, with_slashes
 from tiler.observe.events import Detail, Note, TaskFailed, Warned
 from tiler.plan import KEEP, Plan, bounds_of, settled_by_points, sparse_raster_remedy
+from tiler.runs.found import IngestResult, Source, by_source, source_of
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task

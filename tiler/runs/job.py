@@ -20,8 +20,7 @@ from tiler.report.runfile import write_run_file
 from tiler.report.sections import ResolvedSetting, noted, settled
 from tiler.runs.compiling import Compiler
 from tiler.runs.executors import Executors
-from tiler.runs.record import RunRecord
-from tiler.runs.results import Results
+from tiler.runs.record import Results, RunRecord
 from tiler.schedule import Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 

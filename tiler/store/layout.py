@@ -2,15 +2,19 @@
 
 ::
 
-    zarr.json root group with the schema version and the `StoreMeta` as attributes
-    points/<column> columns (rows, width, ROW_POINTS); each bucket owns whole rows
-    index/<digest>.npy rows and number of points of each bucket index/current.json digest of the
-    current index labels/<name> labels of a pass, uint8, rows as in points elected/<name> points
-    that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets rasters/<name>+<set>
-    raster, float32 (height, width) spool/<piece> points of one source piece, sorted by bucket
-    records/<piece>-<bytes> decoded records of one source piece commits/<stage>/<key>.json
-    commit of one finished task packs/<stage>.json commits of finished tasks, packed into one
-    object state/<name>.json state of the run lock.json lease of the run that holds the store
+    zarr.json                    root group with the schema version and the `StoreMeta` as attributes
+    points/<column>              columns (rows, width, ROW_POINTS); each bucket owns whole rows
+    index/<digest>.npy           rows and number of points of each bucket
+    index/current.json           digest of the current index
+    labels/<name>                labels of a pass, uint8, rows as in points
+    elected/<name>               points that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets
+    rasters/<name>+<set>         raster, float32 (height, width)
+    spool/<piece>                points of one source piece, sorted by bucket
+    records/<piece>-<bytes>      decoded records of one source piece
+    commits/<stage>/<key>.json   commit of one finished task
+    packs/<stage>.json           commits of finished tasks, packed into one object
+    state/<name>.json            state of the run
+    lock.json                    lease of the run that holds the store
 """
 
 from __future__ import annotations

@@ -15,11 +15,10 @@ from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
 from tests.tiler.grid.conftest import make_block
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
-from tiler.core.products import PRODUCTS
+from tiler.core.products import PRODUCTS, Read
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.derived import hillshade, slope
-from tiler.grid.steps import Read
 from tiler.store import StoreMeta, create_store
 
 HOLE = np.nan
@@ -136,10 +135,9 @@ def test_blocks_do_not_show_and_units_count(product: str, tmp_path: Path) -> Non
                 "dtm", b, values[b.row : b.row + b.height, b.col : b.col + b.width]
             )
         for b in spec.blocks(512):
-            size = float(spec.lattice.size * store.meta.frame.metres_xy / units.vertical)
-            reads = {"terrain": Read("raster:dtm", 1)}
+            reads = {"terrain": Read("raster:dtm", 1), "place": Read("place")}
             work = hillshade if product == "hillshade" else slope
-            make_block(store, product, work, reads, spec, b, fill, pixel=size)
+            make_block(store, product, work, reads, spec, b, fill)
         found += [store.read_block(product, b) for b in spec.blocks(1024)]
     e, n = gradients(padded(heights.astype(np.float32).astype(np.float64)), 1.0)
     truth = (multidirectional_hillshade if product == "hillshade" else slope_deg)(e, n).astype(

@@ -17,8 +17,9 @@ from tiler.apps.preview import make_preview
 from tiler.config import RunConfig
 from tiler.core.records import TileRecord
 from tiler.errors import ConfigError, ProcessingError
-from tiler.filter import FilterTile, filter_tile
+from tiler.filter.reading import FilterTile
 from tiler.filter.tasks import passes
+from tiler.filter.tile import filter_tile
 from tiler.observe.events import Event, Warned
 from tiler.store import TileStore
 

@@ -16,7 +16,7 @@ from tiler.core.selection import (
     parse_sources,
 )
 from tiler.errors import ConfigError
-from tiler.ingest.selecting import unselected
+from tiler.ingest.spool import unselected
 
 # Return and number of returns, scan angle, source id and class of six points.
 RETURNS = np.array([[1, 1, 2, 3, 0, 2], [1, 3, 3, 3, 0, 2]], np.uint8)

@@ -15,9 +15,8 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.export.tasks.files import Inputs, cog_tasks, inputs_of, mosaic_tasks, nodata_of
 from tiler.export.tasks.sheets import height_tasks, sheets
 from tiler.grid.tasks.gridding import GridContext
-from tiler.ingest.tasks.assembled import IngestResult
-from tiler.ingest.tasks.points import Source
 from tiler.plan import Plan, make_plan
+from tiler.runs.found import Gridded, IngestResult, Source
 
 WEST, EAST = Cell(0, 0), Cell(1, 0)
 """Buckets on both sides of x = 500,000 m, whose points lie 10 to 40 m from there."""
@@ -37,7 +36,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return make_plan([str(cloud)], RunConfig.from_mapping(settings))
 
 
-def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> GridContext:
+def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> Gridded:
     """What the stage grid made of points in two buckets; bounds in metres from (500,000, 5,400,000)."""
     boxes = {"west": (-40, 10, -10, 40), "east": (10, 10, 40, 40), **bounds}
     records = {}
@@ -45,14 +44,15 @@ def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> GridContext:
         west, south, east, north = boxes[name]
         box = Bounds(500_000 + west, 5_400_000 + south, 500_000 + east, 5_400_000 + north)
         records[cell] = bucket_record(bounds=[1000 * side for side in box.to_json()])
-    found = GridContext(plan, IngestResult(records, {WEST: "w", EAST: "e"}), {})
-    blocks = list(found.spec.blocks(BLOCK_PIXELS))
+    context = GridContext(plan, IngestResult(records, {WEST: "w", EAST: "e"}), {})
+    blocks = list(context.spec.blocks(BLOCK_PIXELS))
     for raster in ("dtm", "dtm-outlined", "hillshade"):
-        found.made[raster] = {
+        context.fills[raster] = 0.0
+        context.made[raster] = {
             b.name: ("digest", {"checksum": f"{raster} {b.name}", "filled": 1}) for b in blocks
         }
-    found.sheets = [] if plan.config.sheets is None else sheets(found, HIGH)
-    return found
+    found = context.found()
+    return found if plan.config.sheets is None else replace(found, sheets=sheets(found, HIGH))
 
 
 def spooled(first: str, second: str, plan: Plan) -> Inputs:
@@ -95,7 +95,7 @@ def test_heights_are_looked_for_in_the_models_that_were_made(plan: Plan) -> None
     assert not list(height_tasks(g))
 
 
-def digests(g: GridContext, inputs: Inputs) -> dict[str, str]:
+def digests(g: Gridded, inputs: Inputs) -> dict[str, str]:
     return {task.key: task.digest for task in cog_tasks(g, inputs, "all", "OUT")}
 
 

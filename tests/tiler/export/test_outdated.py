@@ -11,8 +11,8 @@ import pytest
 from tiler.errors import ConfigError
 from tiler.export.tasks import outdated
 from tiler.export.tasks.outdated import archive, archive_outdated, archive_sidecars
-from tiler.ingest.tasks.fingerprints import FileContent
-from tiler.runs.results import Results
+from tiler.runs.file_digests import FileContent
+from tiler.runs.record import Results
 
 
 def write(out: Path, *paths: str) -> None:

@@ -15,10 +15,11 @@ import pytest
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
+from tiler.core.products import Read
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import block_heights, grid_block
 from tiler.grid.records import Facets, GridBlock, GroundSelection
-from tiler.grid.steps import MakeBlock, Read, Sources, run_block
+from tiler.grid.steps import MakeBlock, Sources, run_block
 from tiler.store import StoreMeta, TileStore, create_store
 
 FINAL = GroundSelection("final")

@@ -16,13 +16,13 @@ from tiler.core.area import Area
 from tiler.core.edits import FLAT, Edit, Edits
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
+from tiler.core.products import Read
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.core.water import LAKE, Water, Waters
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import padded
 from tiler.grid.flaws import ABOVE_M, above, heights_above, min_pixels
-from tiler.grid.steps import Read
 from tiler.grid.tasks.findings import places_of, report_above
 from tiler.store import read_cells
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from tests.tiler.grid.conftest import Scene, make_block, sources_of
 from tiler.core.lattice import Bounds, Lattice
+from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.canopy import OPEN, below_canopy, crowns_margin
 from tiler.grid.coarse import coarse_raster
-from tiler.grid.steps import Read
 from tiler.store import between_centres
 
 SIDE, RADIUS_M, HILL_M, TREES_M = 400, 90.0, 8.0, 17.0

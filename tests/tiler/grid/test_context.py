@@ -10,8 +10,8 @@ from tiler.core.digests import digest_of
 from tiler.core.edits import Edits
 from tiler.core.lattice import Lattice
 from tiler.grid.tasks.gridding import Corrections, GridContext, ground_rule
-from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import make_plan
+from tiler.runs.found import IngestResult
 
 
 def test_every_task_that_reads_ground_gets_the_edits(tmp_path: Path) -> None:

@@ -12,9 +12,10 @@ import pytest
 from tiler.config import RunConfig
 from tiler.core.frame import CoordFrame
 from tiler.core.products import PRODUCTS
-from tiler.grid.tasks.gridding import Grid, final_raster
+from tiler.grid.tasks.gridding import Grid
 from tiler.grid.tasks.raster_table import raster_table, required_rasters
 from tiler.grid.tasks.steps import Step
+from tiler.runs.found import final_raster
 
 
 def plan_of(settings: dict[str, Any]) -> Any:

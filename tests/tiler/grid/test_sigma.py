@@ -15,6 +15,7 @@ from tests.tiler.grid.conftest import FINAL, Scene, make_block
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import CANOPY, MEASURED
+from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.sigma_groups import EDGES_M, GROUPS
 from tiler.core.terrain_results import SigmaGroup
@@ -32,7 +33,6 @@ from tiler.grid.sigma import (
     standard_error_m,
 )
 from tiler.grid.sigma import sigma as of_heights
-from tiler.grid.steps import Read
 from tiler.store import read_cells
 
 PIXEL = Fraction(1000)

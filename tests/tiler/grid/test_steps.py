@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from tests.tiler.grid.conftest import make_block, sources_of
 from tiler.core.lattice import Lattice
+from tiler.core.products import Read
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
-from tiler.grid.steps import Read
 from tiler.grid.tasks.steps import Step, all_of
 from tiler.store import TileStore
 

@@ -16,14 +16,13 @@ from tests.tiler.grid.test_above import REACH, SPIKE, above_block
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
-from tiler.core.products import SURVEYED
+from tiler.core.products import SURVEYED, Read
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.derived import distance, raised_to, surface_heights
 from tiler.grid.derived import surface as surface_of
 from tiler.grid.records import Facets
-from tiler.grid.steps import Read
 
 PIXEL = Fraction(2000)
 

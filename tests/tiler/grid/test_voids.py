@@ -14,11 +14,11 @@ from tests.scenes.ground_points import plane_points
 from tests.tiler.grid.conftest import Scene, make_block, sources_of
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
+from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.coarse import Piece, coarse_raster
 from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
 from tiler.grid.derived import mask as mask_of
-from tiler.grid.steps import Read
 from tiler.grid.tasks.steps import outside_of
 from tiler.grid.voids import PART_PIXELS, Void, fill_voids, find_voids
 

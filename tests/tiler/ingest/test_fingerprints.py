@@ -14,9 +14,10 @@ from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
 from tiler.errors import InputError
 from tiler.ingest.tasks import fingerprints
-from tiler.ingest.tasks.points import Source
 from tiler.inputs import inspect
 from tiler.observe.events import ignore_events
+from tiler.runs import file_digests
+from tiler.runs.found import Source
 from tiler.runs.record import RunRecord
 from tiler.schedule import SerialExecutor
 from tiler.store import TileStore
@@ -48,20 +49,20 @@ def register_sources(
 def seen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Number of files of each task that is done."""
     found: list[int] = []
-    read = fingerprints.read_files
+    read = file_digests.read_files
 
     def count(store: TileStore, **values: Any) -> Any:
         found.append(len(values["files"]))
         return read(store, **values)
 
-    monkeypatch.setattr(fingerprints, "read_files", count)
+    monkeypatch.setattr(file_digests, "read_files", count)
     return found
 
 
 def test_all_bytes_once_and_again_where_something_changed(
     paths: list[Path], small_store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fingerprints, "GROUP_FILES", 4)
+    monkeypatch.setattr(file_digests, "GROUP_FILES", 4)
     sources, _ = register_sources(paths, small_store)
     contents = [
         hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest() for path in paths
@@ -82,20 +83,20 @@ def test_all_bytes_once_and_again_where_something_changed(
 def test_large_files_are_read_alone(
     paths: list[Path], small_store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fingerprints, "GROUP_BYTES", 100)
+    monkeypatch.setattr(file_digests, "GROUP_BYTES", 100)
     register_sources(paths, small_store)
     assert seen == [1] * 10
 
 
 def grow_while_it_is_read(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None:
-    read = fingerprints.read_files
+    read = file_digests.read_files
 
     def grow(store: TileStore, **values: Any) -> Any:
         for place in places:
             place.write_bytes(place.read_bytes() + b"more")
         return read(store, **values)
 
-    monkeypatch.setattr(fingerprints, "read_files", grow)
+    monkeypatch.setattr(file_digests, "read_files", grow)
 
 
 def test_a_file_that_changes_meanwhile_is_left_out(

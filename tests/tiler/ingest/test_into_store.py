@@ -17,7 +17,8 @@ from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT
 from tiler.export.classified import write_classified
 from tiler.export.output_files import CloudCopy
-from tiler.ingest import BucketParts, SpoolPiece, assemble_buckets, spool_piece
+from tiler.ingest.assemble import BucketParts, assemble_buckets
+from tiler.ingest.spool import SpoolPiece, spool_piece
 from tiler.inputs import find_inputs, inspect, pieces
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
 

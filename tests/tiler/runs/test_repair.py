@@ -10,8 +10,8 @@ import pytest
 from tests.scenes.records import bucket_record, tile_record
 from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.runs.record import Results
 from tiler.runs.repair import repair
-from tiler.runs.results import Results
 from tiler.store import BucketInfo, TileStore
 from tiler.store.layout import ROW_POINTS
 

@@ -32,8 +32,6 @@ from tiler.export.output_files import (
 )
 from tiler.export.tasks.files import nodata_of
 from tiler.export.tasks.sheets import key_of, name_of
-from tiler.grid.tasks.gridding import GridContext, Sheet
-from tiler.ingest.tasks.points import Source
 from tiler.io.las.point_formats import newer_format
 from tiler.io.locations import joined
 from tiler.io.result_folder import (
@@ -52,6 +50,7 @@ from tiler.io.result_folder import (
     sheet_file,
 )
 from tiler.plan import Plan
+from tiler.runs.found import Gridded, Sheet, Source
 from tiler.schedule import Task, calling
 from tiler.store import Commits
 from tiler.version import __version__
@@ -118,7 +117,7 @@ def survey_dates(clouds: Sequence[Cloud], sources: Sequence[Source]) -> SurveyDa
     return None
 
 
-def planned(gridding: GridContext) -> dict[str, str]:
+def planned(gridding: Gridded) -> dict[str, str]:
     """Return the path in OUT of the file of each task of this stage, by the key of the task."""
     whole = (STAC, VIRTUAL) if gridding.plan.writes_clouds else (STAC,)
     cut = {
@@ -129,7 +128,7 @@ def planned(gridding: GridContext) -> dict[str, str]:
 
 
 def catalogue_tasks(
-    gridding: GridContext,
+    gridding: Gridded,
     sources: Sequence[Source],
     kind: str | None,
     written: Commits,
@@ -140,7 +139,7 @@ def catalogue_tasks(
 
     Parameters
     ----------
-    gridding : GridContext
+    gridding : Gridded
     sources : sequence of Source
     kind : str or None
         Kind of the clouds, ``lidar`` or ``dim``, or None if it is not known.
@@ -165,7 +164,7 @@ class _Catalogue:
 
     def __init__(
         self,
-        gridding: GridContext,
+        gridding: Gridded,
         sources: Sequence[Source],
         kind: str | None,
         written: Commits,
@@ -402,6 +401,6 @@ def _box(spec: RasterSpec) -> stac.Box:
     return (x, y + e * spec.height, x + a * spec.width, y)
 
 
-def _item_path(gridding: GridContext, sheet: Sheet) -> str:
+def _item_path(gridding: Gridded, sheet: Sheet) -> str:
     """Return the path in OUT of the item of a sheet."""
     return f"{SHEET_ITEMS}/{name_of(gridding, SHEET_ITEMS, sheet)}.json"

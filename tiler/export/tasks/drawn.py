@@ -11,9 +11,9 @@ from tiler.export.contours import Heights, write_contours, write_spots
 from tiler.export.output_files import OutFile
 from tiler.export.polygons import write_bridges, write_outline
 from tiler.export.water import write_water
-from tiler.grid.tasks.gridding import GridContext, final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.plan import water_is_given
+from tiler.runs.found import Gridded, final_raster
 from tiler.schedule import Task, calling
 
 SMOOTH_PIXELS = 2
@@ -24,7 +24,7 @@ SPOT_REACH_M, MAX_REACH = 50, 256
 value in pixels."""
 
 
-def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Task]:
+def vector_tasks(context: Gridded, out: str, noise_m: float) -> Iterator[Task]:
     """Yield one task per vector file.
 
     ``noise_m`` is the standard deviation of the heights of ground in metres, or 0 if it is not known.
@@ -36,7 +36,7 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
     vertical, interval = plan.frame.units.vertical, config.contour_interval
     noise = noise_m / float(vertical)
     interval = None if interval is None else interval / vertical
-    heights = Heights(terrain, context.spec, plan.inputs.area_key, context.water_key)
+    heights = Heights(terrain, context.spec, plan.inputs.area_key, context.waters.stored_key)
     files = {name: OutFile(out, f"{name}.gpkg") for name in (CONTOURS, SPOTS)}
     calls = {
         CONTOURS: calling(
@@ -53,10 +53,8 @@ def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Tas
         )  # fmt: skip
         seen = [context.checksums("survey"), context.checksums(terrain)]
         yield Task.of("export", OUTLINE, outline, seen)
-    if context.corrections.decks:
-        bridges = calling(
-            write_bridges, to=OutFile(out, BRIDGES), decks=context.corrections.decks
-        )
+    if context.decks:
+        bridges = calling(write_bridges, to=OutFile(out, BRIDGES), decks=context.decks)
         yield Task.of("export", BRIDGES, bridges)
     has_water = bool(context.waters.bodies) or config.water_file is not None
     if has_water and not water_is_given(config, out):

@@ -8,10 +8,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from tiler.config import LOW_AS_NOISE
+from tiler.core.classes import LABELS
 from tiler.core.crs import vertical_name
 from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
-from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.products import MODELS, NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.reclass import ONLY_GROUND
 from tiler.core.records import SpoolRecord
@@ -30,10 +31,6 @@ from tiler.export.output_files import (
 from tiler.export.polygons import write_sheet_index
 from tiler.export.rasters import write_cog, write_legend, write_mosaic
 from tiler.export.tasks.sheets import key_of, name_of
-from tiler.filter import LABELS
-from tiler.grid.tasks.gridding import MODELS, GridContext, final_raster
-from tiler.grid.tasks.raster_table import raster_table
-from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import SourceInfo, header_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
 from tiler.io.result_folder import (
@@ -45,6 +42,7 @@ from tiler.io.result_folder import (
     sheet_file,
 )
 from tiler.plan import PIECE_POINTS, Plan, chunks_of
+from tiler.runs.found import Gridded, Source, by_source, final_raster
 from tiler.schedule import Task, calling
 from tiler.store import Commits, KeptPiece
 from tiler.version import __version__
@@ -64,23 +62,20 @@ def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
     return inputs
 
 
-def cog_tasks(
-    context: GridContext, inputs: Inputs, whole_inputs: str, out: str
-) -> Iterator[Task]:
+def cog_tasks(context: Gridded, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
     """Yield one task per raster file.
 
     The tags of a sheet depend on the inputs that have points in the sheet, and the digest of
     its task also on its blocks. So another input changes only the sheets where it has points.
     """
     sheet_inputs = [(sheet, _digest(inputs, sheet.cells)) for sheet in context.sheets]
-    rasters = raster_table(context.plan)
     names = product_names(context.plan.config.product_name)
     for name in context.plan.config.exported:
         raster = final_raster(name, context.plan.config)
         whole = RasterPart(
             raster=raster,
             spec=context.spec,
-            fill=rasters[raster].fill,
+            fill=context.fills[raster],
             area=context.plan.inputs.area_key,
         )
         if context.plan.config.sheets is None:
@@ -108,7 +103,7 @@ def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
 
 
 def _cog_task(
-    context: GridContext,
+    context: Gridded,
     key: str,
     to: OutFile,
     info: ProductInfo,
@@ -120,7 +115,7 @@ def _cog_task(
     return Task.of("export", f"{key}.tif", call, blocks, pixels=pixels)
 
 
-def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
+def mosaic_tasks(context: Gridded, whole_inputs: str, out: str) -> Iterator[Task]:
     """Yield one task per product that is divided into sheets, which writes its VRT."""
     for name in context.plan.config.exported if context.sheets else ():
         files = [(name_of(context, name, sheet), sheet.spec) for sheet in context.sheets]
@@ -134,7 +129,7 @@ def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[
         yield Task.of("mosaic", mosaic_file(name), call)
 
 
-def legend_tasks(context: GridContext, out: str) -> Iterator[Task]:
+def legend_tasks(context: Gridded, out: str) -> Iterator[Task]:
     """Yield one task per raster of classes that is a single file.
 
     If a product is divided into sheets, its VRT contains the names of the classes.
@@ -220,18 +215,14 @@ def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
 
 
 def classified_tasks(
-    plan: Plan,
+    context: Gridded,
     sources: Iterable[Source],
     spooled: Commits,
     labels: Mapping[Cell, str],
-    waters: Waters,
-    edits: str | None,
     out: str,
 ) -> Iterator[Task]:
-    """Yield one task per classified cloud. ``edits`` is the key of the edits in the store.
-
-    The digests of the labels include the changes of the edits.
-    """
+    """Yield one task per classified cloud. The digests of the labels include the changes of the edits."""
+    plan, waters = context.plan, context.waters
     wet = _wet(plan, waters, labels)
     records, pieces, sources = by_source(spooled), kept_pieces(spooled), list(sources)
     # Workers of a cluster have one core per task, so only local tasks compress with several
@@ -258,7 +249,7 @@ def classified_tasks(
             low_is_noise=bool(wet) and plan.config.water_low == LOW_AS_NOISE,
             reclass=plan.config.reclass,
             area=None if whole else plan.inputs.area_key,
-            edits=edits,
+            edits=context.edits,
             stamp=source.info.stamp,
             ranges=_window(plan, source.info),
             copc=plan.config.classified == "copc",

@@ -22,12 +22,12 @@ from pathlib import Path
 from tiler.core.words import listed
 from tiler.errors import ConfigError, is_in_use, write_error
 from tiler.export.output_files import FileRecord
-from tiler.ingest.tasks.fingerprints import file_digests
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import OUTDATED, below, mosaic_file
 from tiler.io.vector.opening import validate_closed
 from tiler.observe.events import Note
+from tiler.runs.file_digests import file_digests
 from tiler.runs.job import Job
 
 STAGE = "verify"

@@ -8,13 +8,14 @@ from fractions import Fraction
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.products import MODELS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.core.records import BlockRecord
 from tiler.core.sheet_names import DEFAULT, product_names, sheet_name
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export.polygons import find_sheets
-from tiler.grid.records import BlockRecord
-from tiler.grid.tasks.gridding import MODELS, GridContext, Sheet, final_raster
+from tiler.runs.found import Gridded, Sheet, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, calling
@@ -22,7 +23,7 @@ from tiler.schedule import Task, calling
 STAGE = "sheets"
 
 
-def cut(job: Job, context: GridContext) -> list[Sheet]:
+def cut(job: Job, context: Gridded) -> list[Sheet]:
     """Return the sheets of a run, or an empty list if its products are not divided."""
     if context.plan.config.sheets is None:
         return []
@@ -43,7 +44,7 @@ def cut(job: Job, context: GridContext) -> list[Sheet]:
     return sheets(context, every if context.plan.config.empty_sheets else high)
 
 
-def height_tasks(context: GridContext) -> Iterator[Task]:
+def height_tasks(context: Gridded) -> Iterator[Task]:
     """Yield one task per block of the models that has a height."""
     rasters = tuple(
         name
@@ -68,7 +69,7 @@ def height_tasks(context: GridContext) -> Iterator[Task]:
         yield Task.of(STAGE, key, call, seen, pixels=pixels, bounds=bounds)
 
 
-def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
+def sheets(context: Gridded, cells: Iterable[Cell]) -> list[Sheet]:
     """Return the sheets of these cells of the lattice of sheets, which is anchored at CRS 0."""
     lattice, side = _lattice(context), _pixels(context)
     buckets, sheets_of_cells = with_points(context), []
@@ -84,7 +85,7 @@ def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
     return sheets_of_cells
 
 
-def name_of(context: GridContext, product: str, sheet: Sheet) -> str:
+def name_of(context: Gridded, product: str, sheet: Sheet) -> str:
     """Return the name of a product's file for a sheet, without its ending."""
     config, side = context.plan.config, float(_lattice(context).size / COUNTS_PER_UNIT)
     name = product_names(config.product_name).get(product, product)
@@ -100,7 +101,7 @@ def key_of(product: str, sheet: Sheet) -> str:
     return sheet_name(DEFAULT, product, *sheet.corner, 0.0)
 
 
-def with_points(context: GridContext) -> dict[Cell, list[Cell]]:
+def with_points(context: Gridded) -> dict[Cell, list[Cell]]:
     """Return the buckets of each sheet in the raster and the area, by the bounds of their points."""
     lattice, area = _lattice(context), context.plan.inputs.area
     whole = context.spec.block_bounds(
@@ -120,11 +121,11 @@ def with_points(context: GridContext) -> dict[Cell, list[Cell]]:
     }
 
 
-def _lattice(context: GridContext) -> Lattice:
+def _lattice(context: Gridded) -> Lattice:
     """Return the lattice of the sheets."""
     return Lattice(context.plan.frame.counts(context.plan.config.sheets or Fraction(0)))
 
 
-def _pixels(context: GridContext) -> int:
+def _pixels(context: Gridded) -> int:
     """Return the side of a sheet in pixels."""
     return int(_lattice(context).size / context.spec.lattice.size)

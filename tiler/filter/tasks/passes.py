@@ -15,14 +15,16 @@ from typing import Any
 from ptd.frame import Scale
 from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes, read_at_candidates
+from tiler.core.classes import LABELS
 from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.records import TileRecord
-from tiler.filter import LABELS, FilterTile, filter_tile, influence_margin_m, local_window
+from tiler.filter.reading import FilterTile
 from tiler.filter.tasks.tiles import BucketPoints, tiles_of
-from tiler.ingest.tasks.assembled import IngestResult, skip_flags
+from tiler.filter.tile import filter_tile, influence_margin_m, local_window
 from tiler.plan import Plan
 from tiler.plan.memory import held_bytes
+from tiler.runs.found import IngestResult, skip_flags
 from tiler.schedule import Task, calling
 from tiler.store import Commits
 

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from dataclasses import replace
 
 import numpy as np
 import shapely
 
-from ptd.matched.cells import CELL_M
 from ptd.matched.evidence import percent
 from ptd.matched.passes import BLOCK_M, CanopyPass
-from ptd.methods import METHODS
 from tiler.config import VOID_CANOPY
-from tiler.core.lattice import Cell
 from tiler.core.map_lines import rings_of
 from tiler.core.terrain_results import CanopyResult, Doubt
 from tiler.core.units_text import length_text
-from tiler.filter.tasks.labelled import Labelled
-from tiler.filter.tasks.passes import elected_name, label_digests, labels_name, tile_records
-from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import Warned
+from tiler.runs.found import Labelled
 from tiler.runs.job import Job
-from tiler.store import Commits
 
 MIN_WARNED_SHARE = 0.1
 """A canopy causes a warning if it covers at least this share of the area."""
@@ -36,61 +28,16 @@ MIN_MAPPED_SHARE = 0.5
 """The map of the report shows blocks if canopy covers at least this share of the block."""
 
 
-@dataclass(frozen=True)
-class CanopyCells:
-    """Robust cells of a photogrammetric cloud. The label of a cell says whether it lies under a canopy.
-
-    Attributes
-    ----------
-    elected : str
-        Name of the cells in the store, as elected points.
-    labels : str
-        Name of the labels of the cells in the store.
-    side : Fraction
-        Side of a cell in counts in areas with dense points. In other areas the side is twice as long.
-    digests : mapping of Cell to str
-        Digest of the cells and labels of each bucket.
-    """
-
-    elected: str
-    labels: str
-    side: Fraction
-    digests: Mapping[Cell, str]
-
-
-def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> CanopyCells | None:
-    """Return where the store has the cells of the canopy search, or None if the filter found no canopy.
-
-    Add the result to run.json as ``canopy``, and warn about a large canopy.
-    """
+def report_canopy(job: Job, labelled: Labelled) -> None:
+    """Add the canopy and its positions to run.json, and warn if it covers much of the area."""
     state = labelled.statistics.get(CanopyPass.name)
     if state is None:
-        return None
+        return
     share = state["canopy"]["share"]
     job.results.canopy = CanopyResult(share=share, mode=job.plan.config.canopy)
-    if not share:
-        return None
-    passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
-    number = next(n for n, step in enumerate(passes) if step.name == CanopyPass.name)
-    # The cells of the search were elected by the last electing pass before it.
-    electing = max(
-        n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state)
-    )
-    made = job.store.committed(f"filter{number}")
-    _report(job, share, made)
-    side = job.plan.frame.counts(Fraction(repr(CELL_M)))
-    return CanopyCells(
-        elected_name(electing), labels_name(number), side, label_digests(assembled, made)
-    )
-
-
-def _report(job: Job, share: float, made: Commits) -> None:
-    """Add the positions of the canopy to run.json, and warn if it covers much of the area."""
-    blocks: Counter[tuple[int, int]] = Counter()
-    for tile in tile_records(made):
-        for column, row, area_m2 in tile.partial["blocks"]:
-            blocks[column, row] += area_m2
-    unit = float(job.plan.frame.units.horizontal)
+    if labelled.canopy is None:
+        return
+    blocks, unit = labelled.canopy.blocks, float(job.plan.frame.units.horizontal)
     fullest = sorted(blocks, key=lambda block: (-blocks[block], block))[:MAX_POSITIONS]
     centres = []
     for column, row in fullest:

@@ -35,7 +35,6 @@ from tiler.core.terrain_results import BreaklineCounts, BridgeResult, EditResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted, listed
 from tiler.errors import ProcessingError
-from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
 from tiler.grid.bridges.examine import (
     CandidateCells,
@@ -47,8 +46,8 @@ from tiler.grid.coarse import components
 from tiler.grid.ground import count_edited_points
 from tiler.grid.records import DeckRecord, TerrainRecord
 from tiler.grid.tasks.gridding import Corrections, GridContext, ground_rule
-from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import Plan
+from tiler.runs.found import IngestResult, Labelled
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, calling

@@ -19,6 +19,7 @@ from ptd.matched.passes import CanopyPass
 from tiler.config import VOID_CANOPY
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.records import BlockRecord
 from tiler.core.terrain_results import (
     AbovePlace,
     AboveResult,
@@ -29,7 +30,6 @@ from tiler.core.terrain_results import (
 from tiler.core.units_text import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.errors import CorruptStoreError, ProcessingError
-from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.coarse import join_pieces
 from tiler.grid.flaws import (
     ABOVE_M,
@@ -42,12 +42,12 @@ from tiler.grid.flaws import (
     find_roofs,
     min_pixels,
 )
-from tiler.grid.records import BlockRecord
 from tiler.grid.steps import Counts
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.voids import CELL_PIXELS
 from tiler.observe.events import Warned
 from tiler.plan import KEEP
+from tiler.runs.found import Labelled
 from tiler.runs.job import Job
 from tiler.schedule import Task, calling
 from tiler.schedule.worker import compute

@@ -12,22 +12,19 @@ from enum import Enum
 from fractions import Fraction
 from typing import Any
 
-from tiler.config import RunConfig
 from tiler.core.breaklines import Breaklines
-from tiler.core.classes import GROUND
+from tiler.core.classes import GROUND, LABELS
 from tiler.core.edits import DrawnDeck, Edits
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import Waters
-from tiler.filter import LABELS
 from tiler.grid.block import full_halo
 from tiler.grid.coarse import Joined, coarse_raster, join_pieces
-from tiler.grid.records import BlockRecord, Facets, GroundSelection
+from tiler.grid.records import Facets, GroundSelection
 from tiler.grid.steps import Counts, Sources
-from tiler.grid.tasks.canopy import CanopyCells
-from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
+from tiler.runs.found import CanopyCells, Gridded, IngestResult, checksums, skip_flags
 from tiler.store import Commits
 
 
@@ -146,25 +143,6 @@ class Grid(Enum):
     CANOPY = "cells in which canopies are compared with the terrain around them"
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """Square into which the products are divided.
-
-    Attributes
-    ----------
-    corner : (float, float)
-        South-west corner in units of the CRS.
-    spec : RasterSpec
-        Pixels of the square.
-    cells : list of Cell
-        Buckets with points of the square.
-    """
-
-    corner: tuple[float, float]
-    spec: RasterSpec
-    cells: list[Cell]
-
-
 @dataclass
 class GridContext:
     """Inputs and results of the stage grid.
@@ -187,8 +165,8 @@ class GridContext:
         Kind of the clouds (`ptd.passes.KINDS`); None if it is not known.
     canopy : CanopyCells or None
         Cells in which the filter found a closed canopy, if there is any.
-    sheets : sequence of Sheet
-        Squares of the products. They are set after the models are made.
+    fills : dict of str to float
+        Value of the pixels of each raster that no block has.
     """
 
     plan: Plan
@@ -201,7 +179,7 @@ class GridContext:
     returns_show_water: bool = True
     kind: str | None = None
     canopy: CanopyCells | None = None
-    sheets: Sequence[Sheet] = ()
+    fills: dict[str, float] = field(default_factory=dict)
     _areas: dict[str, Joined] = field(default_factory=dict)
 
     @property
@@ -209,10 +187,19 @@ class GridContext:
         """Rule for the points that are ground, with the edits."""
         return replace(ground_rule(self.plan), edits=self.corrections.edits_key)
 
-    @property
-    def water_key(self) -> str | None:
-        """Name of the bodies of water in the store, or None if there are none."""
-        return self.waters.key if self.waters.bodies else None
+    def found(self) -> Gridded:
+        """Return what later stages need."""
+        return Gridded(
+            plan=self.plan,
+            assembled=self.assembled,
+            spec=self.spec,
+            coarse=self.coarse,
+            made=self.made,
+            fills=self.fills,
+            waters=self.waters,
+            edits=self.corrections.edits_key,
+            decks=self.corrections.decks,
+        )
 
     @property
     def sources(self) -> Sources:
@@ -222,7 +209,7 @@ class GridContext:
             pixels=self.spec,
             coarse=self.coarse,
             canopy_grid=self.canopy_cells,
-            waters=self.water_key,
+            waters=self.waters.stored_key,
             area=self.plan.inputs.area_key,
             facets=self.facets,
             kind=self.kind,
@@ -255,10 +242,8 @@ class GridContext:
         return sum(self.assembled.records[cell].n for cell in cells)
 
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
-        """Return name and checksum of all finished blocks of a raster, or of the finished blocks among ``blocks``."""
-        made = self.made[raster]
-        names = sorted(made) if blocks is None else (name for name in blocks if name in made)
-        return [[name, BlockRecord.of(made[name][1]).checksum] for name in names]
+        """Return `checksums` of a raster."""
+        return checksums(self.made[raster], blocks)
 
     def counts(self, raster: str, grid: Grid = Grid.COARSE) -> dict[Block, Counts]:
         """Return the counts of each finished block of a raster that is made by a step."""
@@ -311,35 +296,12 @@ class GridContext:
         return self.coarse if grid is Grid.COARSE else self.spec
 
 
-MODELS = ("dtm", "dsm")
-"""Products whose voids can be filled."""
 ABOVE = "dtm-above"
 """Step without pixels that counts where the terrain lies above all returns."""
 CANOPY, BELOW_CANOPY = "canopy", "canopy-below"
 """Rasters of a canopy that hides the ground, and of the terrain below it."""
 CANOPY_CELLS, CANOPY_TERRAIN = "canopy-cells", "canopy-terrain"
 """Rasters of cells of canopies: the canopy, and the interpolated terrain around it."""
-
-
-def final_raster(product: str, config: RunConfig) -> str:
-    """Return the name of the raster that is delivered as a product."""
-    if product in outlined_models(config):
-        return f"{product}-outlined"
-    return filled_raster(product, config)
-
-
-def outlined_models(config: RunConfig) -> tuple[str, ...]:
-    """Return the models from which a raster ``<name>-outlined`` is made.
-
-    With ``--outline survey``, all models end at the outline of the survey. Otherwise only the
-    terrain needs this raster, for level water and for canopies.
-    """
-    return MODELS if config.outline == "survey" else ("dtm",)
-
-
-def filled_raster(product: str, config: RunConfig) -> str:
-    """Return the name of the raster of a product with filled voids, or of the product if no voids are filled."""
-    return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
 
 
 def nodata_of(product: str) -> float:

@@ -36,29 +36,25 @@ from ptd.matched.cells import CELL_M
 from tiler.config import AUTO_WATER, VOID_CANOPY
 from tiler.core.digests import digest_of
 from tiler.core.mask_values import MASK_VALUES, OUTSIDE
-from tiler.core.products import PRODUCTS
+from tiler.core.products import MODELS, PRODUCTS, Read
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.core.records import records_of
+from tiler.core.records import BlockRecord, records_of
 from tiler.core.terrain_results import SurfaceResult
+from tiler.grid import derived
 from tiler.grid.block import full_halo
 from tiler.grid.block_surroundings import reach_pixels
 from tiler.grid.canopy import below_canopy, canopy, canopy_reach, crowns_margin
 from tiler.grid.coarse import Runs, blocks_of
 from tiler.grid.coverage import NO_PIECE, margin_of, occupancy, open_areas, survey
 from tiler.grid.derived import (
-    density,
     distance,
-    height_above_ground,
-    hillshade,
     mask,
     outline,
-    slope,
     surface,
 )
 from tiler.grid.flaws import above, min_pixels
-from tiler.grid.records import BlockRecord
 from tiler.grid.sigma import land_margin, reach_of, sigma, sigma_result
-from tiler.grid.steps import Counts, Read
+from tiler.grid.steps import Counts
 from tiler.grid.tasks.findings import report_above, report_implausible
 from tiler.grid.tasks.gridding import (
     ABOVE,
@@ -67,15 +63,11 @@ from tiler.grid.tasks.gridding import (
     CANOPY_CELLS,
     CANOPY_TERRAIN,
     GAP_M,
-    MODELS,
     Grid,
     GridContext,
     canopy_cell_m,
     coarse_cell_m,
-    filled_raster,
-    final_raster,
     nodata_of,
-    outlined_models,
 )
 from tiler.grid.tasks.steps import (
     NONE,
@@ -92,6 +84,7 @@ from tiler.grid.tasks.terrain import TERRAIN, TERRAIN_OF_CANOPIES, TERRAIN_OF_WA
 from tiler.grid.tasks.water_search import water_steps
 from tiler.grid.voids import Void, fill_voids, find_voids
 from tiler.plan import Plan
+from tiler.runs.found import filled_raster, final_raster, outlined_models
 from tiler.runs.job import Job
 
 OfBlocks = Mapping[Block, Counts]
@@ -107,6 +100,7 @@ def raster_table(plan: Plan) -> dict[str, OnTin | Step]:
         *_canopy_steps(plan),
         *_outline_steps(plan),
         *_product_steps(plan),
+        *(_step_of(name, plan) for name in PRODUCTS if PRODUCTS[name].reads),
     ]
     if plan.config.water == AUTO_WATER:
         rows += [TERRAIN_OF_WATER, *water_steps(plan)]
@@ -132,14 +126,24 @@ def required_rasters(plan: Plan) -> list[OnTin | Step]:
     return list(steps.values())
 
 
+def _step_of(name: str, plan: Plan) -> Step:
+    """Return the step of a product whose row (`tiler.core.products`) says what it reads."""
+    reads = {
+        argument: Read(f"raster:{final_raster(read.raster, plan.config)}", read.margin)
+        if read.kind == "delivered"
+        else read
+        for argument, read in PRODUCTS[name].reads.items()
+    }
+    held = [argument for argument, read in reads.items() if read.kind in ("raster", "points")]
+    return Step(name, getattr(derived, name), reads, all_of(*held), fill=nodata_of(name))
+
+
 def _product_steps(plan: Plan) -> list[Step]:
-    """Return the steps of all products but the terrain, and of the check of the terrain."""
+    """Return the steps of the products whose reads depend on the settings, and of the check of the terrain."""
     config, frame, pixel_m = plan.config, plan.frame, plan.grid.resolution
-    dtm, dsm = final_raster("dtm", config), final_raster("dsm", config)
+    dtm = final_raster("dtm", config)
     terrain, rim, survey = Read(f"raster:{dtm}"), Read(f"raster:{dtm}", 1), Read("cells:survey")
     points, waters = Read("points"), Read("waters")
-    # Plan and heights may have different units.
-    pixel = {"pixel": float(pixel_m / frame.units.vertical)}
     reach, land = reach_pixels(pixel_m), land_margin(float(pixel_m))
     support = {"reach": reach, "spike": config.spike / frame.metres_z}
     size, cap = frame.counts(pixel_m), frame.counts(config.max_edge)
@@ -159,22 +163,6 @@ def _product_steps(plan: Plan) -> list[Step]:
             all_of("points"),
             support,
             _surface_found,
-        ),
-        Step(
-            "ndsm",
-            height_above_ground,
-            {"surface": Read(f"raster:{dsm}"), "terrain": terrain},
-            all_of("surface", "terrain"),
-        ),
-        Step("hillshade", hillshade, {"terrain": rim}, all_of("terrain"), pixel, fill=0.0),
-        Step("slope", slope, {"terrain": rim}, all_of("terrain"), pixel),
-        Step(
-            "density",
-            density,
-            {"points": points},
-            all_of("points"),
-            {"pixel_m2": float(pixel_m**2)},
-            fill=0.0,
         ),
         Step(
             "distance",

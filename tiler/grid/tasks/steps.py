@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 from tiler.core.edits import ACTIONS
 from tiler.core.lattice import Bounds, Cell
+from tiler.core.products import Read
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.grid.coarse import Piece, Side, blocks_of, components, padded, touching
-from tiler.grid.steps import Counts, MakeBlock, Position, Read, canopy_window, run_block
+from tiler.grid.steps import Counts, MakeBlock, Position, canopy_window, run_block
 from tiler.grid.tasks.gridding import Grid, GridContext, Place
 from tiler.runs.job import Job
 from tiler.schedule import Task, calling

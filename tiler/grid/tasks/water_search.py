@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from tiler.core.lattice import Bounds
+from tiler.core.products import Read
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid.coarse import Joined, Piece, around, padded
 from tiler.grid.coverage import usual_returns
-from tiler.grid.steps import Counts, Read
+from tiler.grid.steps import Counts
 from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
 from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values, near_places
 from tiler.grid.water_cells import (

@@ -4,50 +4,24 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
 
 from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.records import SpoolRecord
-from tiler.ingest import (
-    BucketParts,
-    SpoolPiece,
-    Strays,
-    assemble_buckets,
-    far_buckets,
-    spool_piece,
-)
-from tiler.ingest.tasks.assembled import skip_flags
+from tiler.ingest.assemble import BucketParts, assemble_buckets
+from tiler.ingest.spool import SpoolPiece, spool_piece
+from tiler.ingest.strays import Strays, far_buckets
 from tiler.inputs import SourceInfo, header_bounds, pieces, window_pieces
 from tiler.inputs.extent import can_be_strays
 from tiler.io.locations import location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
+from tiler.runs.found import Source, by_source, skip_flags, source_of
 from tiler.schedule import Task, calling
 from tiler.store import Commits
 from tiler.version import INGEST_RULES
 
 GROUP = 4
 """Number of buckets along a side of the group that an assembly task writes."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """Readable file, its number in the store, and the digest of its bytes."""
-
-    info: SourceInfo
-    number: int
-    content: str
-
-    @property
-    def name(self) -> str:
-        """Beginning of the keys of its pieces, such as ``s000012``."""
-        return f"s{self.number:06d}"
-
-    @property
-    def identity(self) -> list[Any]:
-        """Properties of the file on which its pieces depend."""
-        return [self.info.size, self.info.digest, self.content, self.info.salvaged]
 
 
 def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[Task]:
@@ -94,19 +68,6 @@ def _pieces(
         return
     for ranges in window_pieces(info, chunks, PIECE_POINTS):
         yield ranges[0][0], sum(count for _, count in ranges), ranges
-
-
-def by_source(spooled: Commits) -> dict[str, list[SpoolRecord]]:
-    """Return the records of the pieces of each source by its name."""
-    records: dict[str, list[SpoolRecord]] = defaultdict(list)
-    for key, (_, stored) in spooled.items():
-        records[source_of(key)].append(SpoolRecord.of(stored))
-    return records
-
-
-def source_of(piece: str) -> str:
-    """Return the name of the source of a piece."""
-    return piece.partition("-")[0]
 
 
 Fragments = dict[Cell, list[tuple[str, int, int]]]
