@@ -15,8 +15,7 @@ from tests.invariants.runs import settings
 from tiler.apps.classify import classify_file, classify_files, is_one_file
 from tiler.errors import ConfigError, ProcessingError
 from tiler.export.classified import write_classified
-from tiler.export.records import CloudRecord
-from tiler.export.work import CloudCopy
+from tiler.export.output_files import CloudCopy, CloudRecord
 from tiler.store import TileStore
 
 

@@ -18,7 +18,7 @@ from tiler.apps.info import describe
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import find_inputs, read_point_tiles
-from tiler.plan import ept_nodes, make_plan
+from tiler.plan import make_plan
 
 SETTINGS = {"method": "classic", "halo": "8", "max_edge": "5"}
 WINDOW = {**SETTINGS, "bounds": (500002.0, 5400002.0, 500012.0, 5400012.0)}
@@ -72,7 +72,7 @@ def test_a_window_over_http_reads_the_nodes_near_it(
 ) -> None:
     pytest.importorskip("aiohttp", reason="no http: aiohttp is not installed")
     do(ept, tmp_path / "whole", **WINDOW)
-    monkeypatch.setattr(ept_nodes, "NEAR_M", 0)
+    monkeypatch.setattr("tiler.plan.area.NEAR_M", 0)
     with http_server(ept.parent.parent) as url:
         part = do([f"{url}/city/ept.json"], tmp_path / "part", **WINDOW)  # type: ignore[list-item]
     size = sum(path.stat().st_size for path in (ept.parent / "ept-data").iterdir())

@@ -141,7 +141,7 @@ def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
     "where",
     [
         "runs.job.write_run_file",
-        "export.cog._publish",
+        "export.rasters._publish",
         "export.classified.write_back",
         "export.stage._basis",
     ],

@@ -124,7 +124,7 @@ def test_a_disk_that_fills_up(
     share: float, cloud: Path, whole: Path, disk: SmallDisk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Else the plan would refuse.
-    monkeypatch.setattr("tiler.plan.disk.projected_disk", lambda plan: {"store": 0})
+    monkeypatch.setattr("tiler.plan.estimates.projected_disk", lambda plan: {"store": 0})
     disk.has(int(room(whole) * share))
     out = disk.folder / "out"
     with pytest.raises(

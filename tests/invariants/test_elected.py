@@ -34,7 +34,7 @@ from tests.scenes.small_stores import small_stores
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter.reading import TileReader
 from tiler.plan import make_plan, plan_lines
-from tiler.plan.projection import filter_peak
+from tiler.plan.estimates import filter_peak
 from tiler.store import TileStore
 
 NOISE = 7

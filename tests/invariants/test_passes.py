@@ -22,7 +22,7 @@ from tests.ptd.medians import HIGH, LOW, Census, Split
 from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
 from tiler.plan import Plan, make_plan, plan_json, plan_lines, projected_memory
-from tiler.plan.projection import overlap_of, widest_halo_m
+from tiler.plan.estimates import overlap_of, widest_halo_m
 from tiler.store import open_store
 
 

@@ -56,7 +56,7 @@ def test_marks_tell_the_truth_and_fall_to_zero(
 ) -> None:
     do(shapes[shape], tmp_path / "whole", until="filter", tile_size=UNTILED)
     whole, _ = stored_labels(tmp_path / "whole")
-    monkeypatch.setattr("tiler.plan.halos.MAX_HALO_FACTOR", 1)
+    monkeypatch.setattr("tiler.plan.method.MAX_HALO_FACTOR", 1)
     marks, wrong = [], []
     for halo in HALOS_M:
         do(shapes[shape], tmp_path / "tiled", until="filter", tile_size="64", halo=halo)

@@ -16,11 +16,10 @@ from tiler.core.lattice import Cell
 from tiler.core.points import LABELS, Counts, sum_by_class
 from tiler.errors import ConfigError, ProcessingError, TilerError
 from tiler.export.classified import write_classified
-from tiler.export.cloud_crs import crs_to_write
-from tiler.export.records import CloudRecord
+from tiler.export.cloud_frame import crs_to_write
+from tiler.export.output_files import CloudCopy, CloudRecord
 from tiler.export.tasks.class_counts import kept_text
 from tiler.export.tasks.files import kept_pieces
-from tiler.export.work import CloudCopy
 from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
 from tiler.io.locations import as_path, is_url, location
 from tiler.io.overwrite_check import Target, check_links, check_targets

@@ -247,7 +247,7 @@ def describe_raster(path: Path) -> dict[str, Any]:
 def _heights(raster: Any) -> dict[str, float]:
     """Return statistics of the first band's valid pixels, with one block in memory at a time."""
     from tiler.apps.evaluate.rasters import blocks_with_files
-    from tiler.export.cog import Statistics
+    from tiler.export.rasters import Statistics
 
     windows = (
         ((row, row + high), (col, col + wide))

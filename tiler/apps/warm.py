@@ -9,7 +9,7 @@ from ptd.kernel import cache_folder, cache_refusal, compiled_count, discard_dama
 from ptd.methods import METHODS
 from ptd.precompile import is_compiled
 from tiler.errors import ConfigError, ProcessingError
-from tiler.plan.machine import cores
+from tiler.plan.memory import cores
 from tiler.runs.compiling import (
     SECONDS,
     filter_kernels,

@@ -20,7 +20,7 @@ FARTHEST = 9e12
 """Largest coordinate, in units of the CRS (see `tiler.inputs.requantise.BEYOND`)."""
 
 FEET = ("ft", "foot", "feet")
-"""Names of the foot that the CRS uses. `tiler.plan.feet` decides which foot this is."""
+"""Names of the foot that the CRS uses. `tiler.plan.make` decides which foot this is."""
 
 _NAMES = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), METRE),

@@ -25,17 +25,16 @@ from tiler.core.points import (
     written_classes,
 )
 from tiler.errors import ProcessingError, write_error
-from tiler.export.cloud_crs import new_crs
 from tiler.export.cloud_frame import (
+    CloudStatistics,
+    new_crs,
     patch_counts_and_bounds,
     write_back,
     write_copc_back,
     write_copc_front,
     write_front,
 )
-from tiler.export.cloud_statistics import CloudStatistics
-from tiler.export.records import CloudRecord
-from tiler.export.work import CloudCopy
+from tiler.export.output_files import CloudCopy, CloudRecord
 from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
 from tiler.io.las.headers import LasHeader

@@ -1,22 +1,56 @@
-"""Copying of header and records of a source into its classified cloud, with correct file positions.
+"""Header, records, CRS, file positions and statistics around the points of a classified cloud.
 
 laspy drops text after a NUL, reserved bytes, counts, dates and bytes between records. Here all
-of them are copied as bytes, and only the points pass through lazrs.
+of them are copied as bytes, and only the points pass through lazrs. CRS records are replaced only
+if those of the source do not suffice.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import struct
-from collections.abc import Sequence
-from typing import BinaryIO
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, BinaryIO
 
-from tiler.export.cloud_crs import WKT_BIT, NewCrs, without_crs
-from tiler.export.cloud_statistics import CloudStatistics
+import numpy as np
+import numpy.typing as npt
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from tiler.core.crs import split, vertical_name
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit
+from tiler.export.output_files import CloudCopy, PointStatistics
+from tiler.inputs.sources import SourceInfo
 from tiler.io.las.headers import HEADER_SIZES, LasHeader
-from tiler.io.las.layout import Vlr
-from tiler.io.las.point_formats import changes_of_format, upgraded_header
+from tiler.io.las.layout import PROJECTION_USER, Vlr, packed_record
+from tiler.io.las.point_formats import (
+    changes_of_format,
+    class_and_flags,
+    colours,
+    returns,
+    upgraded_header,
+)
+from tiler.io.las.reader import Records
 from tiler.io.las.writers import HEADER_BYTES, INFO_BYTES, CopcWriter, laszip_vlr
+
+_WKT_BIT = 0x10
+"""Bit of the global encoding that makes the WKT record the source of the CRS."""
+_WKT, _KEYS, _NUMBERS, _TEXTS = 2112, 34735, 34736, 34737
+_MODEL, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = 1024, 3072, 3076, 4096, 4099
+_IS_PROJECTED = 1
+_UNITS = {METRE: 9001, FOOT: 9002, US_SURVEY_FOOT: 9003}
+_CODES = range(1024, 32767)
+"""EPSG codes that a key can hold (OGC 19-008r4)."""
+
+_COORDINATES = ("X", "Y", "Z")
+_RETURNS = 15
+"""Largest return number for which a header counts points."""
+_NOTHING = [2**63, -(2**63), 0, 0]
+"""Lowest, highest, sum and sum of squares of an empty set of values."""
 
 _COPY = 1 << 20
 _COMPRESSED = 0x80
@@ -25,13 +59,6 @@ _OLDEST_HEADER_BYTES = 227
 _MARKED_BYTES = 2
 """Length of the mark between records and points of LAS 1.0."""
 _WAVE_USER, _WAVE_RECORDS = "LASF_Spec", (*range(100, 355), 65535)
-
-
-def _kept(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
-    """Return the records of the source without the octree and without a CRS that is replaced."""
-    if crs is not None:
-        records = without_crs(records)
-    return [record for record in records if not record.is_copc]
 
 
 def write_front(
@@ -70,7 +97,7 @@ def write_front(
         form_byte |= _COMPRESSED
     _patch(target, 104, "<B", form_byte)
     if crs is not None and crs.is_wkt and header.version >= (1, 4):
-        _patch(target, 6, "<H", header.global_encoding | WKT_BIT)
+        _patch(target, 6, "<H", header.global_encoding | _WKT_BIT)
     _patch_counts(header, target)
     target.seek(points)
     return notes
@@ -203,11 +230,16 @@ def write_copc_back(
 
 def _kept_by_copc(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
     """Return the records of the source without the octree, waveforms, and a CRS that is replaced."""
-    return [record for record in _kept(records, crs) if not _is_waveform(record)]
+    return [
+        record
+        for record in _kept(records, crs)
+        if record.user_id != _WAVE_USER or record.record_id not in _WAVE_RECORDS
+    ]
 
 
-def _is_waveform(record: Vlr) -> bool:
-    return record.user_id == _WAVE_USER and record.record_id in _WAVE_RECORDS
+def _kept(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
+    """Return the records of the source without the octree and without a CRS that is replaced."""
+    return [r for r in records if not (r.is_copc or (crs is not None and _is_crs(r)))]
 
 
 def _copy(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
@@ -220,3 +252,216 @@ def _copy(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
             raise OSError(f"the source ends at byte {stop - left}")
         target.write(part)
         left -= len(part)
+
+
+@dataclass(frozen=True)
+class NewCrs:
+    """CRS that replaces the CRS records of the source.
+
+    Attributes
+    ----------
+    record : bytes
+        Whole VLR.
+    is_wkt : bool
+        True for WKT, False for GeoTIFF keys.
+    note : str
+        Note for the user, or empty.
+    """
+
+    record: bytes
+    is_wkt: bool
+    note: str = ""
+
+
+def new_crs(header: LasHeader, cloud: CloudCopy, run_wkt: str | None) -> NewCrs | None:
+    """Return the CRS to write into a classified cloud, or None if the records of the source stay.
+
+    LAS 1.4 and COPC get WKT. Earlier versions of LAS get GeoTIFF keys if the CRS parts have
+    EPSG codes, else WKT.
+
+    Parameters
+    ----------
+    header : LasHeader
+        Header of the source.
+    cloud : CloudCopy
+    run_wkt : str or None
+        CRS of the run.
+    """
+    records = (*header.vlrs, *header.evlrs)
+    if cloud.copc and run_wkt is not None:
+        has = any(r.user_id == PROJECTION_USER and r.record_id == _WKT for r in records)
+        if cloud.wkt is not None or not (has and header.prefers_wkt):
+            return NewCrs(_wkt_record(run_wkt), True, "CRS written as WKT, which COPC requires")
+    if cloud.wkt is None or cloud.copc:
+        return None
+    note = ""
+    if any(map(_is_crs, records)):
+        note = "CRS of the run written in place of CRS records that cannot be read or have no vertical CRS"
+    if header.version >= (1, 4):
+        return NewCrs(_wkt_record(cloud.wkt), True, note)
+    keys = geotiff_keys(CRS.from_wkt(cloud.wkt))
+    if keys is not None:
+        return NewCrs(packed_record(PROJECTION_USER, _KEYS, "", keys), False, note)
+    told = "CRS written as WKT, although the LAS version is before 1.4: GeoTIFF keys have no code for this CRS"
+    return NewCrs(_wkt_record(cloud.wkt), True, told)
+
+
+def crs_to_write(info: SourceInfo, run_wkt: str | None, given: str | None) -> str | None:
+    """Return the CRS that a classified cloud gets, or None if the CRS records of its source stay.
+
+    ``given`` is the text of ``--crs``, which may add a vertical CRS to that of the source.
+    """
+    if not info.has_crs:
+        return run_wkt
+    if given is None or not _gives_heights(given) or vertical_name(run_wkt) is None:
+        return None
+    return run_wkt if vertical_name(info.georeference.wkt) is None else None
+
+
+@lru_cache(maxsize=4)
+def _gives_heights(crs: str) -> bool:
+    """Return whether a text of ``--crs`` names a CRS with heights."""
+    return crs.strip().lower() != "none" and split(CRS.from_user_input(crs))[1] is not None
+
+
+def _is_crs(record: Vlr) -> bool:
+    return record.user_id == PROJECTION_USER and record.record_id in (
+        _WKT,
+        _KEYS,
+        _NUMBERS,
+        _TEXTS,
+    )
+
+
+def geotiff_keys(crs: CRS) -> bytes | None:
+    """Return GeoTIFF keys with the EPSG codes of a projected CRS, or None if it lacks such codes.
+
+    A vertical CRS is included. laspy omits units and the vertical CRS, and rasterio writes keys
+    only into images.
+    """
+    horizontal, vertical = split(crs)
+    if horizontal is None or not horizontal.is_projected:
+        return None
+    keys = [(_MODEL, _IS_PROJECTED), *_named(horizontal, _PROJECTED, _LINEAR_UNIT)]
+    if vertical is not None and vertical.is_vertical:
+        keys += _named(vertical, _VERTICAL, _VERTICAL_UNIT)
+    elif vertical is not None:
+        keys.append((_VERTICAL, 0))
+    if not all(code in _CODES or key == _MODEL for key, code in keys):
+        return None
+    entries = [struct.pack("<4H", key, 0, 1, code) for key, code in keys]
+    return struct.pack("<4H", 1, 1, 0, len(keys)) + b"".join(entries)
+
+
+def _named(crs: CRS, code_key: int, unit_key: int) -> list[tuple[int, int]]:
+    """Return keys with the EPSG codes of a CRS and of its unit. A code is 0 if there is none."""
+    unit = exact_unit(crs.axis_info[-1].unit_conversion_factor)
+    return [(code_key, crs.to_epsg(min_confidence=100) or 0), (unit_key, _UNITS.get(unit, 0))]
+
+
+def _wkt_record(wkt: str) -> bytes:
+    """Return the record of a CRS in WKT 1, as LAS requires, or in the given WKT if WKT 1 cannot express the CRS."""
+    text = wkt
+    with suppress(CRSError):
+        text = CRS.from_wkt(wkt).to_wkt("WKT1_GDAL", output_axis_rule=False) or wkt
+    return packed_record(PROJECTION_USER, _WKT, "", text.encode() + b"\0")
+
+
+class CloudStatistics:
+    """Accumulator of statistics of the fields of point records.
+
+    The sums are integers, so that the result does not depend on the order.
+
+    Parameters
+    ----------
+    header : LasHeader
+    """
+
+    def __init__(self, header: LasHeader) -> None:
+        self._header = header
+        self._sums: dict[str, list[int]] = {}
+        self._times: list[float] = []
+        self.points = 0
+        self.by_return = [0] * _RETURNS
+
+    def add(self, records: Records) -> None:
+        """Add records to the statistics."""
+        self.points += len(records)
+        number = returns(records, self._header.point_format)[0]
+        counts = np.bincount(np.minimum(number, _RETURNS), minlength=_RETURNS + 1)[1:].tolist()
+        self.by_return = [a + b for a, b in zip(self.by_return, counts, strict=True)]
+        for name, values in _fields(records, self._header.point_format):
+            sums = self._sums.setdefault(name, list(_NOTHING))
+            if values.size:
+                low, high, total, squares = sums_of(values)
+                sums[:] = [
+                    min(sums[0], low),
+                    max(sums[1], high),
+                    sums[2] + total,
+                    sums[3] + squares,
+                ]
+        names = records.dtype.names or ()
+        if "gps_time" in names and self._header.global_encoding & 1:
+            times = records["gps_time"][np.isfinite(records["gps_time"])]
+            if times.size:
+                known = [float(times.min()), float(times.max()), *self._times]
+                self._times = [min(known), max(known)]
+
+    def to_json(self) -> PointStatistics:
+        """Return the statistics as plain values."""
+        header = self._header
+        scales = dict(
+            zip(_COORDINATES, zip(header.scales, header.offsets, strict=True), strict=True)
+        )
+        fields = {}
+        if not self.points:
+            return {"fields": {}, "gps": self._times or None}
+        for name, (low, high, total, squares) in self._sums.items():
+            scale, offset = scales.get(name, (1.0, 0.0))
+            variance = (squares * self.points - total * total) / self.points**2
+            fields[name] = {
+                "minimum": low * scale + offset,
+                "maximum": high * scale + offset,
+                "average": total / self.points * scale + offset,
+                "variance": variance * scale * scale,
+                "stddev": math.sqrt(variance) * scale,
+            }
+        return {"fields": fields, "gps": self._times or None}
+
+
+def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDArray[Any]]]:
+    """Yield the fields with the names that PDAL and QGIS use, and their values."""
+    for name in _COORDINATES:
+        yield name, records[name]
+    yield "Intensity", records["intensity"]
+    number, of = returns(records, point_format)
+    yield "ReturnNumber", number
+    yield "NumberOfReturns", of
+    yield "Classification", class_and_flags(records, point_format)[0]
+    rgb = colours(records, point_format)
+    if rgb is not None:
+        yield from zip(("Red", "Green", "Blue"), rgb, strict=True)
+
+
+def sums_of(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
+    """Return the exact lowest, highest, sum and sum of squares of integers of at most 32 bits."""
+    if values.dtype.itemsize <= 2:
+        counts = np.bincount(values)
+        distinct = np.flatnonzero(counts)
+        total = int((distinct * counts[distinct]).sum())
+        return (
+            int(distinct[0]),
+            int(distinct[-1]),
+            total,
+            int((distinct * distinct * counts[distinct]).sum()),
+        )
+    low, high, n = int(values.min()), int(values.max()), values.size
+    raised = values.astype(np.int64) - low
+    total = int(raised.sum())
+    if n * (high - low) ** 2 < 1 << 63:
+        squares = int(np.dot(raised, raised))
+    else:  # Sums of products of 16-bit halves fit into int64 for up to 2**31 values.
+        upper, lower = raised >> 16, raised & 0xFFFF
+        parts = [int(np.dot(a, b)) for a, b in ((upper, upper), (upper, lower), (lower, lower))]
+        squares = (parts[0] << 32) + (parts[1] << 17) + parts[2]
+    return low, high, total + n * low, squares + 2 * low * total + n * low * low

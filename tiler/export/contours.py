@@ -25,10 +25,7 @@ from tiler.export.contour_lines import (
     smoothing_reach,
     stays,
 )
-from tiler.export.output_files import new_file
-from tiler.export.records import ContoursRecord, SpotsRecord
-from tiler.export.spots import HIGH, LOW, spots_of_block
-from tiler.export.work import OutFile
+from tiler.export.output_files import ContoursRecord, OutFile, SpotsRecord, new_file
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore
 
@@ -49,6 +46,11 @@ INDEX_EVERY = 5
 """Number of levels from one index contour to the next."""
 BATCH = 500_000
 """Number of vertices that are collected before they are written."""
+
+HIGH, LOW = "high", "low"
+BESIDE = 5
+"""Side in pixels of the square around a spot in which every pixel has a height, since the edge
+of data is not a top."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +230,6 @@ def write_contours(
 
 
 def _interval(terrain: _Terrain, low: float, high: float, noise: float) -> Fraction:
-    """Return the default interval for the relief and noise of the terrain."""
     floor = FLOOR_M if terrain.store.meta.frame.units.vertical == METRE else FLOOR_FEET
     return default_interval(0.0 if np.isnan(low) else high - low, floor, noise)
 
@@ -312,7 +313,7 @@ def write_spots(
             around, top, left = terrain.around(block, 2 * reach)
             wet = terrain.wet(block, NO_SPOT)
             for kind in counts:
-                rows, cols = spots_of_block(around, kind, reach, float(interval))
+                rows, cols = _spots_of_block(around, kind, reach, float(interval))
                 in_block = (rows >= top) & (rows < top + block.height)
                 in_block &= (cols >= left) & (cols < left + block.width)
                 rows, cols = rows[in_block], cols[in_block]
@@ -336,3 +337,36 @@ def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, np
         "kind": np.full(len(heights), kind, object),
         "label": labels,
     }
+
+
+def _spots_of_block(
+    heights: npt.NDArray[np.float64], kind: str, reach: int, least: float
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return rows and columns of the pixels that are the highest or lowest in the square around them.
+
+    Of a flat top, only one pixel is returned.
+
+    Parameters
+    ----------
+    heights : float64 (h, w)
+        Heights, NaN for pixels without one. A result depends on the ``2 * reach`` pixels around it.
+    kind : str
+        `HIGH` or `LOW`.
+    reach : int
+        Number of pixels from a spot to each side of its square.
+    least : float
+        Minimum difference between the highest and lowest height in the square, in the unit of the heights.
+    """
+    size, sign = 2 * reach + 1, 1.0 if kind == HIGH else -1.0
+    known = ~np.isnan(heights)
+    height = sign * heights
+    top = scipy.ndimage.maximum_filter(np.where(known, height, -np.inf), size, mode="nearest")
+    bottom = scipy.ndimage.minimum_filter(np.where(known, height, np.inf), size, mode="nearest")
+    chosen = known & (height == top) & (top - bottom >= least)
+    chosen &= scipy.ndimage.binary_erosion(known, np.ones((BESIDE, BESIDE), np.bool_))
+    # Chosen pixels near each other have the same height, and only the first of them in the
+    # raster is kept.
+    number = np.where(chosen, np.arange(heights.size).reshape(heights.shape), heights.size)
+    first = scipy.ndimage.minimum_filter(number, size, mode="nearest") == number
+    rows, cols = np.nonzero(chosen & first)
+    return rows, cols

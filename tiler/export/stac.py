@@ -205,7 +205,7 @@ def schema(point_formats: Iterable[int]) -> list[SchemaField]:
 def statistics(
     fields: Mapping[str, Mapping[str, float]], points: int, names: Sequence[str]
 ) -> list[dict[str, str | float]]:
-    """Return ``pc:statistics`` of a cloud (`tiler.export.cloud_statistics`), given the names of its schema."""
+    """Return ``pc:statistics`` of a cloud (`tiler.export.cloud_frame`), given the names of its schema."""
     return [
         {
             "name": name,

@@ -14,7 +14,7 @@ from tiler.core.results import ContourResult, SpotCounts
 from tiler.core.units import short_unit
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
-from tiler.export.records import (
+from tiler.export.output_files import (
     CloudRecord,
     ContoursRecord,
     FileRecord,

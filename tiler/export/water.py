@@ -12,9 +12,7 @@ import shapely
 
 from tiler.core.lattice import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.water import Counts, Water, lengths_along
-from tiler.export.output_files import new_file
-from tiler.export.records import WaterFileRecord
-from tiler.export.work import OutFile
+from tiler.export.output_files import OutFile, WaterFileRecord, new_file
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore
 
@@ -80,7 +78,6 @@ def write_water(store: TileStore, *, to: OutFile, waters: str) -> WaterFileRecor
 
 
 def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -> None:
-    """Write the stations of rivers as layer ``reaches``."""
     rivers = [body for body in bodies if body.stations]
     stations = [station for body in rivers for station in body.stations]
     along, slopes = [np.empty(0)], [np.empty(0)]

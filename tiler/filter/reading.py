@@ -39,7 +39,7 @@ class FilterTile:
         First and largest halo in counts.
     keep_classes, skip_flags : tuple of int, int
         Points with one of these classes or flags keep their class and take no part in filtering, see
-        `tiler.core.classes.participates`.
+        `tiler.core.points.participates`.
     labels_in : str or None
         Name in the store of the labels that this pass reads; None if it reads none.
     labels_out : str

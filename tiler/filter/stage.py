@@ -33,7 +33,7 @@ from tiler.filter.tasks.passes import (
 )
 from tiler.observe.events import StagesPassedOver, Warned
 from tiler.plan import KEEP
-from tiler.plan.advice import overridden_kind
+from tiler.plan.warnings import overridden_kind
 from tiler.runs.compiling import filter_kernels, likely_kind
 from tiler.runs.found import MATCHED, CanopyCells, IngestResult, Labelled
 from tiler.runs.job import Job

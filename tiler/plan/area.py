@@ -1,24 +1,51 @@
-"""Area of interest of a run (``--bounds`` or ``--aoi``), and the parts of the inputs read for it."""
+"""Area of interest of a run (``--bounds`` or ``--aoi``), and the parts of the inputs read for it.
+
+For Entwine Point Tiles (EPT), nodes near the area are selected. If ``ept.json`` contradicts the
+files of its nodes, the values in the files are used and a note reports it.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
+
+from pyproj import CRS
 
 from ptd.matched.evidence import DIM, LIDAR
 from tiler.config import RunConfig
 from tiler.core.area import Area, Runs
+from tiler.core.crs import same_horizontal, split
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.units import length_text
 from tiler.errors import ConfigError, InputError
-from tiler.inputs import SourceInfo, bounds_in_counts, header_bounds
+from tiler.inputs import (
+    EptDataset,
+    Georeference,
+    SourceInfo,
+    bounds_in_counts,
+    describe,
+    header_bounds,
+    is_ept,
+    key_of,
+)
 from tiler.io.vector import CUT
 from tiler.io.vector.reading import read_area
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
 from tiler.schedule import call_isolated
+
+NODE_TOLERANCE = 1.0
+"""Distance, in units of the CRS, by which points may lie outside their node: some writers round
+inaccurately."""
+
+NEAR_M = 1000
+"""Distance in metres around the area within which nodes are read, in addition to ``--max-edge`` and ``--halo``.
+
+The plan reduces the selection once the margin of the method is known.
+"""
 
 
 def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None:
@@ -189,3 +216,140 @@ def _share(plan: Plan, source: SourceInfo) -> float:
         return 1.0
     cells = sum(end - first for _, first, end in runs)
     return min(cells * float(plan.buckets.size) ** 2 / bounds_of(source).area(), 1.0)
+
+
+@dataclass(frozen=True)
+class Near:
+    """Predicate for boxes within ``margin`` counts of an area."""
+
+    area: Area
+    margin: int
+
+    def __call__(self, box: tuple[float, float, float, float]) -> bool:
+        """Return whether a box in units of the CRS lies near the area."""
+        return self.area.touches(bounds_in_counts(box).pad(self.margin))
+
+
+class EptInputs:
+    """EPT data sets among the inputs of a run, with the nodes that are read."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self._config = config
+        self._selected: list[tuple[EptDataset, dict[Path, int]]] = []
+
+    def node_filter(self, tiles: EptDataset) -> Near | None:
+        """Return a predicate for nodes near the area of the run, or None if there is no area."""
+        area = area_of(self._config, tiles.wkt, [])
+        if area is None:
+            return None
+        unit = None
+        if tiles.wkt is not None:
+            unit = describe(CRS.from_wkt(tiles.wkt)).horizontal
+        return Near(area, math.ceil(_margin_m(self._config) / (unit or 1) * COUNTS_PER_UNIT))
+
+    def record(self, tiles: EptDataset, counts: dict[Path, int]) -> None:
+        """Record the files of the nodes that are read, with their numbers of points in the hierarchy."""
+        self._selected.append((tiles, counts))
+
+    def with_crs(self, sources: Sequence[SourceInfo], notes: list[str]) -> list[SourceInfo]:
+        """Return the sources, with the CRS of ``ept.json`` for nodes without one.
+
+        Contradictions are appended to the notes.
+        """
+        all_nodes = self._config.bounds is None and self._config.aoi is None
+        known: dict[Path, Georeference] = {}
+        for tiles, counts in self._selected:
+            notes += contradictions(
+                tiles, counts, [s for s in sources if s.path in counts], all_nodes
+            )
+            if tiles.wkt is not None:
+                known |= dict.fromkeys(counts, describe(CRS.from_wkt(tiles.wkt)))
+        sources_with_crs = []
+        for source in sources:
+            if source.georeference.kind == "missing" and source.path in known:
+                source = replace(source, georeference=known[source.path])
+            sources_with_crs.append(source)
+        return sources_with_crs
+
+
+def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
+    """Raise ConfigError if a run needs points farther from the area than EPT nodes were read."""
+    margin_m = _margin_m(plan.config)
+    if plan.inputs.area is None or not any(map(is_ept, inputs)):
+        return
+    if plan.margin > plan.frame.counts(margin_m):
+        raise ConfigError(
+            f"--halo: nodes of ept.json are read up to {float(margin_m):g} m around the area, but this run needs "
+            "points farther away; use a smaller --halo, or leave out --bounds"
+        )
+
+
+def _margin_m(config: RunConfig) -> Fraction:
+    return NEAR_M + Fraction(config.max_edge) + Fraction(config.halo or 0)
+
+
+def contradictions(
+    tiles: EptDataset,
+    counts: Mapping[Path, int],
+    sources: Sequence[SourceInfo],
+    all_nodes: bool,
+) -> Iterator[str]:
+    """Yield a line per kind of contradiction, with the first file that shows it.
+
+    Parameters
+    ----------
+    tiles : EptDataset
+    counts : mapping of Path to int
+        Number of points of each requested file, from the hierarchy.
+    sources : sequence of SourceInfo
+        Files that could be read.
+    all_nodes : bool
+        Whether all nodes were requested.
+    """
+    if all_nodes:
+        yield from tiles.other_total(sum(counts.values()))
+    same_crs: dict[str, bool] = {}
+    compared = [_compare(tiles, counts[source.path], source, same_crs) for source in sources]
+    for texts in zip(*compared, strict=True):
+        faults = [(s.path, text) for s, text in zip(sources, texts, strict=True) if text]
+        if faults:
+            path, text = faults[0]
+            more = f" ({len(faults)} of {len(sources)} files)" if len(sources) > 1 else ""
+            yield f"{tiles.text}: {text} in {path.name}{more}; the values in the files are used; create ept.json again"
+
+
+def _compare(
+    tiles: EptDataset, n_listed: int, source: SourceInfo, same_crs: dict[str, bool]
+) -> tuple[str, ...]:
+    """Return a text for each kind of contradiction between ``ept.json`` and a file, empty if there is none.
+
+    ``n_listed`` is the number of points in the hierarchy. ``same_crs`` keeps the results by the WKT of files.
+    """
+    points = bounds = crs = scales = colours = ""
+    if n_listed != source.points:
+        points = f"its hierarchy lists {n_listed} points, but there are {source.points}"
+    key = key_of(source.path)
+    if source.bounds is not None and key is not None:
+        x0, y0, _, x1, y1, _ = source.bounds
+        west, south, east, north = tiles.box(key)
+        if not min(x0 - west, y0 - south, east - x1, north - y1) >= -NODE_TOLERANCE:
+            bounds = (
+                f"its bounds place the node in {west:.10g} {south:.10g} {east:.10g} {north:.10g}, "
+                f"but points lie in {x0:.10g} {y0:.10g} {x1:.10g} {y1:.10g}"
+            )
+    wkt = source.georeference.wkt
+    if tiles.wkt is not None and wkt is not None:
+        if wkt not in same_crs:
+            of_file, of_ept = (split(CRS.from_wkt(text))[0] for text in (wkt, tiles.wkt))
+            same_crs[wkt] = (
+                of_file is None or of_ept is None or same_horizontal(of_ept, of_file)
+            )
+        if not same_crs[wkt]:
+            crs = f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
+    if tiles.scales not in (None, source.scales):
+        scales = f"its schema has scales {tiles.scales}, but they are {source.scales}"
+    if tiles.has_rgb not in (None, source.has_rgb):
+        colours = "its schema has no colours, but there are some"
+        if tiles.has_rgb:
+            colours = "its schema has colours, but there are none"
+    return points, bounds, crs, scales, colours

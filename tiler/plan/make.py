@@ -1,41 +1,59 @@
-"""Making of the plan from the headers of the inputs and the settings."""
+"""Making of the plan from the headers and the settings, and with the decisions that a store keeps."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from ptd.matched.evidence import decided_by
-from ptd.methods import METHODS, make_params
+from ptd.methods import METHODS
 from ptd.params import to_json
 from tiler.config import RunConfig
-from tiler.core.lattice import CoordFrame, Lattice
-from tiler.core.units import in_unit_of_crs
-from tiler.core.words import listed
-from tiler.errors import ConfigError, InputError
-from tiler.inputs import SourceInfo, find_inputs, resolve_common_crs
+from tiler.core.lattice import COUNTS_PER_UNIT, Cell, CoordFrame, Lattice
+from tiler.core.units import (
+    FOOT,
+    METRE,
+    US_SURVEY_FOOT,
+    BareLength,
+    FeetLength,
+    Units,
+    in_unit_of_crs,
+    length_text,
+    number_text,
+    short_unit,
+)
+from tiler.core.words import listed, name_in_wkt
+from tiler.errors import ConfigError, InputError, StoreError
+from tiler.inputs import DensityPatch, SourceInfo, find_inputs, resolve_common_crs
 from tiler.io.locations import is_url
 from tiler.io.proj_database import validate_proj_database
 from tiler.io.result_folder import CLOUD_SUFFIXES, earlier_statistics
-from tiler.plan import advice, machine, sizes
-from tiler.plan.area import area_of, part_of
-from tiler.plan.disk import sparse_raster_remedy, sparse_raster_warning
-from tiler.plan.distant_files import files_beyond_frame, outlying_files
-from tiler.plan.doubtful import incomplete_files, warnings_of
+from tiler.plan import sizes
+from tiler.plan.area import EptInputs, area_of, part_of, validate_distances
 from tiler.plan.drawings import with_user_features
-from tiler.plan.ept_nodes import EptInputs, validate_distances
-from tiler.plan.equivalents import EQUIVALENTS
-from tiler.plan.feet import bare_lengths, with_survey_feet
-from tiler.plan.halos import default_halo_m, planned_passes
-from tiler.plan.inputs import Inputs, filled_sources
-from tiler.plan.inspection import InspectedInputs, inspect_all
-from tiler.plan.made_by import validate_single_kind
-from tiler.plan.memory import fine_cell_m
-from tiler.plan.method import KEEP, MethodPlan, expected_passes, known_kind
-from tiler.plan.model import Grid, Plan, Resources
+from tiler.plan.estimates import sparse_raster_remedy
+from tiler.plan.inspection import (
+    InspectedInputs,
+    files_beyond_frame,
+    inspect_all,
+    outlying_files,
+    validate_single_kind,
+)
+from tiler.plan.memory import cores, default_workers, fair_share, memory_bytes
+from tiler.plan.method import (
+    MethodPlan,
+    default_halo_m,
+    expected_passes,
+    fine_cell_m,
+    known_kind,
+    params_of,
+    planned_passes,
+)
+from tiler.plan.model import Grid, Inputs, Plan, Resources, filled_sources
+from tiler.plan.sizes import DensityMap, resolution_of
 from tiler.plan.validation import (
     validate,
     validate_output_paths,
@@ -43,10 +61,22 @@ from tiler.plan.validation import (
     validate_resolution,
     validate_targets,
 )
-from tiler.store import StoreMeta
+from tiler.plan.warnings import (
+    incomplete_files,
+    preflight_warnings,
+    sparse_raster_warning,
+    warnings_of,
+)
+from tiler.store import StoreMeta, TileStore
+
+VERTICAL_SETTINGS = ("contour_interval", "sigma", "spike")
+"""Settings that are vertical lengths."""
 
 TERRAIN_HALO = Fraction(101, 100)
 """Halo of a block of the terrain that usually suffices, as a multiple of `max_edge`."""
+
+FROM_POINTS = "grid-from-points"
+"""Name in the store of the decisions of `settled_by_points`."""
 
 
 def make_plan(
@@ -76,7 +106,7 @@ def make_plan(
         No input can be read, or a CRS cannot be used.
     """
     validate_proj_database()
-    params = _params_of(config)
+    params = params_of(config)
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)
     ept = EptInputs(config)
@@ -109,9 +139,8 @@ def make_plan(
             paths_of_notes.setdefault(text, []).append(str(source.path))
     notes += [f"{listed(of, 2, 'files')}: {text}" for text, of in paths_of_notes.items()]
     if not filled_sources(sources):
-        raise InputError(
-            f"{_names(sources)}: no points to make a terrain from; give clouds with points"
-        )
+        names = listed([str(source.path) for source in sources], 1, "files")
+        raise InputError(f"{names}: no points to make a terrain from; give clouds with points")
     area = area_of(config, crs.wkt, notes)
     inspected = InspectedInputs(
         given=inputs, sources=sources, left_out=left_out, crs=crs, area=area, notes=notes
@@ -171,9 +200,7 @@ def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Pla
     if method.statistics is None and method.depends_on_kind:
         validate_single_kind(inputs.filled, config)
     finding, halo_m = decided_by(inputs.evidence), default_halo_m(params)
-    advised = advice.preflight_warnings(
-        config, finding, inputs.density, halo_m, units.horizontal
-    )
+    advised = preflight_warnings(config, finding, inputs.density, halo_m, units.horizontal)
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
     text = sparse_raster_warning(plan)
     warnings = [*incomplete_files(plan), *plan.warnings, *filter(None, [text])]
@@ -185,13 +212,13 @@ def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Pla
 
 
 def _resources(config: RunConfig, notes: list[str]) -> Resources:
-    workers = config.workers or machine.default_workers()
-    if config.workers is None and workers < machine.cores():
-        mib = machine.memory_bytes() >> 20
+    workers = config.workers or default_workers()
+    if config.workers is None and workers < cores():
+        mib = memory_bytes() >> 20
         notes.append(
-            f"decided: {workers} workers for {machine.cores()} cores, because the memory is {mib:,} MiB (--workers)"
+            f"decided: {workers} workers for {cores()} cores, because the memory is {mib:,} MiB (--workers)"
         )
-    return Resources(memory=config.memory or machine.fair_share(workers), workers=workers)
+    return Resources(memory=config.memory or fair_share(workers), workers=workers)
 
 
 def _store_meta(
@@ -250,28 +277,174 @@ def _candidate_cell_m(params: Any) -> float:
     return 0.0 if params is None else float(params.candidate_cell_m)
 
 
-def _params_of(config: RunConfig) -> Any:
-    """Return the parameters of the method, or None for `keep`."""
-    if config.method == KEEP:
-        if config.parameters:
-            raise ConfigError(
-                f"--set {config.parameters[0][0]}: method keep has no parameters; leave it out"
+def with_survey_feet(config: RunConfig, units: Units) -> RunConfig:
+    """Return the settings, with lengths in ``ft`` read as US survey feet if the CRS uses this foot.
+
+    The US survey foot is 2 millionths longer than the international foot. With pixels of 3
+    international feet, a sheet of 1500 units of the CRS would not be a whole number of pixels.
+    """
+    lengths = {}
+    for name, value, unit in _lengths(config, units):
+        if isinstance(value, FeetLength) and unit == US_SURVEY_FOOT:
+            lengths[name] = value / FOOT * US_SURVEY_FOOT
+    return config.updated(**lengths) if lengths else config
+
+
+def bare_lengths(config: RunConfig, units: Units) -> list[str]:
+    """Return a line for each length given without a unit if the CRS is not in metres."""
+    texts = []
+    for name, value, unit in _lengths(config, units):
+        if isinstance(value, BareLength) and unit != METRE and value:
+            option = f"--{name.replace('_', '-')}"
+            number = f"{float(value):g}"
+            in_unit = f"{number_text(float(value / unit))} {short_unit(unit)}"
+            remedy = f"; give {number}ft for feet" if unit in (FOOT, US_SURVEY_FOOT) else ""
+            texts.append(f"{option} {number} is {number} m = {in_unit}{remedy}")
+    return texts
+
+
+def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, Fraction]]:
+    """Yield the name, the value and the unit in the CRS of each setting that is a length."""
+    for spec in fields(config):
+        value = getattr(config, spec.name)
+        if spec.metadata["kind"] == "length" and value is not None:
+            yield (
+                spec.name,
+                value,
+                units.vertical if spec.name in VERTICAL_SETTINGS else units.horizontal,
             )
-        if not config.ground_classes:
-            raise ConfigError(
-                "--ground-classes none: method keep needs the classes of the ground; give at least one, such as 2"
-            )
-        return None
-    if config.method not in METHODS:
-        known = EQUIVALENTS.get(config.method.lower(), "does not exist; ")
-        raise ConfigError(
-            f"--method {config.method}: {known}use one of {', '.join([*METHODS, KEEP])}"
-        )
+
+
+def settled(plan: Plan) -> dict[str, Any]:
+    """Return the decisions of a plan that its new store keeps, in addition to the lattices, as JSON-able values."""
+    return {
+        "tile": str(plan.method.tile),
+        "resolution": str(plan.grid.resolution),
+        "memory": plan.resources.memory,
+        "thin": plan.thin_ground,
+        "workers": plan.method.tile_workers,
+    }
+
+
+def settled_by(plan: Plan, store: TileStore) -> Plan:
+    """Return the plan with the frame, buckets, tiles, pixels and thinning of an existing store.
+
+    Tiles and pixels that the user gives take precedence.
+
+    Raises
+    ------
+    ConfigError
+        The store has another CRS or no colours, or the plan does not fit into the memory with the store's tiles.
+    StoreError
+        The description of the store is damaged.
+    """
+    _validate_store(plan, store)
+    config, known = plan.config, {**store.settled, **(store.get_state(FROM_POINTS) or {})}
     try:
-        return make_params(config.method, dict(config.parameters))
-    except ValueError as error:
-        raise ConfigError(f"--set {error} (method {config.method})") from error
+        tile = config.tile_size or Fraction(known["tile"])
+        resolution = config.resolution or Fraction(known["resolution"])
+        same_tiles = tile == Fraction(known["tile"])
+        memory = known["memory"] if same_tiles else plan.resources.memory
+        workers = int(known.get("workers", 0)) if same_tiles else plan.method.tile_workers
+        thin = known["thin"]
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise StoreError(
+            f"{store.url}: its description is damaged ({error}); run again with --overwrite"
+        ) from error
+    plan = replace(
+        plan,
+        grid=replace(plan.grid, meta=store.meta, resolution=resolution, thin=thin),
+        method=replace(plan.method, tile=tile, tile_memory=memory, tile_workers=workers),
+    )
+    _validate_settled(plan)
+    return plan
 
 
-def _names(sources: Sequence[SourceInfo]) -> str:
-    return listed([str(source.path) for source in sources], 1, "files")
+def settled_by_points(
+    plan: Plan, store: TileStore, measured: Mapping[Cell, int], n_points: int, complete: bool
+) -> Plan:
+    """Return the plan with the default pixel and the thinning that follow from the points, and keep both in the store.
+
+    The headers, from which the plan decided both, count the points of overlapping files several
+    times, and withheld points and noise as well. An earlier decision on the store stays.
+
+    Parameters
+    ----------
+    plan : Plan
+    store : TileStore
+    measured : mapping of Cell to int
+        Number of points in each bucket that decide (`BucketRecord.n_measured`).
+    n_points : int
+        Number of all points that were read, near the area of the run if it has one.
+    complete : bool
+        Whether all buckets are there. Otherwise the next run decides again.
+
+    Raises
+    ------
+    ConfigError
+        The settings do not suit the pixel.
+    """
+    n_measured = sum(measured.values())
+    if store.get_state(FROM_POINTS) is not None or not n_measured:
+        return plan
+    metres, side = (
+        float(plan.frame.units.horizontal),
+        float(plan.buckets.size) / COUNTS_PER_UNIT,
+    )
+    patches = (
+        DensityPatch(
+            cell.ix * side, cell.iy * side, (cell.ix + 1) * side, (cell.iy + 1) * side, n
+        )
+        for cell, n in measured.items()
+    )
+    # The share of the points, not their number, since the plan estimates the points of an area.
+    inputs = replace(
+        plan.inputs,
+        points=round(plan.inputs.points * n_measured / n_points),
+        density_map=DensityMap(patches, metres),
+    )
+    unit = plan.frame.units.horizontal
+    resolution = resolution_of(plan.config, inputs.density, plan.method.kind, unit, [])
+    notes = plan.notes
+    if resolution != plan.grid.resolution:
+        others = tuple(text for text in notes if not text.startswith("decided: pixels of"))
+        text = (
+            f"decided: pixels of {length_text(resolution, unit)}, because only {n_measured:,} of {n_points:,} points "
+            "are neither duplicates nor withheld, noise or left out (--resolution)"
+        )
+        notes = (*others, text)
+    decided = replace(plan.grid, resolution=resolution, thin=None)
+    thin = replace(plan, inputs=inputs, grid=decided).exceeds_max_ground
+    plan = replace(plan, grid=replace(decided, thin=thin), notes=notes)
+    _validate_settled(replace(plan, inputs=inputs))
+    if complete:
+        store.put_state(FROM_POINTS, {"resolution": str(resolution), "thin": thin})
+    return plan
+
+
+def _validate_settled(plan: Plan) -> None:
+    """Raise ConfigError if a plan cannot work with what a store decides."""
+
+    def changed(memory: int, tile_size: Fraction | None = None, **_: Any) -> Plan:
+        """Return the plan with more memory or another tile size. All other values are fixed."""
+        method = plan.method
+        if tile_size is not None and tile_size != method.tile:
+            method = replace(method, tile=tile_size, tile_memory=memory, tile_workers=0)
+        return replace(plan, method=method, resources=replace(plan.resources, memory=memory))
+
+    validate(plan, None, changed)
+
+
+def _validate_store(plan: Plan, store: TileStore) -> None:
+    """Raise ConfigError if a store has another CRS, or if it lacks colours that the method needs."""
+    old, new = store.meta, plan.grid.meta
+    if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
+        raise ConfigError(
+            f"{store.url}: contains points in {name_in_wkt(old.frame.crs_wkt, 'unknown')}, "
+            f"the inputs are in {name_in_wkt(new.frame.crs_wkt, 'unknown')}; use --overwrite or another -o"
+        )
+    if new.has_rgb and not old.has_rgb:
+        raise ConfigError(
+            f"{store.url}: contains no colours, which --method {plan.config.method} needs; "
+            "use --overwrite or another -o"
+        )

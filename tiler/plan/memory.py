@@ -1,4 +1,4 @@
-"""Memory that a worker needs, in bytes by stage and window, as a function of numbers of points.
+"""Memory that a worker needs, in bytes by stage and window, and memory and cores of the machine.
 
 The factors are measured ratios of the peak resident memory of workers to the points of their
 windows (docs/decisions.md, "The plan").
@@ -7,19 +7,19 @@ windows (docs/decisions.md, "The plan").
 from __future__ import annotations
 
 import math
+import os
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from fractions import Fraction
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import numpy.typing as npt
+import psutil
 
-from ptd.passes import Pass
+from tiler.plan.method import PlannedPass, nested
 
-FINE_CELL_M = Fraction(1, 2)
-"""Side in metres of the store's cells with one candidate each, if the method's cells do not
-divide a bucket evenly."""
 BASE_BYTES = 260 << 20
 """Bytes of a worker before the first point: the interpreter and the libraries."""
 READ_BYTES = 60
@@ -72,43 +72,17 @@ EXPORT_POINTS = 1 << 27
 """Maximum number of points of a classified cloud whose labels are in memory, one byte per
 point."""
 
-
-@dataclass(frozen=True)
-class PlannedPass:
-    """Pass of the method, with the first halo of its tiles in metres."""
-
-    pass_: Pass
-    halo_m: float
-
-    @property
-    def name(self) -> str:
-        """Name of the pass."""
-        return self.pass_.name
-
-    @property
-    def title(self) -> str:
-        """Short description of the pass, or else its name."""
-        return self.pass_.title or self.pass_.name
-
-    @property
-    def kind(self) -> str | None:
-        """Kind of the clouds that the pass is for, or None for all kinds."""
-        return self.pass_.kind
-
-    @property
-    def sometimes(self) -> bool:
-        """Whether the pass may be skipped for some clouds."""
-        return type(self.pass_).applies is not Pass.applies
-
-    @property
-    def fits_surfaces(self) -> bool:
-        """Whether the pass uses elected points of photogrammetric clouds, whose surfaces need more memory."""
-        return self.pass_.elected and self.kind == "dim"
-
-    @property
-    def on_candidates(self) -> bool:
-        """Whether the pass uses only one candidate per cell and makes no raster of its window."""
-        return not (self.pass_.every_point or self.pass_.elected or self.pass_.raster_cell_m)
+MIN_WORKER_BYTES = 512 << 20
+"""Smallest default memory of a worker. Hardly any window fits into less."""
+MAX_WORKER_BYTES = 4 << 30
+"""Largest default memory of a worker. More does not make runs faster."""
+MACHINE_SHARE = 2
+"""Ratio of the memory of the machine to the default memory of all workers together. The rest is
+for the system and its cache."""
+CGROUPS = Path("/sys/fs/cgroup")
+"""Folder with the limits of control groups."""
+GROUPS = Path("/proc/self/cgroup")
+"""File that lists the control groups of this process."""
 
 
 def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
@@ -145,23 +119,6 @@ def _most_in_a_window(
         for west, south in ((0, 0), (1, 0), (0, 1), (1, 1)):
             windows[column - west, row - south] += count
     return max(windows.values())
-
-
-def fine_cell_m(cell_m: float, bucket_m: Fraction) -> Fraction:
-    """Return the side of the cells with one candidate each, in metres.
-
-    It is the cell of the method (``cell_m``, 0 if it has none) if the side of a bucket is a
-    whole number of cells, or else `FINE_CELL_M`.
-    """
-    method_cell_m = Fraction(repr(float(cell_m)))
-    if method_cell_m > 0 and (bucket_m / method_cell_m).denominator == 1:
-        return method_cell_m
-    return FINE_CELL_M
-
-
-def nested(cell_m: float, fine_m: Fraction) -> bool:
-    """Return whether a method needs only candidates: its cell is a whole number of fine cells."""
-    return cell_m > 0 and (Fraction(repr(float(cell_m))) / fine_m).denominator == 1
 
 
 def filter_bytes(
@@ -232,13 +189,89 @@ def held_bytes(memory: int) -> int:
     return min(HELD_BYTES, max(memory - BASE_BYTES, 0) // HELD_SHARE)
 
 
-def bucket_bytes(points: float) -> int:
-    """Return the bytes that labelling a bucket of ``points`` points needs in addition to its window."""
-    return int(points * BUCKET_POINT_BYTES)
+def tile_peak(window_bytes: float, bucket_points: float, step: PlannedPass, memory: int) -> int:
+    """Return the peak bytes of a worker with a tile of a pass.
+
+    Parameters
+    ----------
+    window_bytes : float
+        Bytes of the tile's window by `filter_bytes`.
+    bucket_points : float
+        Number of points of the fullest bucket with the margin within which its points are labelled.
+    step : PlannedPass
+    memory : int
+        Memory of the worker, for the buckets that it keeps.
+    """
+    kept_bytes = held_bytes(memory) if step.pass_.label_margin_m else 0
+    bucket_bytes = int(bucket_points * BUCKET_POINT_BYTES)
+    return int(BASE_BYTES + window_bytes + bucket_bytes + kept_bytes)
 
 
-def ingest_bytes(piece_points: int, bucket_points: float) -> int:
-    """Return the peak bytes of a worker that decodes pieces and assembles buckets."""
-    return int(
-        BASE_BYTES + max(piece_points * SPOOL_POINT_BYTES, bucket_points * ASSEMBLY_POINT_BYTES)
+def cores() -> int:
+    """Return the number of logical cores that machine, affinity and container allow this process."""
+    if hasattr(os, "sched_getaffinity"):
+        known = len(os.sched_getaffinity(0))
+    else:
+        known = psutil.cpu_count() or 1
+    return min((known, *_container_cores()))
+
+
+def default_workers() -> int:
+    """Return the default number of workers: one per core, or fewer if one has less than `MIN_WORKER_BYTES`."""
+    return max(min(cores(), memory_bytes() // MIN_WORKER_BYTES), 1)
+
+
+def memory_bytes() -> int:
+    """Return the memory of the machine, or of the container if it has less, in bytes."""
+    return min((psutil.virtual_memory().total, *_container_limits()))
+
+
+def fair_share(workers: int) -> int:
+    """Return the default memory per worker in bytes.
+
+    The memory is divided by the number of cores, or of workers if there are more workers than
+    cores.
+    """
+    return min(
+        max(memory_bytes() // (MACHINE_SHARE * max(workers, cores())), MIN_WORKER_BYTES),
+        MAX_WORKER_BYTES,
     )
+
+
+def _container_limits() -> Iterator[int]:
+    """Yield the memory limits of the control groups of this process, in bytes."""
+    for group, is_version_2 in _control_groups("memory"):
+        name = "memory.max" if is_version_2 else "memory.limit_in_bytes"
+        # The text is "max" if there is no limit. The folder of the group may not exist in a
+        # container.
+        with suppress(OSError, ValueError):
+            yield int((group / name).read_text("ascii"))
+
+
+def _container_cores() -> Iterator[int]:
+    """Yield the numbers of cores, rounded up, to which the control groups limit this process."""
+    for group, is_version_2 in _control_groups("cpu"):
+        names = ("cpu.max",) if is_version_2 else ("cpu.cfs_quota_us", "cpu.cfs_period_us")
+        with suppress(OSError, ValueError):
+            quota, period = " ".join(
+                (group / name).read_text("ascii") for name in names
+            ).split()
+            if int(quota) > 0:  # Without a limit, the quota is -1.
+                yield math.ceil(int(quota) / int(period))
+
+
+def _control_groups(controller: str) -> Iterator[tuple[Path, bool]]:
+    """Yield the folders of this process's control groups and their parents, and whether each is of version 2."""
+    try:
+        lines = GROUPS.read_text(encoding="ascii").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        # Groups of version 2 list no controllers.
+        _, controllers, path = line.split(":", 2)
+        if controllers and controller not in controllers.split(","):
+            continue
+        root = CGROUPS / controller if controllers else CGROUPS
+        group = PurePosixPath(path.lstrip("/"))
+        for relative_path in (group, *group.parents):
+            yield root / relative_path, not controllers

@@ -13,20 +13,15 @@ from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.units import length_text, short_unit, unit_label
 from tiler.core.words import counted, name_in_wkt
 from tiler.io.locations import with_slashes
-from tiler.plan.disk import projected_disk
-from tiler.plan.memory import PlannedPass
-from tiler.plan.method import steps_of
+from tiler.plan.estimates import overlap_of, projected_disk, projected_memory, projected_seconds
+from tiler.plan.method import KIND_WORDS, PlannedPass, steps_of
 from tiler.plan.model import Plan
-from tiler.plan.projection import overlap_of, projected_memory
-from tiler.plan.rates import projected_seconds
 from tiler.plan.sizes import middle
 
 WIDTH = 120
 """Maximum length of a line of the plan, in characters."""
 INDENT = " " * 12
 """Beginning of a line that continues the line above."""
-
-KIND_WORDS = {"lidar": "a LiDAR cloud", "dim": "a photogrammetric cloud"}
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
@@ -108,7 +103,6 @@ def plan_lines(plan: Plan) -> list[str]:
 
 
 def _resources_in_words(plan: Plan) -> list[str]:
-    """Return the lines on memory, disk and time."""
     memory, disk = projected_memory(plan), projected_disk(plan)
     largest = max(memory, key=lambda stage: memory[stage])
     seconds, measured = projected_seconds(plan)

@@ -55,10 +55,16 @@ from tiler.io.result_folder import (
     raster_file,
 )
 from tiler.io.vector.opening import validate_closed
-from tiler.plan.disk import free_bytes, needed_bytes, pixels_of, sparse_raster_remedy
-from tiler.plan.machine import memory_bytes
+from tiler.plan.estimates import (
+    existing_folder,
+    free_bytes,
+    needed_bytes,
+    pixels_of,
+    projected_memory,
+    sparse_raster_remedy,
+)
+from tiler.plan.memory import memory_bytes
 from tiler.plan.model import Plan
-from tiler.plan.projection import projected_memory
 from tiler.plan.sizes import resolution_of
 
 Replan = Callable[..., Plan]
@@ -372,7 +378,7 @@ def _validate_disk(plan: Plan, out: Path) -> None:
             f"-o {out}: its name is not UTF-8; give another folder, or use a UTF-8 locale (LC_ALL=C.UTF-8)"
         ) from error
     try:
-        existing = next(p for p in (out, *Path(os.path.realpath(out)).parents) if p.exists())
+        existing = existing_folder(out)
     except OSError as error:
         raise ConfigError(f"-o {out}: {error.strerror}; give another folder") from error
     if not existing.is_dir():

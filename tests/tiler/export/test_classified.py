@@ -15,8 +15,7 @@ from tiler.core.points import PointBlock, pack_origin
 from tiler.errors import InputError, ProcessingError
 from tiler.export import classified
 from tiler.export.classified import write_classified
-from tiler.export.records import CloudRecord
-from tiler.export.work import CloudCopy
+from tiler.export.output_files import CloudCopy, CloudRecord
 from tiler.io.las.headers import LasHeader, read_header, read_payload
 from tiler.io.las.reader import EVERYTHING, PointReader
 

@@ -11,7 +11,7 @@ import pytest
 from pyproj import CRS
 
 from tests.tiler.export.test_classified import export
-from tiler.export.cloud_crs import crs_to_write, geotiff_keys
+from tiler.export.cloud_frame import crs_to_write, geotiff_keys
 from tiler.inputs import inspect
 from tiler.inputs.georeference import georeference
 from tiler.io.las.headers import read_header

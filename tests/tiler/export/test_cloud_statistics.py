@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiler.export.cloud_statistics import sums_of
+from tiler.export.cloud_frame import sums_of
 
 
 @pytest.mark.parametrize("high", [7, 4_194_303, 2**31 - 1])

@@ -19,9 +19,8 @@ from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
-from tiler.export.cog import Statistics, write_cog
-from tiler.export.records import RasterFileRecord
-from tiler.export.work import OutFile, ProductInfo, RasterPart
+from tiler.export.output_files import OutFile, ProductInfo, RasterFileRecord, RasterPart
+from tiler.export.rasters import Statistics, write_cog
 from tiler.store import StoreMeta, TileStore, create_store
 
 TAGS = {

@@ -15,7 +15,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.water import LAKE, Water, Waters
 from tiler.export.contours import Heights, write_contours, write_spots
-from tiler.export.work import OutFile
+from tiler.export.output_files import OutFile
 from tiler.store import TileStore
 
 SIDE = 200

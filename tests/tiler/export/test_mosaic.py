@@ -14,9 +14,8 @@ import rasterio.shutil
 from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.units import Units
-from tiler.export.cog import write_cog
-from tiler.export.mosaic import write_mosaic
-from tiler.export.work import OutFile, ProductInfo, RasterPart
+from tiler.export.output_files import OutFile, ProductInfo, RasterPart
+from tiler.export.rasters import write_cog, write_mosaic
 from tiler.store import StoreMeta, create_store
 
 SIDE = 64

@@ -14,8 +14,8 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 from tiler.filter.tasks.tiles import BucketPoints, _bytes, tiles_of
 from tiler.plan import Plan, PlannedPass, make_plan
+from tiler.plan.estimates import overlap_of, projected_memory
 from tiler.plan.memory import BASE_BYTES, JOINED_BYTES, elected_peak
-from tiler.plan.projection import overlap_of, projected_memory
 
 pytestmark = pytest.mark.processes
 

@@ -12,8 +12,8 @@ import rasterio
 from tiler.core.lattice import CoordFrame
 from tiler.core.raster import NODATA
 from tiler.core.units import FOOT, METRE, Units
-from tiler.export.cog import write_cog
-from tiler.export.work import OutFile, ProductInfo, RasterPart
+from tiler.export.output_files import OutFile, ProductInfo, RasterPart
+from tiler.export.rasters import write_cog
 
 SIDE = 600_000
 

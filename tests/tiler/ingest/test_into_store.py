@@ -15,7 +15,7 @@ import pytest
 from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import SOURCE_SHIFT
 from tiler.export.classified import write_classified
-from tiler.export.work import CloudCopy
+from tiler.export.output_files import CloudCopy
 from tiler.ingest.assemble import BucketParts, assemble_buckets
 from tiler.ingest.spool import SpoolPiece, spool_piece
 from tiler.inputs import find_inputs, inspect, pieces

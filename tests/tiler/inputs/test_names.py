@@ -16,7 +16,8 @@ from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import find_inputs, inspect
 from tiler.io.locations import as_path
-from tiler.plan import make_plan, output_names
+from tiler.plan import make_plan
+from tiler.plan.inspection import output_names
 
 
 def test_links_to_folders_are_not_followed_and_named(make_cloud: Any, tmp_path: Path) -> None:

@@ -13,8 +13,7 @@ from tiler.apps.info import describe
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds
 from tiler.plan import make_plan, plan_json
-from tiler.plan.advice import preflight_warnings
-from tiler.plan.doubtful import warnings_of
+from tiler.plan.warnings import preflight_warnings, warnings_of
 
 MATCHED, LASER = Finding("dim", 0.9, "colours"), Finding("lidar", 0.9, "returns")
 

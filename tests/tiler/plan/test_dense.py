@@ -94,7 +94,7 @@ def test_a_part_that_cannot_fit_is_refused_with_what_helps(
     wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = projected_memory(planned(wide, spot))
-    for module in ("model", "projection"):
+    for module in ("model", "estimates"):
         monkeypatch.setattr(f"tiler.plan.{module}.GROUND_BYTES", 100_000)
     monkeypatch.setattr("tiler.plan.model.MAX_GROUND", 60_000)
     with pytest.raises(

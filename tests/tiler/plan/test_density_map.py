@@ -10,8 +10,7 @@ import pytest
 
 from tiler.inputs import DensityPatch
 from tiler.inputs.extent import find_patches, local_density
-from tiler.plan.density_map import DensityMap
-from tiler.plan.sizes import covered_m2
+from tiler.plan.sizes import DensityMap, covered_m2
 
 Array = np.ndarray[Any, Any]
 

@@ -8,7 +8,7 @@ import pytest
 
 from tiler.config import RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
-from tiler.plan.feet import bare_lengths, with_survey_feet
+from tiler.plan.make import bare_lengths, with_survey_feet
 
 SURVEY_FEET = Units(US_SURVEY_FOOT, US_SURVEY_FOOT)
 

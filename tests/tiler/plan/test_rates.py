@@ -12,7 +12,7 @@ from tests.tiler.plans import changed
 from tiler.config import RunConfig
 from tiler.core.results import StageResult
 from tiler.plan import Plan, make_plan, remember
-from tiler.plan.rates import projected_seconds
+from tiler.plan.estimates import projected_seconds
 
 
 @pytest.fixture

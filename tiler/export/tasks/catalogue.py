@@ -23,11 +23,15 @@ from tiler.core.records import digest_of
 from tiler.core.results import SurveyDates
 from tiler.core.units import unit_label
 from tiler.export import stac
-from tiler.export.output_files import write_text
-from tiler.export.records import CloudRecord, FileRecord, RasterFileRecord
+from tiler.export.output_files import (
+    CloudRecord,
+    FileRecord,
+    OutFile,
+    RasterFileRecord,
+    write_text,
+)
 from tiler.export.tasks.files import nodata_of
 from tiler.export.tasks.sheets import key_of, name_of
-from tiler.export.work import OutFile
 from tiler.io.las.point_formats import newer_format
 from tiler.io.locations import joined
 from tiler.io.result_folder import (

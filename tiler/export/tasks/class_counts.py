@@ -8,7 +8,7 @@ from dataclasses import replace
 from tiler.core.points import Counts, sum_by_class
 from tiler.core.selection import ONLY_GROUND
 from tiler.core.words import counted
-from tiler.export.records import CloudRecord
+from tiler.export.output_files import CloudRecord
 from tiler.io.result_folder import CLASSIFIED
 from tiler.runs.job import Job
 from tiler.schedule import Task

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from fractions import Fraction
 
 from tiler.core.products import CONTOURS, SPOTS
-from tiler.export.bridges import write_bridges
 from tiler.export.contours import Heights, write_contours, write_spots
-from tiler.export.outline import write_outline
+from tiler.export.output_files import OutFile
+from tiler.export.polygons import write_bridges, write_outline
 from tiler.export.water import write_water
-from tiler.export.work import OutFile
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.plan import water_is_given
 from tiler.runs.found import Gridded, final_raster

@@ -18,13 +18,18 @@ from tiler.core.records import SpoolRecord, digest_of
 from tiler.core.selection import ONLY_GROUND
 from tiler.core.water import Waters
 from tiler.export.classified import write_classified
-from tiler.export.cloud_crs import crs_to_write
-from tiler.export.cog import write_cog
-from tiler.export.mosaic import write_legend, write_mosaic
-from tiler.export.records import RasterFileRecord
-from tiler.export.sheets import write_sheet_index
+from tiler.export.cloud_frame import crs_to_write
+from tiler.export.output_files import (
+    CloudCopy,
+    OutFile,
+    ProductInfo,
+    RasterFileRecord,
+    RasterPart,
+    SheetFile,
+)
+from tiler.export.polygons import write_sheet_index
+from tiler.export.rasters import write_cog, write_legend, write_mosaic
 from tiler.export.tasks.sheets import key_of, name_of
-from tiler.export.work import CloudCopy, OutFile, ProductInfo, RasterPart, SheetFile
 from tiler.inputs import SourceInfo, header_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
 from tiler.io.result_folder import (

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from tiler.core.words import listed
 from tiler.errors import ConfigError, is_in_use, write_error
-from tiler.export.records import FileRecord
+from tiler.export.output_files import FileRecord
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import OUTDATED, below, mosaic_file

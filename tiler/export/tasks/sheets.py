@@ -13,7 +13,7 @@ from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import BlockRecord
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
-from tiler.export.sheets import find_sheets
+from tiler.export.polygons import find_sheets
 from tiler.runs.found import Gridded, Sheet, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage

@@ -25,9 +25,8 @@ from typing import NamedTuple
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
-from tiler.plan.halos import MAX_HALO_FACTOR, widest_halo
-from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
-from tiler.plan.method import MAX_HALF
+from tiler.plan.memory import filter_bytes, tile_peak
+from tiler.plan.method import MAX_HALF, MAX_HALO_FACTOR, widest_halo
 from tiler.plan.sizes import SPARSE_TILE_M
 
 MAX_WINDOW = MAX_EXTENT // 2
@@ -243,10 +242,7 @@ def _bytes(
         points = sum(records[cell].n for cell in near)
     area_m2 = len(near) * plan.grid.bucket_m**2
     bucket_points = float(max(records[cell].n for cell in cells))
-    kept_bytes = 0
-    if step.pass_.label_margin_m:
-        bucket_points *= (1 + 2 * step.pass_.label_margin_m / plan.grid.bucket_m) ** 2
-        kept_bytes = held_bytes(plan.method.tile_memory)
+    bucket_points *= (1 + 2 * step.pass_.label_margin_m / plan.grid.bucket_m) ** 2
     cell_m = plan.method.candidate_cell_m
     if step.pass_.raster_cell_m:
         # A raster also has cells in buckets without points.
@@ -257,4 +253,4 @@ def _bytes(
         # possible number.
         cell_m = 0.0
     window_bytes = filter_bytes(points, area_m2, cell_m, step, plan.grid.fine_m)
-    return int(BASE_BYTES + window_bytes + bucket_bytes(bucket_points) + kept_bytes)
+    return tile_peak(window_bytes, bucket_points, step, plan.method.tile_memory)

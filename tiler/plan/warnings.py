@@ -1,17 +1,29 @@
-"""Warnings about inputs that are probably wrong, and about settings that cost too much."""
+"""Warnings about inputs that are probably wrong, and about settings that do not suit the data or cost too much."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
+from fractions import Fraction
 
+from ptd.matched.evidence import DIM, Finding
+from ptd.matched.survey import in_words
+from tiler.config import RunConfig
 from tiler.core.crs import crs_name, misplaced, point_scale_factor
 from tiler.core.file_names import DEFAULT as SHEET_NAME
-from tiler.core.units import length_option, length_text, whole_length
+from tiler.core.units import (
+    METRE,
+    length_option,
+    length_text,
+    short_unit,
+    whole_length,
+    written_unit,
+)
+from tiler.plan.estimates import overlap_of, pixels_of
 from tiler.plan.memory import WIDE_TILE
 from tiler.plan.method import steps_of
 from tiler.plan.model import Plan
-from tiler.plan.projection import overlap_of
 from tiler.plan.sizes import middle
 
 MAX_RELIEF_M = 9000
@@ -26,9 +38,17 @@ warning recommends larger tiles."""
 FEW_PIXELS = 5
 """Number of columns and rows of a terrain below which a warning names the resolution."""
 
+MANY_PIXELS = 1e9
+"""Number of pixels below which files are written without a warning, however empty they are."""
+MOSTLY_EMPTY = 0.99
+"""Share of empty pixels above which a warning recommends `--sheets`."""
+
 STRETCHED = 1.05
 """Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning
 recommends reprojection. Projections for surveys stay within 1.03."""
+
+FOR_SCANNERS = ("classic", "chen2023", "ridge2016")
+"""Methods whose defaults are made for laser scanning."""
 
 
 def warnings_of(plan: Plan) -> list[str]:
@@ -56,7 +76,6 @@ def incomplete_files(plan: Plan) -> list[str]:
 
 
 def _too_high(plan: Plan) -> list[str]:
-    """Warn about heights that terrain cannot have."""
     units = plan.frame.units
     boxes = [
         (s.path, s.bounds) for s in plan.inputs.sources if s.points and s.bounds is not None
@@ -135,3 +154,74 @@ def _stretched(wkt: str | None, x: float, y: float) -> list[str]:
         f"lengths in the CRS {crs_name(wkt)} are {scale:.2f} times those on the ground here (x {x:,.0f}, y {y:,.0f}), "
         "and the filter does not correct them; reproject the clouds to a CRS for surveys, such as UTM"
     ]
+
+
+def preflight_warnings(
+    config: RunConfig,
+    finding: Finding | None,
+    density: float,
+    halo_m: float | None,
+    unit: Fraction = METRE,
+) -> Iterator[str]:
+    """Yield the warnings that follow from the headers and a sample of the points.
+
+    Parameters
+    ----------
+    config : RunConfig
+    finding : Finding or None
+        Source of the clouds; None if the fields of their points do not decide it.
+    density : float
+        Points per m2.
+    halo_m : float or None
+        Halo of the method that usually suffices; None if every pass has a fixed radius.
+    unit : Fraction
+        Metres per horizontal unit of the CRS.
+    """
+    given = config.source_kind
+    if finding is not None and given not in (None, finding.kind) and config.statistics is None:
+        yield overridden_kind(config, in_words(finding))
+    elif config.method in FOR_SCANNERS and finding is not None and finding.kind == DIM:
+        yield (
+            f"the points look like image matching ({finding.why}), but method {config.method} is made for LiDAR; "
+            "use --preset dim"
+        )
+    spacing = 1 / math.sqrt(density)
+    if config.resolution is not None and float(config.resolution) < 0.7 * spacing:
+        coarser = f"{math.ceil(spacing / float(unit) * 10) / 10:g}"
+        if unit != METRE:
+            coarser += written_unit(unit)
+        yield (
+            f"--resolution {length_text(config.resolution, unit)} is finer than the point spacing of "
+            f"{spacing / float(unit):.2g} {short_unit(unit)}, so most pixels will be interpolated; use --resolution "
+            f"{coarser}"
+        )
+    if config.halo is not None and halo_m is not None and float(config.halo) < halo_m / 2:
+        yield (
+            f"--halo {length_text(config.halo, unit)} is too small for method {config.method}, so most tiles will be "
+            f"repeated with a wider halo; leave it out, or use --halo {halo_m:g}"
+        )
+
+
+def overridden_kind(config: RunConfig, looks_like: str) -> str:
+    """Return the warning that the user gives another kind than the points show."""
+    other = "als" if config.kind == "dim" else "dim"
+    return (
+        f"the points look like {looks_like}; {config.kind_option} overrides that, which loses ground if it is wrong: "
+        f"use --kind {other} then"
+    )
+
+
+def sparse_raster_warning(plan: Plan) -> str | None:
+    """Return a warning about a large and mostly empty raster, or None."""
+    pixels = pixels_of(plan)
+    whole = pixels.filled + pixels.empty
+    if (
+        plan.config.sheets is not None
+        or whole < MANY_PIXELS
+        or pixels.empty < MOSTLY_EMPTY * whole
+    ):
+        return None
+    return (
+        f"the files lie far apart: of the {whole:.2g} pixels of a raster, only {100 * pixels.filled / whole:.2g} % are "
+        "near points; use --sheets to write only these"
+    )
