@@ -25,7 +25,9 @@ def import_reading() -> None:
 def import_stages() -> None:
     """Import the work of all stages."""
     import tiler.export.stage
+    import tiler.filter.stage
     import tiler.grid.stage
+    import tiler.ingest.stage
 
 
 def import_method() -> None:

@@ -167,7 +167,7 @@ def by_place(partials: Iterable[PlaceCounts]) -> dict[Place, Roughness]:
     Parameters
     ----------
     partials : iterable of PlaceCounts
-        Results of `measure_places` for all cores, in any order. A place may have several.
+        Results of `ptd.ground.roughness.measure_places` for all cores, in any order. A place may have several.
     """
     held: dict[Place, list[PlaceCounts]] = defaultdict(list)
     for partial in partials:

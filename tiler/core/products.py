@@ -14,6 +14,7 @@ from typing import Any
 from tiler.errors import ConfigError
 
 OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER, CANOPY = range(7)
+"""Values of the product ``mask``."""
 
 MASK_VALUES = {
     OUTSIDE: "outside the survey",
@@ -229,6 +230,7 @@ PRODUCTS_HELP = ", ".join(
 
 OPEN, COVERED, WET = "open", "covered", "water"
 GROUPS = (OPEN, COVERED, WET)
+"""Groups of ground for the standard error in run.json and the report."""
 COVERED_SHARE = 0.5
 """Minimum share of objects among the points around covered ground. Filled pixels and canopy are
 covered, too."""

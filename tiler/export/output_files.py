@@ -1,4 +1,4 @@
-"""Files in OUT: values of the calls that write them, their records, and complete or no writing of a file."""
+"""Files in OUT: values of the calls that write them, their records, and writing of a file completely or not at all."""
 
 from __future__ import annotations
 

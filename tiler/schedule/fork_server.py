@@ -284,9 +284,8 @@ def serve(control_socket: socket.socket, answer_calls: Callable[[int | None], No
     while asked or lines:
         events = selector.select(0 if prepared else None)
         if prepared and not events:
-            with suppress(
-                BaseException
-            ):  # A child that needs the function raises the error again.
+            # A child that needs the function raises the error again.
+            with suppress(BaseException):
                 resolve_name(prepared.popleft())()
         for source in [key.fileobj for key, _ in events]:
             if source is ended:
