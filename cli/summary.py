@@ -11,8 +11,10 @@ from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.io.result_folder import (
     BRIDGES,
+    CHANGED,
     CLASSIFIED,
     OUTLINE,
+    REVIEW,
     SHEETS,
     VIRTUAL,
     WATER,
@@ -229,7 +231,8 @@ def _made_lines(summary: Summary, out: str) -> Iterator[str]:
     from tiler.report.drawn import changed_text  # needs libraries that `tiler --help` does not
 
     for name, text, file in _results(summary):
-        written = file is None or file in summary.get("outputs", {}) or file == CLASSIFIED
+        outputs = summary.get("outputs", {})
+        written = file is None or file in outputs or file in (CLASSIFIED, CHANGED)
         path_text = f", {joined(out, file)}" if file and written else ""
         yield f"{name:12s}{text}{path_text}"
     edits = summary.get("edits") or ()
@@ -241,6 +244,8 @@ def _made_lines(summary: Summary, out: str) -> Iterator[str]:
 
 def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
     """Yield name, count and file of each result."""
+    from tiler.report.problems import review_text
+
     unit = summary.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
     if contours := summary.get("contours"):
         interval = length_text(contours["interval"] * unit, unit)
@@ -271,6 +276,13 @@ def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
             counted(clouds, "classified cloud"),
             VIRTUAL if VIRTUAL in outputs else CLASSIFIED,
         )
+    if (review := summary.get("review")) and any(review.values()):
+        yield "review", review_text(review), REVIEW
+    if "changes" in summary:
+        changes = summary["changes"]
+        number = len(changes["changed"]) + len(changes["added"])
+        text = f"{counted(number, 'file')}, {changes['unchanged']:,} unchanged since the run before"
+        yield "changed", text, CHANGED if number else None
     if "sheets" in summary:
         yield "sheets", counted(summary["sheets"], "sheet"), SHEETS
 

@@ -168,8 +168,10 @@ def _opened(
         if water_is_given(plan.config, products):
             earlier.pop(WATER, None)
         job.results.earlier_outputs = earlier
-        job.results.digests, job.earlier_settings, earlier_notes = earlier_facts(out, products)
-        job.earlier_notes = () if plan.config.overwrite else earlier_notes
+        facts = earlier_facts(out, products)
+        job.results.digests, job.results.delivered = facts.digests, facts.delivered
+        job.earlier_settings = facts.settings
+        job.earlier_notes = () if plan.config.overwrite else facts.notes
         # run.json is written first, since it shows that the later files belong to this run.
         job.save("running")
         with EventLog(out / EVENTS) as log:

@@ -77,6 +77,7 @@ def test_a_product_that_this_run_does_not_make_is_put_aside(cloud: Path, out: Pa
     assert set(result.summary["outputs"]) == {
         *FILES,
         "outline.gpkg",
+        "review.gpkg",
         "classified.vpc",
         "stac.json",
     }

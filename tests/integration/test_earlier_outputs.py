@@ -16,7 +16,9 @@ from tests.scenes.journals import n_features, opened_in_gis
 from tiler.errors import ConfigError
 
 BOTH = "dtm,slope"
-PLAIN = {"dtm.tif", "outline.gpkg", "classified/hill.laz", "classified.vpc", "stac.json"}
+PLAIN = {
+    "dtm.tif", "outline.gpkg", "review.gpkg", "classified/hill.laz", "classified.vpc", "stac.json",
+}  # fmt: skip
 """What a run makes that asks for nothing else."""
 
 

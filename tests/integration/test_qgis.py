@@ -180,14 +180,16 @@ def test_a_session(
     names = [layer["name"] for layer in found["layers"]]
     assert names == [
         "edits",
+        "places to review",
         "outline of the survey",
         "hillshade",
         "source of heights",
         "terrain",
     ]
-    edits_layer, _, shade, mask, heights = found["layers"]
+    edits_layer, review, _, shade, mask, heights = found["layers"]
     assert {layer["group"] for layer in found["layers"]} == {"out"}
     assert edits_layer["widget"] == "ValueMap"
+    assert review["renderer"] == "categorizedSymbol"
     assert [next(iter(entry.values())) for entry in edits_layer["list"]] == list(ACTIONS)
     assert (shade["renderer"], shade["blend"]) == ("hillshade", MULTIPLY)
     assert (heights["renderer"], heights["shown"]) == ("singlebandpseudocolor", True)

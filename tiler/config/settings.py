@@ -168,7 +168,8 @@ class RunConfig:
         None,
         "file of polygons, in any CRS, with a column `action`. With not_ground, no point inside is ground. With "
         "ground, the ground points of the input are ground, or the lowest point of each pixel if there are none. With "
-        "void, the terrain has no height. With flat, it has the height in the column z; default: none",
+        "void, the terrain has no height. With flat, it has the height in the column z. In OUT/review.gpkg, "
+        "fixed places are edits; default: none",
     )
     water: str = file(
         AUTO_WATER,

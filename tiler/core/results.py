@@ -414,6 +414,8 @@ class VoidResult(Record):
         Whether one of the pixels touches a pixel outside the survey.
     at : [x, y]
         Centre of one of the pixels, where they are dense. The middle of the bounds may lie in none.
+    rings : Rings, optional
+        Outline of places without returns.
     """
 
     pixels: int
@@ -421,6 +423,7 @@ class VoidResult(Record):
     area_m2: float
     at_border: bool
     at: list[float]
+    rings: Rings | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -456,12 +459,15 @@ class AbovePlace(Record):
     area_m2 : float
     height_m : float
         Largest height above the highest return of a pixel of the terrain at its lowest corner.
+    rings : Rings
+        Outline of the pixels.
     """
 
     pixels: int
     bounds: list[float]
     area_m2: float
     height_m: float
+    rings: Rings
 
 
 @dataclass(frozen=True, slots=True)
@@ -491,6 +497,36 @@ class Implausible(Record):
     why: str
     remedy: str
     bounds: list[float] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Changes(Record):
+    """Changes of the files in OUT since the run before, as paths in OUT.
+
+    Attributes
+    ----------
+    changed, added, removed : list of str
+        Files with other bytes, new files, and files that were moved because they are outdated.
+    unchanged : int
+        Number of files with the same bytes. They keep their times.
+    sheets : list of str
+        Names of the sheets of the terrain of which a raster changed or is new.
+    """
+
+    changed: list[str]
+    added: list[str]
+    removed: list[str]
+    unchanged: int
+    sheets: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewResult(Record):
+    """Numbers of places to review: not looked at, right as they are, and changed by an edit."""
+
+    open: int
+    ok: int
+    fixed: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ from tiler.export.cloud_frame import (
     write_front,
 )
 from tiler.export.output_files import CloudCopy, CloudRecord
-from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
+from tiler.io.atomic_files import clear_partial, partial_path, replace_different, sync_folder
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.point_formats import (
@@ -149,7 +149,7 @@ def _write(store: TileStore, header: LasHeader, cloud: CloudCopy, out: Path) -> 
             os.fsync(target.fileno())
         validate_unchanged(header.path, header.state)
         digest = digest_of_file(partial)
-        replace_file(partial, out)
+        replace_different(partial, out)
         sync_folder(out.parent)
     except OSError as error:
         raise write_error(str(out), error, out.parent) from error

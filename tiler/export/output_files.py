@@ -242,6 +242,15 @@ class WaterFileRecord(FileRecord):
     bodies: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReviewFileRecord(FileRecord):
+    """Record of the places to review: numbers of those that are open, right as they are, and edits."""
+
+    open: int
+    ok: int
+    fixed: int
+
+
 class PointStatistics(TypedDict):
     """Statistics of the points of a cloud.
 

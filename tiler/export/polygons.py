@@ -85,7 +85,7 @@ def write_outline(
         if not covered.all():
             heights = store.read_block(terrain, block)
             covered |= (heights != np.float32(NODATA)) & (cells != VOID)
-        pieces.append(_polygons_of(covered & spec.inside(block, requested), spec, block))
+        pieces.append(polygons_of(covered & spec.inside(block, requested), spec, block))
     parts = _joined(np.concatenate([np.empty(0, object), *pieces]))
     square = float(store.meta.frame.units.horizontal) ** 2
     land = shapely.area(parts) * square
@@ -112,7 +112,7 @@ def write_outline(
     )
 
 
-def _polygons_of(
+def polygons_of(
     inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block
 ) -> npt.NDArray[Any]:
     """Return polygons around the chosen pixels of a block, in units of the CRS.

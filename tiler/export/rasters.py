@@ -41,7 +41,7 @@ from tiler.export.output_files import (
     new_file,
     write_bytes,
 )
-from tiler.io.atomic_files import clear_partial, partial_path, replace_file, sync_folder
+from tiler.io.atomic_files import clear_partial, partial_path, replace_different, sync_folder
 from tiler.io.raster_files import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
 from tiler.store import TileStore
 
@@ -251,7 +251,7 @@ def _publish(partial: Path, target: Path) -> None:
         # Windows cannot sync a file that is open only for reading.
         with open(partial, "rb+") as stream:
             os.fsync(stream.fileno())
-        replace_file(partial, target)
+        replace_different(partial, target)
         sync_folder(target.parent)
 
 

@@ -30,6 +30,7 @@ from tiler.export.tasks.catalogue import (
     survey_dates,
     written_clouds,
 )
+from tiler.export.tasks.changes import report_changes
 from tiler.export.tasks.class_counts import report_earlier_classes, report_written_classes
 from tiler.export.tasks.drawn import vector_tasks
 from tiler.export.tasks.files import (
@@ -45,6 +46,7 @@ from tiler.export.tasks.outdated import (
     archive_sidecars,
     invalidate_changed_outputs,
 )
+from tiler.export.tasks.review import report_review, review_task
 from tiler.export.tasks.sheets import cut
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links
@@ -123,6 +125,7 @@ def export(
         raise ProcessingError(
             f"{job.record.failed[-1].key} could not be written: {job.record.failed[-1].error}"
         )
+    report_changes(job, gridding)
 
 
 def _file_tasks(
@@ -141,7 +144,11 @@ def _file_tasks(
         report_earlier_classes(job, clouds)
     return FileTasks(
         cogs=list(cog_tasks(gridding, inputs_of(sources, spooled), digest, out)),
-        drawn=[*legend_tasks(gridding, out), *vector_tasks(gridding, out, labelled.noise_m)],
+        drawn=[
+            *legend_tasks(gridding, out),
+            *vector_tasks(gridding, out, labelled.noise_m),
+            review_task(job, gridding, out),
+        ],
         clouds=clouds,
         mosaics=list(mosaic_tasks(gridding, digest, out)),
     )
@@ -179,6 +186,7 @@ def _report_files(job: Job, tasks: FileTasks, made: Commits) -> None:
     _report_contours(job)
     _report_spots(job)
     _report_outline(job)
+    report_review(job)
     if job.results.fetched is not None:
         clouds = [
             CloudRecord.of(made[task.key][1]) for task in tasks.clouds if task.key in made

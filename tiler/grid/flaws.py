@@ -45,6 +45,7 @@ def above(
     reach: int,
     spike: Fraction,
     least: int,
+    above_m: float,
 ) -> tuple[None, Counts]:
     """Find the places in a block where the terrain lies above all returns.
 
@@ -62,6 +63,8 @@ def above(
         See `PointsNear.returns`.
     least : int
         Number of pixels of the smallest place.
+    above_m : float
+        Height above the highest return of its pixel from which terrain counts as wrong, in metres.
 
     Returns
     -------
@@ -69,22 +72,24 @@ def above(
     counts : dict
         ``wrong``: number of pixels in which the terrain is above all returns, also of those in places that are too
         small. ``labels``, ``sides``: number of places, and their labels along the sides of the block (see
-        `tiler.grid.coarse`). ``places``: [pixels, row, col, last_row, last_col, height] of each place, with the
-        largest height of its terrain above the returns in metres. ``cells``: see `_cells`.
+        `tiler.grid.coarse`). ``places``: [pixels, spans, height] of each place, with the rows of its pixels (see
+        `_spans`) and the largest height of its terrain above the returns in metres. ``cells``: see `_cells`.
     """
-    above_m, below_m = heights_above(points, terrain, waters.inside | edits.flat, reach, spike)
-    wrong = above_m > ABOVE_M
+    heights_m, below_m = heights_above(
+        points, terrain, waters.inside | edits.flat, reach, spike
+    )
+    wrong = heights_m > above_m
     labels, sides = label_block(_listed(wrong, least), corners=True)
     numbers = np.arange(1, int(labels.max(initial=0)) + 1)
     sizes = np.bincount(labels.ravel(), minlength=len(numbers) + 1)[1:]
-    largest = scipy.ndimage.maximum(above_m, labels, numbers) if len(numbers) else ()
+    largest = scipy.ndimage.maximum(heights_m, labels, numbers) if len(numbers) else ()
     places, block = [], points.block
-    for size, height, (rows, cols) in zip(
-        sizes, largest, scipy.ndimage.find_objects(labels), strict=True
-    ):
-        first = block.row + rows.start, block.col + cols.start
-        last = block.row + rows.stop - 1, block.col + cols.stop - 1
-        places.append([int(size), *first, *last, round(float(height), 3)])
+    boxes = scipy.ndimage.find_objects(labels)
+    for number, size, height, box in zip(numbers, sizes, largest, boxes, strict=True):
+        spans = _spans(
+            labels[box] == number, block.row + box[0].start, block.col + box[1].start
+        )
+        places.append([int(size), spans, round(float(height), 3)])
     return None, {
         "wrong": int(np.count_nonzero(wrong)),
         "labels": len(places),
@@ -92,6 +97,16 @@ def above(
         "places": places,
         "cells": _cells(block, below_m),
     }
+
+
+def _spans(inside: Bools, row: int, col: int) -> list[list[int]]:
+    """Return row, first and last column of each row of neighbouring pixels. The corner of ``inside`` is at row, col."""
+    steps = np.diff(np.pad(inside, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    (rows, firsts), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
+    spans: list[list[int]] = np.column_stack(
+        (rows + row, firsts + col, ends - 1 + col)
+    ).tolist()
+    return spans
 
 
 def _cells(block: Block, below_m: Float64) -> list[list[int]]:

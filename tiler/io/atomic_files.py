@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import os
 import time
 from collections.abc import Iterator
@@ -70,10 +71,18 @@ def atomic_path(target: Path) -> Iterator[Path]:
     clear_partial(partial)
     try:
         yield partial
-        replace_file(partial, target)
+        replace_different(partial, target)
     finally:
         with suppress(OSError):  # This error must not hide an error of the block.
             partial.unlink(missing_ok=True)
+
+
+def replace_different(source: str | Path, target: str | Path) -> None:
+    """Rename a file as `replace_file` does, but leave a file with the same bytes as it is, with its time."""
+    if os.path.isfile(target) and filecmp.cmp(source, target, shallow=False):
+        os.unlink(source)
+    else:
+        replace_file(source, target)
 
 
 def replace_file(source: str | Path, target: str | Path) -> None:

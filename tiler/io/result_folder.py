@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tiler.core.file_names import product_names
 from tiler.core.products import PRODUCTS
@@ -31,6 +31,8 @@ WATER = "water.gpkg"
 """Bodies of water, with their heights."""
 BRIDGES = "bridges.gpkg"
 """Bridge decks that were left out of the terrain."""
+REVIEW = "review.gpkg"
+"""Places to review, with the status that a user gives them."""
 SHEETS = "sheets.gpkg"
 """Outlines of the sheets, if products are cut into sheets."""
 LEGEND = ".aux.xml"
@@ -48,6 +50,8 @@ STAC = "stac.json"
 """Description of the content of OUT for catalogues."""
 SHEET_ITEMS = "stac"
 """Folder of the descriptions of the sheets."""
+CHANGED = "changed.json"
+"""Files that changed since the run before."""
 CHECK = "check.json"
 """Results of `tiler check`, for the report."""
 EVALUATION = "evaluate.json"
@@ -63,9 +67,11 @@ RESULTS = (
     OUTLINE,
     WATER,
     BRIDGES,
+    REVIEW,
     SHEETS,
     CLASSIFIED,
     STAC,
+    CHANGED,
     CHECK,
     EVALUATION,
     OUTDATED,
@@ -192,13 +198,21 @@ def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
     return files
 
 
-def earlier_facts(
-    out: Path, products: str
-) -> tuple[dict[str, str], dict[str, Any], tuple[str, ...]]:
-    """Return the recorded digests of files that earlier runs wrote in OUT, and settings and notes of the last run."""
+class EarlierFacts(NamedTuple):
+    """Digests of the files that earlier runs wrote and delivered, and settings and notes of the last run."""
+
+    digests: dict[str, str]
+    delivered: dict[str, str]
+    settings: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def earlier_facts(out: Path, products: str) -> EarlierFacts:
+    """Return what run.json records of the earlier runs in OUT."""
     run = _earlier_run(out, products)
     notes = (*_notes(_mapping(run, "plan")), *_notes(run))
-    return _mapping(run, "digests"), _mapping(run, "configuration"), notes
+    digests, delivered = _mapping(run, "digests"), _mapping(run, "delivered")
+    return EarlierFacts(digests, delivered, _mapping(run, "configuration"), notes)
 
 
 def _notes(found: Mapping[str, Any]) -> list[str]:

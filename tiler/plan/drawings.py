@@ -14,6 +14,7 @@ from tiler.core.area import Area
 from tiler.core.breaklines import MAX_SEGMENT, two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
+from tiler.core.review import LAYER, is_edit
 from tiler.core.water import KINDS, LAKE, RIVER, Water, lengths_along, lifted_line
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import (
@@ -71,7 +72,9 @@ def with_user_features(plan: Plan) -> Plan:
     if config.edits is not None:
         drawing = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
         edits = tuple(
-            _edit(number, feature) for number, feature in enumerate(drawing.features, start=1)
+            _edit(number, feature)
+            for number, feature in enumerate(drawing.features, start=1)
+            if feature.layer != LAYER or is_edit(feature.attributes.get("status"))
         )
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:

@@ -41,6 +41,7 @@ from tiler.io.result_folder import (
     OUTLINE,
     REPORT,
     RESULTS,
+    REVIEW,
     RUN,
     SHEET_ITEMS,
     SHEETS,
@@ -149,6 +150,8 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     for folder in (str(out), products):
         locations += [joined(folder, name) for name in (RUN, EVENTS, REPORT)]
     reads: list[str | Path] = [*paths, *other_inputs(plan.config)]
+    if plan.config.edits is not None and same_file(plan.config.edits, joined(products, REVIEW)):
+        reads.remove(plan.config.edits)  # Its decisions stay in the new file.
     check_targets([Target("", location) for location in locations], reads)
     _validate_links(plan, products, file_names)
     validate_closed(products, {*file_names, *earlier})
@@ -198,7 +201,7 @@ def _targets(plan: Plan) -> list[str]:
         names.append(OUTLINE)
     if plan.config.water != "none":
         names.append(WATER)
-    names.append(STAC)
+    names += [REVIEW, STAC]
     if plan.writes_clouds:
         names.append(VIRTUAL)
         names += [

@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
+from tiler.core.edits import TO_GROUND, VOID
 from tiler.core.points import NOISE
+from tiler.core.review import STATUSES
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
@@ -24,6 +26,7 @@ MAX_OF_KIND = 10
 one row."""
 SMALL_M2 = 1000.0
 """Voids at the border of the survey below this area share one row."""
+WITHOUT_RETURNS = "place without returns"
 AT_BORDER = "void at the border of the survey"
 
 Run = Mapping[str, Any]
@@ -49,6 +52,12 @@ class Problem(NamedTuple):
         Area of a place whose pixels are the problem.
     at : tuple of float, or None
         x and y of a pixel of it, unless the middle of the extent is meant.
+    action : str
+        Action of an edit that would remedy it, see `tiler.core.edits`. It is empty if no edit would.
+    stake_m : float or None
+        Height by which the terrain may be wrong, in metres.
+    rings : sequence of sequence of float
+        Outline, as closed rings x, y, x, y, ... in units of the CRS. It is empty if the extent is the outline.
     """
 
     what: str
@@ -57,6 +66,15 @@ class Problem(NamedTuple):
     remedy: str = ""
     area_m2: float | None = None
     at: tuple[float, float] | None = None
+    action: str = ""
+    stake_m: float | None = None
+    rings: Sequence[Sequence[float]] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the entry of run.json. Its outline is in the entry of its source."""
+        entry = self._asdict()
+        del entry["rings"]
+        return entry
 
 
 def problems_of(run: Run) -> list[Problem]:
@@ -176,6 +194,9 @@ def _above(run: Run) -> Iterator[Problem]:
             why,
             remedy,
             place["area_m2"],
+            action=TO_GROUND,
+            stake_m=place["height_m"],
+            rings=place.get("rings", ()),
         )
 
 
@@ -212,7 +233,10 @@ def _without_returns(run: Run) -> Iterator[Problem]:
         why = f"{_area(run, place['area_m2'])} without returns: the terrain there is interpolated from its rim"
         remedy = "ask for the missing strip, or use --edits with action void to leave it without heights"
         where, area_m2, at = place_of(place["bounds"]), place["area_m2"], place.get("at")
-        yield Problem("place without returns", where, why, remedy, area_m2, at)
+        rings = place.get("rings") or ()
+        yield Problem(
+            WITHOUT_RETURNS, where, why, remedy, area_m2, at, action=VOID, rings=rings
+        )
 
 
 def _edits(run: Run) -> Iterator[Problem]:
@@ -300,6 +324,11 @@ def kinds_text(problems: Sequence[Mapping[str, Any]]) -> str:
     return f"{len(problems):,}: {', '.join(texts)}"
 
 
+def review_text(review: Mapping[str, int]) -> str:
+    """Return the numbers of places to review, such as ``12 open, 1 ok, 2 fixed``."""
+    return ", ".join(f"{review[status]:,} {status}" for status in STATUSES)
+
+
 def table_rows(run: Run) -> list[Problem]:
     """Return the problems of a run without long lists of places, so that these hide no other problem.
 
@@ -338,12 +367,19 @@ def problems(run: Run) -> Node:
             "The checks do not find every error, such as houses in the terrain: look at the map."
         )
         return section("problems", "Problems", el("p", none))
+    review = run.get("review")
+    told = None
+    if review:
+        told = el(
+            "p",
+            f"The places are in review.gpkg, where they get a status: {review_text(review)}.",
+        )
     rows: list[tuple[Content, ...]] = [
         (p.what, _link(p.where, p.at), p.why, p.remedy) for p in all_problems[:MAX_ROWS]
     ]
     found, total = problems_of(run), None
     if len(found) > len(all_problems):
-        kinds = kinds_text([problem._asdict() for problem in found])
+        kinds = kinds_text([problem.to_json() for problem in found])
         total = el("p", f"{kinds}. Places of one kind share a row after the worst.")
     more = len(all_problems) - MAX_ROWS
     rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
@@ -351,6 +387,7 @@ def problems(run: Run) -> Node:
         "problems",
         "Problems",
         total,
+        told,
         table(("problem", "location", "cause", "remedy"), rows),
         rest,
     )

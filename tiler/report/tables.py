@@ -191,14 +191,22 @@ def _more(number: int) -> Node | None:
 
 
 def outputs(run: Run) -> Node:
-    """Return the table of output files with relative links. Files in folders are last."""
-    sizes = run.get("outputs", {})
-    rows = [
-        (el("a", name, href=quote(os.fsencode(name))), size_text(size))
-        for name, size in sorted(sizes.items(), key=lambda file: "/" in file[0])[:MAX_ROWS]
+    """Return the table of output files with relative links. Changed files are first, files in folders are last."""
+    sizes, changes = run.get("outputs", {}), run.get("changes", {})
+    since = dict.fromkeys(changes.get("changed", ()), "changed")
+    since |= dict.fromkeys(changes.get("added", ()), "new")
+    order = sorted(sizes.items(), key=lambda file: (file[0] not in since, "/" in file[0]))
+    rows: list[tuple[Content, ...]] = [
+        (el("a", name, href=quote(os.fsencode(name))), size_text(size), since.get(name, ""))
+        for name, size in order[:MAX_ROWS]
     ]
-    body = table(("file", "size"), rows, (1,)) if rows else el("p", "None yet.")
-    return section("outputs", "Results", body, _more(len(sizes)))
+    told = None
+    if changes:
+        number = counted(changes["unchanged"], "file")
+        told = el("p", f"{number} unchanged since the run before, with the times of then.")
+    columns = ("file", "size", "since the run before" if since else "")
+    body = table(columns, rows, (1,)) if rows else el("p", "None yet.")
+    return section("outputs", "Results", told, body, _more(len(sizes)))
 
 
 def timings(run: Run) -> Node:

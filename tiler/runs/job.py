@@ -16,6 +16,7 @@ from tiler.observe.events import Detail, Listener, Note
 from tiler.plan import Plan
 from tiler.redaction import stored
 from tiler.report.notebook import run_markup
+from tiler.report.problems import Problem, problems_of
 from tiler.report.runfile import write_run_file
 from tiler.report.sections import ResolvedSetting, noted, settled
 from tiler.runs.compiling import Compiler
@@ -205,6 +206,10 @@ class Job:
         Call it before that. Otherwise a killed run could leave commits without their data.
         """
         self.store.uncommit(stage, *keys)
+
+    def problems(self) -> list[Problem]:
+        """Return the problems that the stages found until now."""
+        return problems_of(self.record.content(self.plan, "running"))
 
     def save_if_due(self) -> None:
         """Write run.json, unless it was written a moment ago."""

@@ -22,6 +22,7 @@ from tiler.core.results import (
     BreaklineCounts,
     BridgeResult,
     CanopyResult,
+    Changes,
     ClassCounts,
     ContourResult,
     Doubt,
@@ -32,6 +33,7 @@ from tiler.core.results import (
     LeftOut,
     OutlineResult,
     PointCounts,
+    ReviewResult,
     SigmaResult,
     SpotCounts,
     StageResult,
@@ -100,6 +102,8 @@ class Results:
         Digests of these files.
     made_of : mapping of str to str
         Digest of the points, labels and settings from which each product was made.
+    delivered : mapping of str to str
+        Digests of the files of the last run that wrote all its files.
     earlier_outputs : mapping of str to str or None
         Files in OUT that earlier runs may have written, each with its digest from their `made_of`, or None if that is
         not known or outdated.
@@ -134,6 +138,8 @@ class Results:
     without_returns: list[VoidResult]
     above_returns: AboveResult
     implausible: list[Implausible]
+    review: ReviewResult
+    changes: Changes
     contours: ContourResult
     spots: SpotCounts
     sheets: int
@@ -146,6 +152,7 @@ class Results:
     outputs: Mapping[str, int] = MappingProxyType({})
     digests: Mapping[str, str] = MappingProxyType({})
     made_of: Mapping[str, str]
+    delivered: Mapping[str, str] = MappingProxyType({})
     earlier_outputs: Mapping[str, str | None]
     healed: Sequence[str] = ()
 
@@ -260,7 +267,7 @@ class RunRecord:
             **self.results.to_json(),
         }
         redacted: dict[str, Any] = stored(content)
-        redacted["problems"] = [problem._asdict() for problem in problems_of(redacted)]
+        redacted["problems"] = [problem.to_json() for problem in problems_of(redacted)]
         return redacted
 
 

@@ -155,6 +155,7 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
     _make_edits(folder, feedback)
     for table in _tables(existing(folder, "edits.gpkg")):
         vector("edits", table, "edits", styles.edits)
+    vector("review", "review", "places to review", styles.as_in_file)
     vector("spots", "spots", "spot heights", styles.spots)
     vector("contours", "contours", "contours", styles.contours)
     vector("outline", "outline", "outline of the survey", styles.outline)

@@ -145,6 +145,10 @@ def cloud(layer: Any) -> None:
     layer.setRenderer(renderer)
 
 
+def as_in_file(layer: Any) -> None:
+    """Keep the style and the form that QGIS read from the file."""
+
+
 def outline(layer: Any) -> None:
     """Style the outline as a dashed line without a fill."""
     _fill(layer, "0,0,0,0", "#222222", "0.5", outline_style="dash")

@@ -44,7 +44,7 @@ def above_block(
         "edits": Read("edits"),
     }
     least = min_pixels((spec.lattice.size * scene.store.meta.frame.metres_xy) ** 2)
-    values = {"reach": REACH, "spike": SPIKE, "least": least}
+    values = {"reach": REACH, "spike": SPIKE, "least": least, "above_m": ABOVE_M}
     given = sources_of(spec, **sources)
     return make_block(
         scene.store, "dtm-above", above, reads, spec, block, sources=given, **values

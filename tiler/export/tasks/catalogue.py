@@ -25,7 +25,6 @@ from tiler.core.units import unit_label
 from tiler.export import stac
 from tiler.export.output_files import (
     CloudRecord,
-    FileRecord,
     OutFile,
     RasterFileRecord,
     write_text,
@@ -375,14 +374,10 @@ class _Catalogue:
 
     @cached_property
     def _id(self) -> str:
-        """Identifier of the results, which depends only on the bytes of the rasters."""
-        files = self._written.items()
-        rasters = [
-            [key, FileRecord.of(stored).digest]
-            for key, (_, stored) in files
-            if key.endswith(".tif")
-        ]
-        return f"terrain-{digest_of(sorted(rasters))[:16]}"
+        """Identifier of the results of the same clouds, pixels and method, which an edit does not change."""
+        contents = sorted(source.content for source in self._sources)
+        pixel, method = str(self._plan.grid.resolution), self._plan.config.method
+        return f"terrain-{digest_of(contents, pixel, method)[:16]}"
 
     @property
     def _description(self) -> str:

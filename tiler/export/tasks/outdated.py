@@ -24,7 +24,7 @@ from tiler.errors import ConfigError, is_in_use, write_error
 from tiler.export.output_files import FileRecord
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
 from tiler.io.overwrite_check import check_links
-from tiler.io.result_folder import OUTDATED, below, mosaic_file
+from tiler.io.result_folder import OUTDATED, REVIEW, below, mosaic_file
 from tiler.io.vector.opening import validate_closed
 from tiler.observe.events import Note
 from tiler.runs.file_digests import file_digests
@@ -104,7 +104,7 @@ def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
 
     `invalidate_changed_outputs` moves those that the store knows.
     """
-    known = {key for stage in WRITING for key in job.store.committed(stage)}
+    known = {REVIEW, *(key for stage in WRITING for key in job.store.committed(stage))}
     changed = sorted(_damaged(job, {path for key, path in written.items() if key not in known}))
     if changed:
         job.note(_changed_text(changed, archive(job, changed)), Note)
@@ -250,6 +250,7 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
         else:  # The bytes are the same, so the new time replaces the earlier one.
             job.store.commit(stage, key, digest, {**stored, "state": there[key].to_json()})
     job.invalidate(stage, [*gone, *changed])
-    if changed:
-        paths = sorted(below(job.products, files[key]) for key in changed)
+    # The new file of places to review has what the user decided, and replaces the earlier one at once.
+    paths = sorted(below(job.products, files[key]) for key in changed if key != REVIEW)
+    if paths:
         job.note(_changed_text(paths, archive(job, paths)), Note)

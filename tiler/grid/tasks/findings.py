@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy
+import shapely
 
 from ptd.matched.crowns import Crowns
 from ptd.matched.passes import CanopyPass
@@ -20,7 +21,14 @@ from tiler.config import VOID_CANOPY
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.records import BlockRecord
-from tiler.core.results import AbovePlace, AboveResult, Implausible, VoidResult, VoidsResult
+from tiler.core.results import (
+    AbovePlace,
+    AboveResult,
+    Implausible,
+    Rings,
+    VoidResult,
+    VoidsResult,
+)
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.errors import CorruptStoreError, ProcessingError
@@ -169,14 +177,14 @@ def places_of(
     least, places = min_pixels(pixel_m2), []
     for pieces in joined.areas.values():
         parts = [found[piece.row, piece.col]["places"][piece.label - 1] for piece in pieces]
-        n_pixels, top, left, bottom, right, heights = zip(*parts, strict=True)
+        n_pixels, spans, heights = zip(*parts, strict=True)
         pixels = int(sum(n_pixels))
         if pixels < least:
             continue
-        row, col = int(min(top)), int(min(left))
-        block = Block(row, col, int(max(bottom)) - row + 1, int(max(right)) - col + 1)
-        bounds = [edge / COUNTS_PER_UNIT for edge in spec.block_bounds(block).to_json()]
-        places.append(AbovePlace(pixels, bounds, float(pixels * pixel_m2), max(heights)))
+        row, first, last = np.array(list(chain.from_iterable(spans)), np.int64).T
+        bounds = _bounds(spec, (row.min(), first.min()), (row.max(), last.max()))
+        rings = _rings(spec, row, first, row, last)
+        places.append(AbovePlace(pixels, bounds, float(pixels * pixel_m2), max(heights), rings))
     return sorted(places, key=lambda place: (-place.height_m, -place.pixels, place.bounds))
 
 
@@ -339,12 +347,17 @@ def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
     bare = chain.from_iterable(counts["bare"] for counts in of_blocks)
     # What water or the border leaves of a place may be smaller.
     min_m2 = (MIN_BARE_CELLS * float(gridding.coarse_m)) ** 2
-    places = [p for p in voids_of(bare, spec, pixel_m2) if p.area_m2 >= min_m2]
+    places = [p for p in voids_of(bare, spec, pixel_m2, outlined=True) if p.area_m2 >= min_m2]
     job.results.without_returns = places[:MAX_LISTED]
 
 
-def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
-    """Merge touching cells with holes (see `tiler.grid.voids.hole_cells`) into voids, the largest first."""
+def voids_of(
+    cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float, outlined: bool = False
+) -> list[VoidResult]:
+    """Merge touching cells with holes (see `tiler.grid.voids.hole_cells`) into voids, the largest first.
+
+    With ``outlined``, voids have rings around the holes of each cell.
+    """
     table = np.array(list(cells), np.int64).reshape(-1, 8)
     if not len(table):
         return []
@@ -369,8 +382,11 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
             int(pixels[i]) * pixel_m2,
             bool(at_border[i]),
             _centre(_bounds(spec, at[i], at[i])),
+            _rings(spec, *table[void_of_cell == i, 1:5].T)
+            if outlined and rank < MAX_LISTED
+            else None,
         )
-        for i in order
+        for rank, i in enumerate(order)
     ]
 
 
@@ -398,6 +414,16 @@ def _centre(bounds: list[float]) -> list[float]:
 
 
 def _bounds(spec: RasterSpec, first: Any, last: Any) -> list[float]:
-    height, width = (last - first + 1).tolist()
+    height, width = (int(last[i] - first[i] + 1) for i in (0, 1))
     bounds = spec.block_bounds(Block(int(first[0]), int(first[1]), height, width))
     return [edge / COUNTS_PER_UNIT for edge in bounds.to_json()]
+
+
+def _rings(spec: RasterSpec, top: Any, left: Any, bottom: Any, right: Any) -> Rings:
+    """Return the closed rings around rectangles of pixels (int64, their first and last rows and columns)."""
+    size = float(spec.lattice.size / COUNTS_PER_UNIT)
+    east, north = (spec.west + right + 1) * size, (spec.north - top) * size
+    west, south = (spec.west + left) * size, (spec.north - bottom - 1) * size
+    shape = shapely.normalize(shapely.union_all(shapely.box(west, south, east, north)))
+    rings = shapely.get_rings(shapely.simplify(shape, 0.0))
+    return [np.round(shapely.get_coordinates(ring), 3).ravel().tolist() for ring in rings]

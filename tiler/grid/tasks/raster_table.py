@@ -50,7 +50,7 @@ from tiler.grid.derived import (
     outline,
     surface,
 )
-from tiler.grid.flaws import above, min_pixels
+from tiler.grid.flaws import ABOVE_M, above, min_pixels
 from tiler.grid.sigma import land_margin, reach_of, sigma, sigma_result
 from tiler.grid.steps import Counts
 from tiler.grid.tasks.findings import report_above, report_implausible
@@ -180,7 +180,7 @@ def _product_steps(plan: Plan) -> list[Step]:
                 "edits": Read("edits"),
             },
             all_of("points"),
-            {"least": min_pixels(pixel_m**2), **support},
+            {"least": min_pixels(pixel_m**2), "above_m": ABOVE_M, **support},
             _above_found,
         ),
         Step(

@@ -84,11 +84,14 @@ class Feature:
         Geometry, which is not empty. It has z if the file has z, in the vertical unit of the file.
     attributes : mapping
         Attributes by name in lower case, with None for missing values.
+    layer : str
+        Name of the layer.
     """
 
     place: str
     geometry: BaseGeometry
     attributes: Mapping[str, object]
+    layer: str = ""
 
     def height(self) -> float | None:
         """Return the number in the first of the `HEIGHT_COLUMNS` with a number, or None if there is none."""
@@ -118,7 +121,9 @@ class Features:
     notes: tuple[str, ...] = ()
 
 
-def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features:
+def read_features(
+    path: Path, kind: Kind, every_layer: bool = False, may_be_empty: bool = False
+) -> Features:
     """Read the features of a file. Features without a geometry are left out.
 
     Parameters
@@ -130,6 +135,8 @@ def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features
     every_layer : bool
         Whether to read all layers that may contain this kind, which must share a CRS. If False, there must be exactly
         one layer.
+    may_be_empty : bool
+        Whether a file without features is no error.
 
     Raises
     ------
@@ -168,7 +175,7 @@ def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features
         raise InputError(
             f"{path}: its layers of {kind.name} have different CRS; write them with the same CRS"
         )
-    if not features:
+    if not features and not may_be_empty:
         raise InputError(f"{path}: contains no {kind.name}; draw some, or leave the option out")
     return Features(tuple(features), systems[0], tuple(notes))
 
@@ -242,17 +249,22 @@ def _features(
         present_values = {
             k: None if isinstance(v, float) and v != v else v for k, v in attributes.items()
         }
-        yield Feature(where, geometry, present_values)
+        yield Feature(where, geometry, present_values, layer)
 
 
 def read_in_crs(
-    path: Path, kind: Kind, wkt: str | None, every_layer: bool = False, needs_z: bool = False
+    path: Path,
+    kind: Kind,
+    wkt: str | None,
+    every_layer: bool = False,
+    needs_z: bool = False,
+    may_be_empty: bool = False,
 ) -> Features:
     """Read the features of a file, transform them to the horizontal CRS of a run, and repair invalid polygons.
 
     Parameters
     ----------
-    path, kind, every_layer
+    path, kind, every_layer, may_be_empty
         See `read_features`.
     wkt : str or None
         CRS of the run, or None if it is unknown.
@@ -270,7 +282,7 @@ def read_in_crs(
     InputError
         `read_features` or the transformation failed, or a height is missing.
     """
-    file_features = read_features(path, kind, every_layer)
+    file_features = read_features(path, kind, every_layer, may_be_empty)
     notes = list(file_features.notes)
     features = list(file_features.features)
     if needs_z:

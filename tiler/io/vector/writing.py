@@ -37,8 +37,8 @@ class GeoPackage:
     def add(
         self,
         layer: str,
-        kind: str,
-        geometries: Sequence[Any],
+        kind: str | None,
+        geometries: Sequence[Any] | None,
         columns: Mapping[str, npt.NDArray[Any]],
     ) -> None:
         """Write features. A layer may be written in several calls with the same columns.
@@ -47,21 +47,24 @@ class GeoPackage:
         ----------
         layer : str
             Name of the layer.
-        kind : str
+        kind : str or None
             Type of the geometries: ``Point``, ``LineString`` or ``Polygon``, with ``Multi`` before or `` Z`` after.
-        geometries : sequence of shapely geometries
-            Geometries in units of the CRS.
+            None for a table without geometries.
+        geometries : sequence of shapely geometries, or None
+            Geometries in units of the CRS, None for a table without geometries.
         columns : mapping of str to arrays
             Columns with a value per geometry. Objects are text.
         """
         from pyogrio import raw
 
-        dimensions = 3 if kind.endswith(" Z") else 2
-        shapes = np.empty(len(geometries), object)
-        shapes[:] = [
-            shapely.to_wkb(g, output_dimension=dimensions, flavor="extended")
-            for g in geometries
-        ]
+        shapes = None
+        if kind is not None and geometries is not None:
+            dimensions = 3 if kind.endswith(" Z") else 2
+            shapes = np.empty(len(geometries), object)
+            shapes[:] = [
+                shapely.to_wkb(g, output_dimension=dimensions, flavor="extended")
+                for g in geometries
+            ]
         with warnings.catch_warnings():
             # GDAL warns about the temporary name, which has another suffix, and about a missing
             # CRS.
@@ -75,7 +78,7 @@ class GeoPackage:
                 layer=layer,
                 driver="GPKG",
                 geometry_type=kind,
-                crs=self._crs,
+                crs=None if kind is None else self._crs,
                 append=layer in self._layers,
                 dataset_options={"VERSION": VERSION},
             )

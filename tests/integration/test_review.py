@@ -1,0 +1,165 @@
+"""The operator's loop: places of review.gpkg get a status, a run applies what is fixed, and lists the changed files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+from pyogrio import raw
+
+from tests.invariants.runs import do
+from tests.scenes.drawings import EAST, NORTH, ground, written
+from tiler.core.products import NODATA
+from tiler.pipeline import RunResult
+
+SIDE, NUMBER = 160.0, 57_000
+GAPS = shapely.box(24, 10, 32, 50), shapely.box(120, 110, 132, 124)
+"""Places without returns in flat land, the larger one first."""
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    whole = ground(lambda x, y: 30 + 0.01 * y, side=SIDE, number=NUMBER)
+    inside = shapely.contains_xy(shapely.union_all(GAPS), *whole.xyz[:, :2].T)
+    folder = tmp_path_factory.mktemp("gaps")
+    return written(folder / "a.laz", type(whole)(whole.xyz[~inside], whole.truth[~inside]))
+
+
+@pytest.fixture(scope="module")
+def reviewed(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("reviewed") / "out"
+    made(cloud, out)
+    return out
+
+
+@pytest.fixture
+def out(reviewed: Path, tmp_path: Path) -> Path:
+    shutil.copytree(reviewed, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def made(cloud: Path, out: Path, **changes: Any) -> RunResult:
+    settings = {"method": "keep", "voids": "leave", "sheets": "80", "edits": None}
+    return do(cloud, out, **{**settings, **changes})
+
+
+def rows(out: Path) -> list[dict[str, Any]]:
+    meta, _, shapes, columns = raw.read(out / "review.gpkg", layer="review")
+    values = zip(*(column.tolist() for column in columns), strict=True)
+    named = [dict(zip(meta["fields"], row, strict=True)) for row in values]
+    return [{**n, "shape": shapely.from_wkb(s)} for n, s in zip(named, shapes, strict=True)]
+
+
+@contextmanager
+def edited(out: Path) -> Iterator[sqlite3.Connection]:
+    """The file as a GIS changes it: the table, without the functions that only its triggers need."""
+    with closing(sqlite3.connect(out / "review.gpkg")) as database:
+        triggers = database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'")
+        for (name,) in triggers.fetchall():
+            database.execute(f'DROP TRIGGER "{name}"')
+        yield database
+        database.commit()
+
+
+def test_the_places_have_their_outlines_and_the_most_serious_is_first(reviewed: Path) -> None:
+    first, second = rows(reviewed)
+    assert [first["rank"], second["rank"]] == [1, 2]
+    for row, gap in ((first, GAPS[0]), (second, GAPS[1])):
+        shape = shapely.affinity.translate(row["shape"], -EAST, -NORTH)
+        assert gap.buffer(0.5).contains(shape)
+        assert row["area_m2"] == pytest.approx(shape.area)
+        assert shape.area > 0.6 * gap.area
+        assert (row["status"], row["action"]) == ("open", "void")
+        assert row["reason"] == "place without returns"
+    sheets = {path.stem for path in (reviewed / "dtm").glob("*.tif")}
+    assert {first["sheet"], second["sheet"]} <= sheets
+
+
+def test_qgis_finds_a_style_and_lists_of_values(reviewed: Path) -> None:
+    assert ["layer_styles", None] in pyogrio.list_layers(reviewed / "review.gpkg").tolist()
+    meta, _, _, columns = raw.read(reviewed / "review.gpkg", layer="layer_styles")
+    style = dict(zip(meta["fields"], (column[0] for column in columns), strict=True))
+    assert (style["f_table_name"], style["f_geometry_column"]) == ("review", "geom")
+    assert style["useAsDefault"]
+    page = ElementTree.fromstring(style["styleQML"].partition("'SYSTEM'>")[2])
+    lists = {
+        field.get("name"): [
+            o.get("value") for o in field.iter("Option") if o.get("value") is not None
+        ]
+        for field in page.iter("field")
+    }
+    assert lists["status"] == ["open", "ok", "fixed"]
+    assert lists["action"] == ["", "not_ground", "ground", "void", "flat"]
+
+
+def test_fixed_places_become_edits_and_the_changed_files_are_listed(
+    cloud: Path, out: Path
+) -> None:
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'fixed' WHERE rank = 2")
+        database.execute("UPDATE review SET status = 'ok' WHERE rank = 1")
+    gap = rows(out)[1]["shape"]
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*.tif")}
+    run = made(cloud, out, edits=str(out / "review.gpkg"))
+    assert run.summary["review"] == {"open": 0, "ok": 1, "fixed": 1}
+    assert [row["status"] for row in rows(out)] == ["ok", "fixed"]
+    changes = json.loads((out / "changed.json").read_text())
+    (sheet,) = changes["sheets"]
+    assert f"dtm/{sheet}.tif" in changes["changed"]
+    changed = {out / path for path in changes["changed"]}
+    for path, time in times.items():
+        assert (path.stat().st_mtime_ns == time) is (path not in changed)
+    with rasterio.open(out / "dtm.vrt") as raster:
+        heights, corner = raster.read(1), raster.bounds
+    row, cols = np.indices(heights.shape) + 0.5
+    inside = shapely.contains_xy(gap, corner.left + cols, corner.top - row)
+    assert inside.sum() == pytest.approx(gap.area)
+    assert (heights[inside] == NODATA).all()
+    land = shapely.box(2, 2, SIDE - 2, SIDE - 2) - shapely.affinity.translate(
+        gap, -EAST, -NORTH
+    ).buffer(1)
+    beside = shapely.contains_xy(land, corner.left + cols - EAST, corner.top - row - NORTH)
+    assert (heights[beside] != NODATA).all()
+    again = made(cloud, out, edits=str(out / "review.gpkg"))
+    assert again.did_nothing
+    assert json.loads((out / "changed.json").read_text()) == changes
+
+
+def test_a_run_without_the_edits_warns_and_keeps_the_decisions(cloud: Path, out: Path) -> None:
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'fixed' WHERE rank = 1")
+    run = made(cloud, out)
+    (warning,) = [text for text in run.warnings if "1 fixed place" in text]
+    assert f"--edits {out / 'review.gpkg'}" in warning
+    assert sorted(row["status"] for row in rows(out)) == ["fixed", "open", "open"]
+
+
+def test_a_damaged_file_is_moved_and_told(cloud: Path, out: Path) -> None:
+    before = (out / "review.gpkg").read_bytes()
+    (out / "review.gpkg").write_bytes(before[:3000])
+    run = made(cloud, out)
+    assert any("review.gpkg" in text and "outdated" in text for text in run.warnings)
+    assert (out / "outdated" / "review.gpkg").read_bytes() == before[:3000]
+    assert [row["status"] for row in rows(out)] == ["open", "open"]
+
+
+def test_a_run_that_finds_nothing_writes_an_empty_list(tmp_path: Path) -> None:
+    cloud = written(
+        tmp_path / "a.laz", ground(lambda x, y: 30 + 0.01 * y, side=SIDE, number=NUMBER)
+    )
+    run = made(cloud, tmp_path / "out")
+    assert rows(tmp_path / "out") == []
+    assert run.summary["review"] == {"open": 0, "ok": 0, "fixed": 0}
+    assert not (tmp_path / "out" / "changed.json").exists()
+    assert made(cloud, tmp_path / "out").did_nothing

@@ -1,0 +1,66 @@
+"""Places to review: what a user decided stays, and what was found to be right is not listed again."""
+
+from __future__ import annotations
+
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiler.core.review import FIXED, OK, OPEN, ReviewRow, is_edit, ranked, without_open
+
+
+def row(x: float, width: float = 10.0, **values: str) -> ReviewRow:
+    shape = shapely.to_wkb(shapely.MultiPolygon([shapely.box(x, 0, x + width, 10)]), hex=True)
+    return ReviewRow(shape=shape, **{"reason": "void", **values})
+
+
+def test_a_place_that_was_right_is_not_listed_again() -> None:
+    right = row(0, status=OK)
+    assert ranked([row(0), row(100)], [right]) == [row(100), right]
+
+
+@pytest.mark.parametrize(("moved", "listed"), [(4.0, False), (6.0, True)])
+def test_the_same_place_shares_half_of_its_area(moved: float, listed: bool) -> None:
+    assert (row(moved) in ranked([row(moved)], [row(0, status=OK)])) is listed
+
+
+def test_two_parts_that_were_right_cover_a_place() -> None:
+    parts = [row(0, 4, status=OK), row(4, 4, status=OK)]
+    assert ranked([row(0)], parts) == parts
+
+
+def test_another_reason_at_the_same_place_is_listed() -> None:
+    other = row(0, reason="terrain above all returns")
+    assert ranked([other], [row(0, status=OK)])[0] == other
+
+
+def test_an_edit_that_did_not_help_leaves_its_place_open() -> None:
+    fixed = row(0, status=FIXED, action="void")
+    assert ranked([row(0)], [fixed]) == [row(0), fixed]
+
+
+def test_rows_without_a_status_are_drawn_by_the_user_and_are_edits() -> None:
+    assert [is_edit(status) for status in (None, "", " Fixed ", OK, OPEN, "later")] == [
+        True, True, True, False, False, False,
+    ]  # fmt: skip
+
+
+def test_open_rows_are_left_out_whatever_their_case() -> None:
+    rows = [row(0, status=" Open"), row(1, status="OK "), row(1, status=OK), row(2, status="")]
+    assert without_open(rows) == [row(1, status=OK), row(2, status="")]
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 40), st.sampled_from(["void", "roof"])), unique=True),
+    st.lists(st.tuples(st.integers(0, 40), st.sampled_from([OK, FIXED, "later", ""]))),
+)
+def test_the_next_run_lists_the_same_and_loses_no_decision(
+    found: list[tuple[int, str]], decided: list[tuple[int, str]]
+) -> None:
+    places = [row(x, reason=reason) for x, reason in found]
+    decisions = without_open([row(x, status=status) for x, status in decided])
+    rows = ranked(places, decisions)
+    assert rows[len(rows) - len(decisions) :] == decisions
+    assert set(rows) <= {*places, *decisions}
+    assert ranked(places, without_open(rows)) == rows

@@ -1,0 +1,147 @@
+"""Places to review: from the problems of a run, and from the rows of an earlier file on which the user decided."""
+
+from __future__ import annotations
+
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.results import ReviewResult
+from tiler.core.review import (
+    LAYER,
+    ReviewRow,
+    is_edit,
+    without_open,
+)
+from tiler.core.words import counted
+from tiler.errors import InputError
+from tiler.export.output_files import OutFile, ReviewFileRecord
+from tiler.export.review import NUMBERS, TEXTS, DeliveredTerrain, write_review
+from tiler.export.tasks.outdated import archive
+from tiler.export.tasks.sheets import name_of
+from tiler.io.locations import is_url, joined, state_at
+from tiler.io.overwrite_check import same_file
+from tiler.io.result_folder import REVIEW
+from tiler.io.vector import CUT, POLYGONS, Feature, read_in_crs
+from tiler.observe.events import Warned
+from tiler.report.problems import WITHOUT_RETURNS, Problem
+from tiler.runs.found import Gridded, final_raster
+from tiler.runs.job import Job
+from tiler.schedule import Task, call_isolated, calling
+
+LEAST_SIDE_M = 5.0
+"""Side of the square that is drawn around a place without an extent."""
+
+
+def review_task(job: Job, gridding: Gridded, out: str) -> Task:
+    """Return the task that writes the places to review."""
+    found = [_row(problem, gridding) for problem in job.problems() if problem.where is not None]
+    terrain, seen = None, []
+    if any(row.without_returns for row in found):
+        raster, waters = final_raster("dtm", gridding.plan.config), gridding.waters.stored_key
+        terrain = DeliveredTerrain(raster, gridding.spec, "survey", gridding.coarse, waters)
+        seen = [gridding.checksums("survey"), gridding.checksums(raster)]
+    call = calling(
+        write_review,
+        to=OutFile(out, REVIEW),
+        found=tuple(found),
+        decided=tuple(_decided(job)),
+        terrain=terrain,
+    )
+    return Task.of("export", REVIEW, call, seen)
+
+
+def report_review(job: Job) -> None:
+    """Add the numbers of places to review to run.json."""
+    if commit := job.store.committed("export").get(REVIEW):
+        record = ReviewFileRecord.of(commit[1])
+        job.results.review = ReviewResult(record.open, record.ok, record.fixed)
+
+
+def _row(problem: Problem, gridding: Gridded) -> ReviewRow:
+    """Return the row of a problem that has a position."""
+    side = LEAST_SIDE_M / float(gridding.plan.frame.units.horizontal)
+    if problem.rings:
+        rings = [np.reshape(ring, (-1, 2)) for ring in problem.rings]
+        # A ring inside another one is a hole.
+        shape = reduce(shapely.symmetric_difference, map(shapely.Polygon, rings))
+    else:
+        west, south, east, north = problem.where or (0.0, 0.0, 0.0, 0.0)
+        across, along = max(side - (east - west), 0) / 2, max(side - (north - south), 0) / 2
+        shape = shapely.box(west - across, south - along, east + across, north + along)
+    parts = shapely.MultiPolygon(shapely.get_parts(shapely.normalize(shape)).tolist())
+    return ReviewRow(
+        shape=shapely.to_wkb(parts, hex=True),
+        reason=problem.what,
+        why=problem.why,
+        remedy=problem.remedy,
+        action=problem.action,
+        stake_m=problem.stake_m,
+        area_m2=problem.area_m2,
+        sheet=_sheet(problem, gridding),
+        without_returns=problem.what == WITHOUT_RETURNS,
+    )
+
+
+def _sheet(problem: Problem, gridding: Gridded) -> str:
+    """Return the name of the sheet of the terrain in which the middle of a problem lies, or an empty text."""
+    west, south, east, north = problem.where or (0.0, 0.0, 0.0, 0.0)
+    x, y = problem.at or ((west + east) / 2, (south + north) / 2)
+    for sheet in gridding.sheets:
+        side = float(sheet.spec.lattice.size * sheet.spec.width / COUNTS_PER_UNIT)
+        if 0 <= x - sheet.corner[0] < side and 0 <= y - sheet.corner[1] < side:
+            return name_of(gridding, "dtm", sheet)
+    return ""
+
+
+def _decided(job: Job) -> list[ReviewRow]:
+    """Return the rows that the user decided on, of the file in OUT and of one that is given with ``--edits``.
+
+    A file in OUT that cannot be read is moved, so that nothing in it is lost.
+    """
+    given, here = job.plan.config.edits, joined(job.products, REVIEW)
+    edits = without_open(_read(job, given)) if given is not None else []
+    if is_url(here) or (given is not None and same_file(given, here)):
+        return edits
+    try:
+        decided = without_open(_read(job, here))
+    except InputError as error:
+        text = f"{error}; moved to {archive(job, [REVIEW])}/, so its statuses are not used"
+        job.listener(Warned(text))
+        return edits
+    unused = [row for row in decided if is_edit(row.status) and row not in edits]
+    if unused:
+        fixed = counted(len(unused), "fixed place")
+        job.listener(
+            Warned(f"{here}: {fixed} not among the edits of this run; use --edits {here}")
+        )
+    return list(dict.fromkeys([*decided, *edits]))
+
+
+def _read(job: Job, name: str) -> list[ReviewRow]:
+    """Return the rows in the layer of places to review of a file, if it exists."""
+    if state_at(name) is None:
+        return []
+    arguments = (Path(name), POLYGONS, job.plan.frame.crs_wkt, False, False, True)
+    if job.plan.config.in_process:
+        drawing = read_in_crs(*arguments)
+    else:
+        drawing = call_isolated(read_in_crs, *arguments, paths=(Path(name),), smaller=CUT)
+    return [_row_of(feature) for feature in drawing.features if feature.layer == LAYER]
+
+
+def _row_of(feature: Feature) -> ReviewRow:
+    """Return the row of a feature. A column that the user removed, or changed to another type, is empty."""
+    parts = shapely.MultiPolygon(shapely.get_parts(feature.geometry).tolist())
+    values: dict[str, Any] = {}
+    for name in TEXTS:
+        text = feature.attributes.get(name)
+        values[name] = text if isinstance(text, str) else ""
+    for name in NUMBERS:
+        number = feature.attributes.get(name)
+        values[name] = float(number) if isinstance(number, int | float) else None
+    return ReviewRow(shape=shapely.to_wkb(parts, hex=True, output_dimension=2), **values)
