@@ -341,9 +341,12 @@ class Method:
           is a candidate.
     needs : tuple of str
         Columns that the method requires, such as ``rgb``.
+    for_lidar : bool
+        Whether the defaults are made for laser scanning, so that a run on photogrammetric clouds warns.
     """
 
     name: str
     summary: str
     params: type[Any]
     needs: tuple[str, ...] = ()
+    for_lidar: bool = False

@@ -234,4 +234,5 @@ METHOD = Method(
     "classic",
     "progressive TIN densification (Axelsson 2000), the reference for airborne LiDAR",
     Classic,
+    for_lidar=True,
 )

@@ -9,6 +9,7 @@ from fractions import Fraction
 
 from ptd.matched.evidence import DIM, Finding
 from ptd.matched.survey import in_words
+from ptd.methods import METHODS
 from tiler.config import RunConfig
 from tiler.core.crs import crs_name, misplaced, point_scale_factor
 from tiler.core.file_names import DEFAULT as SHEET_NAME
@@ -46,9 +47,6 @@ MOSTLY_EMPTY = 0.99
 STRETCHED = 1.05
 """Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning
 recommends reprojection. Projections for surveys stay within 1.03."""
-
-FOR_SCANNERS = ("classic", "chen2023", "ridge2016")
-"""Methods whose defaults are made for laser scanning."""
 
 
 def warnings_of(plan: Plan) -> list[str]:
@@ -156,6 +154,10 @@ def _stretched(wkt: str | None, x: float, y: float) -> list[str]:
     ]
 
 
+def _is_for_lidar(method: str) -> bool:
+    return method in METHODS and METHODS[method].for_lidar
+
+
 def preflight_warnings(
     config: RunConfig,
     finding: Finding | None,
@@ -180,7 +182,7 @@ def preflight_warnings(
     given = config.source_kind
     if finding is not None and given not in (None, finding.kind) and config.statistics is None:
         yield overridden_kind(config, in_words(finding))
-    elif config.method in FOR_SCANNERS and finding is not None and finding.kind == DIM:
+    elif finding is not None and finding.kind == DIM and _is_for_lidar(config.method):
         yield (
             f"the points look like image matching ({finding.why}), but method {config.method} is made for LiDAR; "
             "use --preset dim"

@@ -505,5 +505,8 @@ def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:
 
 
 METHOD = Method(
-    "chen2023", "morphological seeds cleaned in their TIN, then batches (Chen 2023)", Chen2023
+    "chen2023",
+    "morphological seeds cleaned in their TIN, then batches (Chen 2023)",
+    Chen2023,
+    for_lidar=True,
 )

@@ -502,4 +502,5 @@ METHOD = Method(
     "ridge2016",
     "densification with ridge points and tested seeds, for steep mountains beside settlements",
     Ridge2016,
+    for_lidar=True,
 )
