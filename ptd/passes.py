@@ -334,11 +334,14 @@ class Method:
         Frozen dataclass of `ptd.params.parameter` fields with defaults, and with these properties (lengths in metres):
 
         - ``passes``: tuple of `Pass`.
+        - ``candidate_cell_m``: size of the cells with one candidate each, or 0 if every point
+          is a candidate.
+
+        If a pass has no `Pass.influence_radius_m`, these are needed as well:
+
         - ``halo_m``: width of the halo that usually suffices.
         - ``align_m``: size of the lattice cells to which windows are widened.
         - ``margin_m``: width by which windows are widened further.
-        - ``candidate_cell_m``: size of the cells with one candidate each, or 0 if every point
-          is a candidate.
     needs : tuple of str
         Columns that the method requires, such as ``rgb``.
     for_lidar : bool
@@ -350,3 +353,20 @@ class Method:
     params: type[Any]
     needs: tuple[str, ...] = ()
     for_lidar: bool = False
+
+    def __post_init__(self) -> None:
+        for spec in fields(self.params):
+            if "minimum" not in spec.metadata:
+                raise TypeError(
+                    f"method {self.name}: {spec.name} is a plain field; use ptd.params.parameter"
+                )
+        needed = ["passes", "candidate_cell_m"]
+        if hasattr(self.params, "passes") and any(
+            step.influence_radius_m is None for step in self.params().passes
+        ):
+            needed += ["halo_m", "align_m", "margin_m"]
+        for name in needed:
+            if not hasattr(self.params, name):
+                raise TypeError(
+                    f"method {self.name}: its parameters have no {name}; add a property (ptd.passes.Method)"
+                )

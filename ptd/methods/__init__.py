@@ -17,7 +17,12 @@ class _Methods(UserDict[str, Any]):
     def __getitem__(self, name: str) -> Any:
         method = self.data[name]
         if isinstance(method, str):
-            method = self.data[name] = import_module(method).METHOD
+            module, method = method, import_module(method).METHOD
+            if method.name != name:
+                raise ValueError(
+                    f"ptd/methods/__init__.py: METHOD of {module} is called {method.name!r}, not {name!r}; use one name"
+                )
+            self.data[name] = method
         return method
 
 

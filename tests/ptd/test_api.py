@@ -40,7 +40,7 @@ class Echo(Model):
 
 
 class First(Pass):
-    name, columns = "first", ("rgb",)
+    name, columns, influence_radius_m = "first", ("rgb",), 0.0
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
