@@ -1,4 +1,4 @@
-"""Properties of every filter of laser scans: order, frame and units have no effect, and any few points get labels."""
+"""Properties of every filter of laser scans: order, frame, units and tiles have no effect, few points get labels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from tests.ptd.scenes import CM, SCENES, Cloud
 from tests.ptd.tiling import classify_tiled
 from tests.scenes.windows import SCALE
 
-CASES: dict[str, Any] = {
+UNFIT = ("dong2017",)
+"""Methods that refuse clouds without colours."""
+SPECIAL: dict[str, Any] = {
     "classic": Classic(),
     "classic on all points": Classic(thin_cell_m=0.0, terrain_angle_deg=40.0),
     "rarefy": Rarefy(rounds=3, label_floor_m=0.49),
@@ -36,6 +38,9 @@ CASES: dict[str, Any] = {
     "ridge2016": Ridge2016(robust_cells=False),
     "auto": Auto(max_building_size_m=16.0),
 }
+"""Parameters for the small scenes, where those by default are too slow or find no object."""
+FIT = [name for name in METHODS if name not in UNFIT]
+CASES = {name: METHODS[name].params() for name in FIT if name not in SPECIAL} | SPECIAL
 every_method = pytest.mark.parametrize("params", CASES.values(), ids=CASES)
 
 
@@ -79,6 +84,17 @@ def test_order_frame_and_units_have_no_effect(cloud: Cloud, params: Any) -> None
     assert np.array_equal(
         labels_of(taller, params, replace(SCALE, metres_z=Fraction(1, 4 * CM)))[0], labels
     )
+
+
+@every_method
+def test_tiles_agree_with_the_whole(cloud: Cloud, params: Any) -> None:
+    """All certified labels are those of the whole; with a fixed radius all labels are certified."""
+    truth, _ = labels_of(cloud, params)
+    labels, marks, _ = classify_tiled(Points(cloud), SCALE, params, 48.0, 80.0, kind="lidar")
+    assert np.array_equal(labels[~marks], truth[~marks])
+    passes = [step for step in params.passes if step.kind in (None, "lidar")]
+    if all(step.influence_radius_m is not None for step in passes):
+        assert not marks.any()
 
 
 @settings(max_examples=20, deadline=None)
@@ -133,25 +149,26 @@ def samples(shared_data: Path) -> list[laspy.LasData]:
     return [laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz") for name in names]
 
 
-@pytest.mark.parametrize(
-    ("method", "total"),
-    [
-        ("auto", 0.031),
-        ("classic", 0.075),
-        ("rarefy", 0.074),
-        ("chen2023", 0.046),
-        ("ridge2016", 0.07),
-    ],
-)
-def test_errors_of_the_isprs_samples(
-    method: str, total: float, samples: list[laspy.LasData]
-) -> None:
+MAX_TOTAL = {
+    "auto": 0.031,
+    "classic": 0.075,
+    "rarefy": 0.074,
+    "chen2023": 0.046,
+    "ridge2016": 0.07,
+    "dong2018": 0.07,
+}
+"""Limits of the mean total error of the samples, a little above what was measured."""
+
+
+@pytest.mark.parametrize("method", FIT)
+def test_errors_of_the_isprs_samples(method: str, samples: list[laspy.LasData]) -> None:
     """Mean total error with the defaults, over all samples (the paper of chen2023: 0.113 on all)."""
-    assert method in METHODS
     errors = []
     for las in samples:
         found = (
             ptd.classify(np.stack([las.x, las.y, las.z], axis=1), method).classification == 2
         )
         errors.append((found != (np.asarray(las.classification) == 2)).mean())
-    assert np.mean(errors) < total, errors
+    error = float(np.mean(errors))
+    assert method in MAX_TOTAL, f"measured {error:.4f}; add a line for {method} to MAX_TOTAL"
+    assert error < MAX_TOTAL[method], errors
