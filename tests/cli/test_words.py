@@ -11,9 +11,11 @@ import pytest
 import rasterio
 
 from cli.main import main
+from ptd.methods import METHODS
 from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.config import RunConfig
+from tiler.plan.method import EQUIVALENTS
 from tiler.plan.plan_text import wrapped
 
 
@@ -38,6 +40,11 @@ def test_methods_of_other_programs_name_what_comes_nearest(
     text = error_of(["plan", cloud, "--method", method], capsys)
     assert nearest in text.split(";")[0]
     assert text.count("\n") == 1
+
+
+def test_no_method_is_said_to_be_missing() -> None:
+    both = sorted(EQUIVALENTS.keys() & METHODS.keys())
+    assert not both, "remove the row from EQUIVALENTS, and the name from docs/coming-from.md"
 
 
 def test_out_with_the_name_of_a_file_is_refused_with_the_remedy(

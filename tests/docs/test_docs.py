@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+from ptd.methods import METHODS
 from tests.docs.resident import write_client
 from tests.integration.command import environment
 from tests.waiting import PATIENCE_SECONDS, wait_until
@@ -106,6 +107,15 @@ def test_parameters_are_those_of_the_source() -> None:
     assert (ROOT / "docs/parameters.md").read_text("utf-8") == made.stdout, (
         "run `python docs/reference.py`"
     )
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_both_pages_on_methods_have_all(name: str) -> None:
+    """A section for developers, and a line for users."""
+    sections = re.findall(r"^##? `(\w+)`", (ROOT / "docs/filters.md").read_text("utf-8"), re.M)
+    assert name in sections, "add a section to docs/filters.md"
+    lines = re.findall(r"^- `(\w+)`: ", (ROOT / "docs/methods.md").read_text("utf-8"), re.M)
+    assert name in lines, "add a line to docs/methods.md"
 
 
 def test_the_table_of_products_has_all() -> None:
