@@ -44,6 +44,8 @@ COMMANDS = {
     "evaluate": "Score classes or a DTM against reference data.",
     "check": "Measure accuracy, seams and strip alignment of a DTM.",
     "report": "Update OUT/report.html with the latest measurements.",
+    "deliver": "Copy the results of a run into a folder with a manifest.",
+    "verify": "Compare a delivered folder with its manifest.",
     "clean": "Delete temporary data that later runs do not need.",
     "simulate": "Simulate a cloud with reference classes and terrain.",
     "config": "Print the effective settings or a commented template.",

@@ -1,0 +1,41 @@
+"""``tiler deliver``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import click
+
+from cli.ending import DONE, PARTIAL
+from cli.options import json_option
+from cli.output import print_json, write_line
+from cli.session import TilerCommand
+from tiler.core.words import counted
+from tiler.observe.progress import size_text
+
+
+@click.command("deliver", cls=TilerCommand)
+@click.argument("out", metavar="OUT")
+@click.option("--to", metavar="FOLDER", required=True, help="folder of the delivery")
+@json_option
+def command(out: str, to: str, as_json: bool) -> int:
+    """Copy the results of a run into a folder with a manifest.
+
+    The folder gets the rasters, clouds and vector files of OUT and the report, each checked against what the run wrote,
+    but neither the store nor the places to review. manifest.json has the SHA-256 and the facts of each file. Deliver to
+    the same folder again after a later run: only changed files are replaced. Exit code 5 if the run left something out.
+    """
+    from tiler.apps.delivery import deliver
+
+    made = deliver(out, to)
+    if as_json:
+        print_json(asdict(made))
+    else:
+        write_line(
+            f"delivered  {counted(made.files, 'file')}, {size_text(made.bytes)}, to {to}"
+        )
+        for name in made.removed:
+            write_line(f"removed    {name}, which this run does not deliver")
+        if not made.complete:
+            write_line("incomplete the run left something out, see the report")
+    return DONE if made.complete else PARTIAL

@@ -1,0 +1,176 @@
+"""A delivery has what the run wrote, its manifest tells the truth, and a change of any file is found."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import laspy
+import pytest
+import rasterio
+
+from cli.main import main
+from tests.scenes.finished import Finished
+from tiler.apps.delivery import MANIFEST, UNDER_WAY, deliver, verify
+from tiler.errors import ConfigError, InputError
+
+
+@pytest.fixture
+def out(finished_run: Finished, tmp_path: Path) -> Path:
+    shutil.copytree(finished_run[0], tmp_path / "out")
+    return tmp_path / "out"
+
+
+@pytest.fixture
+def delivery(out: Path, tmp_path: Path) -> Path:
+    deliver(out, tmp_path / "delivery")
+    return tmp_path / "delivery"
+
+
+def manifest(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / MANIFEST).read_text())
+    return content
+
+
+def change_manifest(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    content = manifest(folder)
+    change(content)
+    (folder / MANIFEST).write_text(json.dumps(content))
+
+
+def test_the_manifest_has_the_facts_of_each_file(out: Path, delivery: Path) -> None:
+    content = manifest(delivery)
+    entries = {entry["path"]: entry for entry in content["files"]}
+    written = json.loads((out / "run.json").read_text())["outputs"]
+    assert entries.keys() == (written.keys() - {"review.gpkg"}) | {"report.html"}
+    for name, entry in entries.items():
+        path = delivery / name
+        assert path.read_bytes() == (out / name).read_bytes()
+        assert path.stat().st_mtime_ns == (out / name).stat().st_mtime_ns
+        assert entry["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert entry["bytes"] == path.stat().st_size
+    terrain = entries["dtm.tif"]
+    with rasterio.open(delivery / "dtm.tif") as raster:
+        assert (terrain["columns"], terrain["rows"]) == (raster.width, raster.height)
+        assert terrain["bounds"] == list(raster.bounds)
+        assert (terrain["nodata"], terrain["dtype"]) == (raster.nodata, raster.dtypes[0])
+        assert terrain["crs"] == f"EPSG:{raster.crs.to_epsg()}"
+    for name, entry in entries.items():
+        if entry["kind"] == "cloud":
+            with laspy.open(delivery / name) as cloud:
+                assert entry["points"] == cloud.header.point_count
+    assert content["verdicts"]["complete"] is True
+    assert not (delivery / UNDER_WAY).exists()
+
+
+def test_missing_changed_and_extra_files_are_told(
+    delivery: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["verify", str(delivery)]) == 0
+    spoilt = bytearray((delivery / "dtm.tif").read_bytes())
+    spoilt[-1] ^= 1
+    (delivery / "dtm.tif").write_bytes(spoilt)
+    (delivery / "stac.json").unlink()
+    (delivery / "mine.txt").write_text("mine")
+    capsys.readouterr()
+    assert main(["verify", str(delivery)]) == 5
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == ["missing  stac.json", "changed  dtm.tif", "extra    mine.txt"]
+    assert lines[3].startswith("verified ")
+
+
+def test_a_second_delivery_replaces_only_what_changed(out: Path, delivery: Path) -> None:
+    times = {path: path.stat().st_mtime_ns for path in delivery.rglob("*") if path.is_file()}
+    (delivery / "stac.json").write_text("changed by the client")
+    os.utime(out / "dtm.tif")  # touched, with the same bytes
+    change_manifest(
+        delivery,
+        lambda content: content["files"].append(
+            {"path": "gone.tif", "bytes": 3, "sha256": hashlib.sha256(b"old").hexdigest()}
+        ),
+    )
+    (delivery / "gone.tif").write_bytes(b"old")
+    made = deliver(out, delivery)
+    assert made.removed == ["gone.tif"]
+    assert not (delivery / "gone.tif").exists()
+    found = verify(delivery)
+    assert (found.missing, found.changed, found.extra) == ([], [], [])
+    same = {path for path, time in times.items() if path.stat().st_mtime_ns == time}
+    assert same >= times.keys() - {delivery / MANIFEST}
+
+
+def test_a_file_that_a_client_changed_is_not_removed(out: Path, delivery: Path) -> None:
+    change_manifest(
+        delivery,
+        lambda content: content["files"].append(
+            {"path": "gone.tif", "bytes": 3, "sha256": hashlib.sha256(b"old").hexdigest()}
+        ),
+    )
+    (delivery / "gone.tif").write_bytes(b"new")
+    assert deliver(out, delivery).removed == []
+    assert verify(delivery).extra == ["gone.tif"]
+
+
+def test_a_delivery_that_was_killed_goes_on(out: Path, tmp_path: Path) -> None:
+    (tmp_path / "to").mkdir()
+    (tmp_path / "to" / UNDER_WAY).touch()
+    (tmp_path / "to" / "dtm.tif").write_bytes(b"a part")
+    deliver(out, tmp_path / "to")
+    assert verify(tmp_path / "to").changed == []
+
+
+def test_a_result_that_somebody_changed_is_not_delivered(out: Path, tmp_path: Path) -> None:
+    spoilt = bytearray((out / "dtm.tif").read_bytes())
+    spoilt[-1] ^= 1
+    (out / "dtm.tif").write_bytes(spoilt)
+    with pytest.raises(
+        InputError, match=r"dtm\.tif: changed since the run wrote it; run again"
+    ):
+        deliver(out, tmp_path / "to")
+    assert not (tmp_path / "to" / "dtm.tif").exists()
+    (out / "dtm.tif").unlink()
+    with pytest.raises(InputError, match=r"dtm\.tif: missing; run again"):
+        deliver(out, tmp_path / "to")
+
+
+def test_folders_that_cannot_be_used_are_refused(out: Path, tmp_path: Path) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("mine")
+    for to, reason in (
+        (tmp_path / "full", "is not empty"),
+        (out / "inside", "lies in it"),
+        (tmp_path, "contains OUT"),
+        ("s3://bucket/to", "is a URL"),
+    ):
+        with pytest.raises(ConfigError, match=reason):
+            deliver(out, to)
+    with pytest.raises(ConfigError, match="has no results"):
+        deliver(tmp_path / "full", tmp_path / "to")
+    run = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps({**run, "state": "running"}))
+    with pytest.raises(ConfigError, match="is not finished"):
+        deliver(out, tmp_path / "to2")
+
+
+@pytest.mark.parametrize(
+    "path", ["/etc/passwd", "../out/run.json", "a/../../b", "..\\b", "C:/b", "C:b"]
+)
+def test_a_manifest_that_leads_out_of_its_folder_is_refused(delivery: Path, path: str) -> None:
+    change_manifest(delivery, lambda content: content["files"][0].update(path=path))
+    with pytest.raises(InputError, match="leads out of the folder"):
+        verify(delivery)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"files": [1]}', '{"files": [{"path": "a"}]}']
+)
+def test_a_damaged_manifest_is_one_line(delivery: Path, text: str) -> None:
+    (delivery / MANIFEST).write_text(text)
+    with pytest.raises(InputError, match="cannot be used as a manifest") as error:
+        verify(delivery)
+    assert "\n" not in str(error.value)

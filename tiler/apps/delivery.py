@@ -1,0 +1,299 @@
+"""Commands `tiler deliver` and `tiler verify`: a folder for a client with a manifest, and its check."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from pyproj import CRS
+
+from tiler.apps.evaluate.rasters import open_raster
+from tiler.config import RunConfig
+from tiler.core.crs import split, vertical_name
+from tiler.core.records import new_digest
+from tiler.errors import ConfigError, InputError, write_error
+from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path, write_atomic
+from tiler.io.cloud_reading import BLOCK_BYTES
+from tiler.io.foreign_content import parse_json_object
+from tiler.io.las.headers import read_header
+from tiler.io.locations import is_url
+from tiler.io.overwrite_check import check_links
+from tiler.io.result_folder import CHECK, CLASSIFIED, REPORT, REVIEW, read_run, written_rasters
+from tiler.report.accuracy import read_measured, seams_text
+from tiler.store import locked_folder
+
+MANIFEST = "manifest.json"
+UNDER_WAY = f"{SCRATCH_PREFIX}delivery"
+"""File in a folder to which a delivery is under way, or was when it was killed."""
+FORMAT = 1
+"""Version of the manifest's form."""
+MAX_BYTES = 1 << 28
+"""Size from which a file is not read as a manifest."""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """Delivered folder: number and bytes of its files, files removed from it, and whether the run left nothing out."""
+
+    folder: str
+    files: int
+    bytes: int
+    removed: list[str]
+    complete: bool
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Check of a delivered folder: number of files, and those that are missing, changed, or not in the manifest."""
+
+    files: int
+    missing: list[str]
+    changed: list[str]
+    extra: list[str]
+
+
+def deliver(out: str | Path, to: str | Path) -> Delivery:
+    """Copy the results of a finished run into a folder, with a manifest.
+
+    The folder gets the files that the run wrote and the report, but not the store, the log and the places to review. A
+    folder of an earlier delivery is brought up to date: files with the same bytes keep their times, and files that are
+    not delivered any more are removed unless somebody changed them.
+
+    Parameters
+    ----------
+    out : path
+        Folder of the run.
+    to : path
+        Folder of the delivery, which is made if it does not exist.
+
+    Raises
+    ------
+    ConfigError
+        A folder cannot be used, or the run is not finished.
+    InputError
+        A file is missing, or was changed since the run wrote it.
+    LockedError
+        A run uses ``out``.
+    ProcessingError
+        A file cannot be written.
+    """
+    source, target = _folders(out, to)
+    with locked_folder(str(source)):
+        run = _finished_run(source)
+        names = [name for name in run["outputs"] if name != REVIEW]
+        names += [REPORT] if (source / REPORT).is_file() else []
+        earlier = _earlier_delivery(target)
+        check_links("--to", target, names)
+        _write(target / UNDER_WAY, b"")
+        entries = [_copied(source, target, name, run) for name in sorted(names)]
+    removed = list(_remove(target, earlier, {entry["path"] for entry in entries}))
+    manifest = _manifest(run, read_measured(source, CHECK, run), entries)
+    _write(target / MANIFEST, json.dumps(manifest, indent=1).encode())
+    (target / UNDER_WAY).unlink(missing_ok=True)
+    size = sum(entry["bytes"] for entry in entries)
+    return Delivery(str(to), len(entries), size, removed, manifest["verdicts"]["complete"])
+
+
+def verify(folder: str | Path) -> Verification:
+    """Compare the files of a delivered folder with its manifest.
+
+    Raise InputError if the manifest cannot be read.
+    """
+    entries = _entries(Path(folder))
+    missing, changed = [], []
+    for name, entry in entries.items():
+        path = Path(folder, name)
+        if not path.is_file():
+            missing.append(name)
+        elif path.stat().st_size != entry["bytes"] or _sha256(path) != entry["sha256"]:
+            changed.append(name)
+    present = (path for path in Path(folder).rglob("*") if not path.is_dir())
+    names = {path.relative_to(folder).as_posix() for path in present}
+    extra = sorted(names - entries.keys() - {MANIFEST})
+    return Verification(len(entries), missing, changed, extra)
+
+
+def _folders(out: str | Path, to: str | Path) -> tuple[Path, Path]:
+    """Return both folders without links. Raise ConfigError if one contains the other, or is at a URL."""
+    for option, folder in (("OUT", out), ("--to", to)):
+        if is_url(str(folder)):
+            raise ConfigError(f"{option} {folder}: is a URL; give a folder on this machine")
+    source, target = Path(out).resolve(), Path(to).resolve()
+    if source.is_relative_to(target) or target.is_relative_to(source):
+        raise ConfigError(f"--to {to}: contains OUT or lies in it; give another folder")
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            f"--to {to}: cannot be made ({error.strerror}); give a folder"
+        ) from error
+    return source, target
+
+
+def _finished_run(out: Path) -> dict[str, Any]:
+    run = read_run(str(out))
+    if run is None:
+        raise ConfigError(f"{out}: has no results of a run; give the OUT of a finished run")
+    if run["state"] != "done" or not run.get("outputs"):
+        raise ConfigError(f"{out}: its run is not finished; run the same command again")
+    return run
+
+
+def _earlier_delivery(target: Path) -> dict[str, Any]:
+    """Return the entries of the manifest in a folder. Raise ConfigError if the folder has other content."""
+    if (target / MANIFEST).is_file():
+        return _entries(target)
+    if any(target.iterdir()) and not (target / UNDER_WAY).exists():
+        raise ConfigError(
+            f"--to {target}: is not empty and has no {MANIFEST}; give a new folder"
+        )
+    return {}
+
+
+def _copied(source: Path, target: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
+    """Copy a file of a run, and return its entry in the manifest."""
+    path, copy = source / name, target / name
+    sha256, digest = hashlib.sha256(), new_digest()
+    try:
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "rb") as stream, atomic_path(copy) as partial:
+            with open(partial, "xb") as writing:
+                while part := stream.read(BLOCK_BYTES):
+                    sha256.update(part)
+                    digest.update(part)
+                    writing.write(part)
+                writing.flush()
+                os.fsync(writing.fileno())
+            if run["digests"].get(name, digest.hexdigest()) != digest.hexdigest():
+                raise InputError(f"{path}: changed since the run wrote it; run again")
+            times = path.stat()
+            os.utime(partial, ns=(times.st_atime_ns, times.st_mtime_ns))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: missing; run again") from error
+    except OSError as error:
+        raise write_error(str(copy), error, target) from error
+    facts = {"path": name, "bytes": copy.stat().st_size, "sha256": sha256.hexdigest()}
+    return {**facts, **_facts(copy, name, run)}
+
+
+def _facts(path: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a client asks of a file: product, pixels, CRS, nodata; number of points of a cloud."""
+    if name.startswith(f"{CLASSIFIED}/"):
+        return {"kind": "cloud", "points": read_header(path).point_count}
+    if path.suffix != ".tif":
+        return {"kind": {".gpkg": "vector", ".html": "page"}.get(path.suffix, "description")}
+    rasters = {file: product for product, file in written_rasters(run).items()}
+    product = rasters.get(name, name.partition("/")[0])
+    with open_raster(path) as raster:
+        return {
+            "kind": "raster",
+            "product": product,
+            "columns": raster.width,
+            "rows": raster.height,
+            "pixel": raster.res[0],
+            "bounds": list(raster.bounds),
+            "dtype": raster.dtypes[0],
+            "nodata": raster.nodata,
+            "unit": raster.units[0],
+            **_crs_names(raster.crs.to_wkt() if raster.crs else None),
+        }
+
+
+@cache
+def _crs_names(wkt: str | None) -> dict[str, str | None]:
+    """Return code or name of the horizontal CRS, and name of the height reference, each None if it is not given."""
+    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    if horizontal is None:
+        return {"crs": None, "vertical": vertical_name(wkt)}
+    authority = horizontal.to_authority(min_confidence=100)
+    code = ":".join(authority) if authority else horizontal.name
+    return {"crs": code, "vertical": vertical_name(wkt)}
+
+
+def _manifest(
+    run: Mapping[str, Any], check: Mapping[str, Any], entries: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the manifest. ``check`` are the measurements of `tiler check`, empty without a check."""
+    defaults = RunConfig().to_json()
+    given = {
+        name: value
+        for name, value in run["configuration"].items()
+        if value != defaults.get(name)
+    }
+    current = {} if check.get("older") else check
+    return {
+        "format": FORMAT,
+        "software": f"tiler {run['version']}",
+        "libraries": run["libraries"],
+        "written": run["written"],
+        "units": run["plan"].get("units"),
+        "method": run["plan"]["method"],
+        "settings": given,
+        "inputs": [
+            {"name": PurePosixPath(source["path"]).name, "points": source["points"]}
+            for source in run["inputs"]
+        ],
+        "verdicts": {
+            "complete": run["exit_code"] == 0,
+            "problems": dict(Counter(problem["what"] for problem in run["problems"])),
+            "review": run.get("review"),
+            "seams": seams_text(current["seams"]) if current.get("seams") else "not checked",
+            "requirements": current.get("requirements", []),
+        },
+        "files": entries,
+    }
+
+
+def _remove(target: Path, earlier: Mapping[str, Any], delivered: set[str]) -> Iterator[str]:
+    """Remove the files that an earlier delivery wrote and this one does not, if they are unchanged."""
+    for name in sorted(earlier.keys() - delivered):
+        path = target / name
+        if path.is_file() and _sha256(path) == earlier[name]["sha256"]:
+            try:
+                path.unlink()
+            except OSError as error:
+                raise write_error(str(path), error, target) from error
+            yield name
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        write_atomic(path, content)
+    except OSError as error:
+        raise write_error(str(path), error, path.parent) from error
+
+
+def _entries(folder: Path) -> dict[str, Any]:
+    """Return the entries of a manifest by path. Raise InputError if it is none, or a path leads out of its folder."""
+    path = folder / MANIFEST
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError("too large")
+        entries = {}
+        for entry in parse_json_object(path.read_bytes())["files"]:
+            name, inside = entry["path"], PurePosixPath(entry["path"])
+            is_outside = inside.is_absolute() or ".." in inside.parts or "\\" in name
+            if is_outside or PureWindowsPath(name).drive:
+                raise ValueError(f"the path {name!r} leads out of the folder")
+            entries[name] = {"bytes": int(entry["bytes"]), "sha256": str(entry["sha256"])}
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{path}: no such file; give a folder that tiler deliver made"
+        ) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: cannot be used as a manifest ({error}); get the delivery again"
+        ) from error
+    return entries
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
