@@ -161,7 +161,7 @@ def test_only_what_an_edit_reaches_is_done_again(
         "grid-dtm-above": 4,  # reads one pixel of the neighbours
         "grid-water-areas": 2,
         "grid-water-planes": 2,
-        "export": 3,
+        "export": 4,
         "catalogue": 2,
     }  # files: the raster, the outline that follows its pixels, and one of four clouds
     changed = {
