@@ -11,6 +11,7 @@ from cli.main import COMMANDS
 from cli.options import SETTINGS, default_text
 from tiler.config import RunConfig
 from tiler.core.products import PRODUCTS
+from tiler.io.cloud_formats import SUFFIXES
 from tiler.version import __version__
 
 SHELLS = ("run", "preview", "classify", "check")
@@ -55,7 +56,8 @@ LABELS_OF = {
     "classify": {"INPUT": "Point cloud", "OUTPUT": "Classified cloud"},
     "check": {"INPUT": "Terrain model"},
 }
-CLOUD_FILES = "Point clouds (*.laz *.las *.vpc *.LAZ *.LAS *.json);;All files (*)"
+_PATTERNS = (f"*{suffix}" for suffix in (*SUFFIXES, ".vpc", *map(str.upper, SUFFIXES), ".json"))
+CLOUD_FILES = f"Point clouds ({' '.join(_PATTERNS)});;All files (*)"
 
 
 def table() -> dict[str, Any]:

@@ -17,6 +17,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import output_digests
 from tiler.core.edits import ACTIONS
 from tiler.core.products import MASK_VALUES
+from tiler.io.cloud_formats import FORMAT_NAMES
 
 # Debian's `qgis_process` is a script that calls this one with an option that it does not know.
 QGIS_PROCESS = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
@@ -119,7 +120,7 @@ def test_an_error_is_one_line_and_no_success(
 ) -> None:
     done = run(profile, "run", INPUT=tmp_path / "none.laz", OUTPUT=tmp_path / "out")
     assert done.returncode != 0
-    line = f"{tmp_path}/none.laz: no such file or folder; give LAS or LAZ files, folders, globs or .vpc files"
+    line = f"{tmp_path}/none.laz: no such file or folder; give {FORMAT_NAMES} files, folders, globs or .vpc files"
     assert f"ERROR:\t{line}\n" in done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     assert "Results" not in done.stdout

@@ -18,6 +18,7 @@ from tiler.errors import InputError
 from tiler.inputs import SourceInfo, find_inputs, inspect, inspect_in_child
 from tiler.inputs.lists import is_virtual
 from tiler.inputs.point_tiles import node_counts, read_point_tiles
+from tiler.io.cloud_formats import format_of
 from tiler.io.las.headers import read_header
 from tiler.io.las.point_formats import class_and_flags, coordinate
 from tiler.io.las.reader import NEEDED, PointReader
@@ -37,7 +38,7 @@ _MAP_ROWS = 24
 
 
 def describe_cloud(path: Path) -> dict[str, Any]:
-    """Describe a LAS or LAZ file: its checked header, units, density and classes."""
+    """Describe a cloud: its checked header, units, density and classes."""
     info = inspect(path)
     georeference = info.georeference
     file_format = "LAS"
@@ -45,6 +46,9 @@ def describe_cloud(path: Path) -> dict[str, Any]:
         file_format = "LAZ"
     if info.copc:
         file_format += ", COPC"
+    cloud_format = format_of(path)
+    if not cloud_format.is_las:
+        file_format = cloud_format.name
     horizontal, vertical = "unknown", "not declared"
     if georeference.horizontal:
         horizontal = unit_label(georeference.horizontal)
@@ -55,8 +59,8 @@ def describe_cloud(path: Path) -> dict[str, Any]:
         "path": str(path),
         "size_bytes": info.size,
         "format": file_format,
-        "las_version": info.version,
-        "point_format": info.point_format,
+        "las_version": info.version if cloud_format.is_las else None,
+        "point_format": info.point_format if cloud_format.is_las else None,
         "points": info.points,
         "bounds": list(info.bounds) if info.bounds else None,
         "scales": list(info.scales),

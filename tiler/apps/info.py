@@ -11,6 +11,7 @@ import numpy as np
 from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreAccessError, StoreError
+from tiler.io.cloud_formats import SUFFIXES
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import (
     as_path,
@@ -25,8 +26,6 @@ from tiler.io.result_folder import AGAIN_WITHOUT_RUN, RUN, STORE, read_run
 
 if TYPE_CHECKING:
     from tiler.store import Commits, TileStore
-
-_CLOUDS = (".las", ".laz")
 
 _RUN_FACTS = (
     "state",
@@ -49,7 +48,7 @@ def describe(path: str) -> dict[str, Any]:
     Parameters
     ----------
     path : str
-        Path or URL of a LAS or LAZ file, an ``ept.json``, a tile store, a result folder of a run, or a raster.
+        Path or URL of a cloud, an ``ept.json``, a tile store, a result folder of a run, or a raster.
 
     Returns
     -------
@@ -70,7 +69,7 @@ def describe(path: str) -> dict[str, Any]:
         with storage_errors():
             # On a web server, the test for a folder would read the whole cloud. Reading it
             # reports a missing one.
-            is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
+            is_cloud = is_url(path) and name.endswith((*SUFFIXES, "ept.json"))
             if is_cloud:
                 missing = False
             elif is_url(path):
@@ -99,7 +98,7 @@ def describe(path: str) -> dict[str, Any]:
         from tiler.inputs import read_list
 
         return read_list(path, describe_point_tiles, path)
-    if not name.endswith(_CLOUDS):
+    if not name.endswith(SUFFIXES):
         from tiler.schedule import call_isolated, half_of_memory
 
         return call_isolated(
@@ -130,7 +129,7 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
         return describe_store(str(folder))
     if (folder / RUN).is_file():
         return describe_result(folder)
-    if any(path.suffix.lower() in _CLOUDS for path in folder.iterdir()):
+    if any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
         raise InputError(
             f"{folder}: holds clouds; give one of them, or see `tiler plan` for all"
         )

@@ -30,6 +30,12 @@ def listed(texts: Sequence[str], limit: int, noun: str = "") -> str:
     return f"{first} and {len(texts) - limit:,} more {noun}".rstrip()
 
 
+def alternatives(texts: Sequence[str]) -> str:
+    """Return texts joined by commas and ``or``, like ``a, b or c``."""
+    *others, last = texts
+    return f"{', '.join(others)} or {last}" if others else last
+
+
 def name_in_wkt(wkt: str | None, none: str = "unknown") -> str:
     """Return the name at the beginning of a CRS in WKT, or the text ``none`` if there is no CRS."""
     if wkt is None:

@@ -35,8 +35,14 @@ from tiler.export.cloud_frame import (
     write_front,
 )
 from tiler.export.output_files import CloudCopy, CloudRecord
-from tiler.io.atomic_files import clear_partial, partial_path, replace_different, sync_folder
-from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
+from tiler.io.atomic_files import (
+    clear_partial,
+    partial_path,
+    replace_different,
+    sync_folder,
+)
+from tiler.io.cloud_formats import open_cloud
+from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.point_formats import (
     as_standard_times,
@@ -126,7 +132,7 @@ def _write(store: TileStore, header: LasHeader, cloud: CloudCopy, out: Path) -> 
         block_bytes = BLOCK_BYTES
         if cloud.ranges:  # Only a part of the file is read.
             block_bytes = _FEW_BYTES
-        with open_location(header.path, block_bytes) as source, open(partial, "x+b") as target:
+        with open_cloud(header.path, block_bytes) as source, open(partial, "x+b") as target:
             if cloud.copc:
                 notes = write_copc_front(header, source, target, crs)
                 with CopcWriter(target, form, str(out.parent)) as copc:

@@ -16,10 +16,11 @@ from tiler.errors import ConfigError, InputError
 from tiler.inputs.lists import is_virtual, members, read_list
 from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, node_files, read_point_tiles
 from tiler.io.atomic_files import SCRATCH_PREFIX
+from tiler.io.cloud_formats import FORMAT_NAMES, SUFFIXES
 from tiler.io.locations import as_path, is_url, list_inputs
 from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results
 
-SUFFIXES = (".las", ".laz")
+_GIVE = f"give {FORMAT_NAMES} files, folders, globs or .vpc files"
 PACKED = (".zip", ".gz", ".zst", ".bz2", ".xz", ".7z", ".rar")
 """Suffixes of packed files, which may contain clouds. They have to be unpacked first."""
 
@@ -44,7 +45,7 @@ def find_inputs(
     in_process: bool = False,
     unlisted: Unlisted | None = None,
 ) -> list[Path]:
-    """Find LAS and LAZ files in files, folders (recursively), globs, virtual point clouds and EPT.
+    """Find clouds in files, folders (recursively), globs, virtual point clouds and EPT.
 
     Clouds that a run of tiler wrote are found only if their own folder or a file in it is
     given. They are not found through a folder or a glob above it.
@@ -78,10 +79,10 @@ def find_inputs(
     ConfigError
         There are no paths, a path does not exist, or no node of point tiles is selected.
     InputError
-        No LAS or LAZ file was found, or a list of clouds, or a folder at a URL, cannot be read.
+        No cloud was found, or a list of clouds, or a folder at a URL, cannot be read.
     """
     if not paths:
-        raise ConfigError("no input; give LAS or LAZ files, folders, globs or .vpc files")
+        raise ConfigError(f"no input; {_GIVE}")
     clouds: dict[Path | FileNumber, Path] = {}
     reported: list[str] = []
     packed: list[str] = []
@@ -120,9 +121,9 @@ def find_inputs(
         why, remedy = f" ({reported[0]})" if reported else "", "give files, folders or globs"
         if packed and not reported:
             why += f", but packed files ({words.listed(packed, 2, 'files')})"
-            remedy = "unpack them and give the LAS or LAZ files in them"
+            remedy = f"unpack them and give the {FORMAT_NAMES} files in them"
         raise InputError(
-            f"{', '.join(map(str, paths))}: no .las or .laz file there{why}; {remedy}"
+            f"{', '.join(map(str, paths))}: no {words.alternatives(SUFFIXES)} file there{why}; {remedy}"
         )
     urls = sorted((path for path in clouds.values() if is_url(path)), key=str)
     return sorted(path for path in clouds.values() if not is_url(path)) + urls
@@ -177,25 +178,19 @@ def _expanded(text: str, note: Tell, packed: list[str]) -> tuple[Path, list[Path
         fixed = text[: _glob_base(text)].rpartition("/")[0] if glob.has_magic(text) else text
         return as_path(fixed if is_url(fixed) else text), list_inputs(text, SUFFIXES)
     if not text:
-        raise ConfigError(
-            "an input has no name at all; give LAS or LAZ files, folders, globs or .vpc files"
-        )
+        raise ConfigError(f"an input has no name at all; {_GIVE}")
     path = Path(text)
     try:
         is_folder, is_there = path.is_dir(), path.exists() or path.is_symlink()
     except OSError as error:
-        raise ConfigError(
-            f"{text}: {error.strerror}; give LAS or LAZ files, folders, globs or .vpc files"
-        ) from error
+        raise ConfigError(f"{text}: {error.strerror}; {_GIVE}") from error
     if is_folder:
         return path, list(_walk(path, note, packed))
     if is_there:
         return path, [path]
     matches = sorted(glob.glob(text, recursive=True))
     if not matches:
-        raise ConfigError(
-            f"{text}: no such file or folder; give LAS or LAZ files, folders, globs or .vpc files"
-        )
+        raise ConfigError(f"{text}: no such file or folder; {_GIVE}")
     clouds: list[Path] = []
     for match in map(Path, matches):
         if match.is_dir():

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
+from tiler.core.words import alternatives
 from tiler.errors import ConfigError, InputError, write_error
 from tiler.io.atomic_files import SCRATCH_PREFIX, replace_file
 
@@ -272,7 +273,9 @@ def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
             f"{url}: cannot be listed ({error}); {reading_remedy(url, '')}"
         ) from error
     if not listed:
-        raise ConfigError(f"{url}: nothing there; give LAS or LAZ objects, folders or globs")
+        raise ConfigError(
+            f"{url}: nothing there; give {alternatives(suffixes)} objects, folders or globs"
+        )
     if listed == [system_path]:
         return [as_path(url)]
     names = sorted(name for name in listed if name.lower().endswith(suffixes))

@@ -27,8 +27,9 @@ from tiler.core.crs import placement
 from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import CommonCrs, SourceInfo, inspect, inspect_in_child, is_list
+from tiler.io.cloud_formats import SUFFIXES
 from tiler.io.locations import as_path, is_url, without_query
-from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX
+from tiler.io.result_folder import COPC_SUFFIX
 from tiler.plan import sizes
 from tiler.plan.memory import default_workers
 from tiler.plan.method import KIND_WORDS
@@ -196,7 +197,7 @@ def output_names(
                 name = Path(str(path.relative_to(folder)))
                 break
         # What follows the dot of another name, like "2" in "tile.2", may tell files apart.
-        is_cloud = name.suffix.lower().partition("?")[0] in CLOUD_SUFFIXES.values()
+        is_cloud = name.suffix.lower().partition("?")[0] in SUFFIXES
         stem = name.stem if is_cloud else name.name
         if source.copc or suffix == COPC_SUFFIX:
             stem = stem.removesuffix(".copc")

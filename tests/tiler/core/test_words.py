@@ -5,7 +5,7 @@ from __future__ import annotations
 import pyproj
 import pytest
 
-from tiler.core.words import counted, listed, name_in_wkt
+from tiler.core.words import alternatives, counted, listed, name_in_wkt
 
 
 @pytest.mark.parametrize(
@@ -34,6 +34,12 @@ def test_a_list_has_its_first_texts_and_the_number_of_the_others(
 
 def test_a_list_may_have_a_noun() -> None:
     assert listed(["a", "b", "c"], 1, "files") == "a and 2 more files"
+
+
+def test_alternatives_are_joined_by_or() -> None:
+    assert alternatives(["LAS"]) == "LAS"
+    assert alternatives(["LAS", "LAZ"]) == "LAS or LAZ"
+    assert alternatives(["LAS", "LAZ", "text"]) == "LAS, LAZ or text"
 
 
 @pytest.mark.parametrize("version", ["WKT1_GDAL", "WKT2_2019"])

@@ -15,6 +15,7 @@ import pytest
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import find_inputs, inspect
+from tiler.io.cloud_formats import FORMAT_NAMES
 from tiler.io.locations import as_path
 from tiler.plan import make_plan
 from tiler.plan.inspection import output_names
@@ -42,9 +43,11 @@ def test_a_folder_of_packed_clouds_has_the_advice_to_unpack_them(
         (tmp_path / name).write_bytes(b"PK\x03\x04")
     with pytest.raises(InputError) as caught:
         find_inputs([os.path.join(tmp_path, pattern)])
-    assert "no .las or .laz file there, but packed files (" in str(caught.value)
+    assert " file there, but packed files (" in str(caught.value)
     assert str(tmp_path / "tiles.zip") in str(caught.value)
-    assert str(caught.value).endswith("; unpack them and give the LAS or LAZ files in them")
+    assert str(caught.value).endswith(
+        f"; unpack them and give the {FORMAT_NAMES} files in them"
+    )
 
 
 def test_an_unreadable_folder_is_named(
@@ -87,7 +90,7 @@ def test_a_pipe_is_refused_without_waiting_for_it(kind: str, tmp_path: Path) -> 
 
 def test_inputs_that_cannot_be_opened_are_refused(tmp_path: Path) -> None:
     for text in ("", "x" * 5000):
-        with pytest.raises(ConfigError, match="give LAS or LAZ files"):
+        with pytest.raises(ConfigError, match=f"give {FORMAT_NAMES} files"):
             find_inputs([text])
     for one, other in (("a.las", "b.las"), ("b.las", "a.las")):
         (tmp_path / one).symlink_to(other)
@@ -210,7 +213,7 @@ def test_results_of_a_run_in_any_folder_are_no_inputs(make_cloud: Any, tmp_path:
         assert found(notes, root, place) == named
     assert found(notes, root, root / "out" / "classified" / "a.laz") == named[:1]
     (root / "out" / "own.las").unlink()
-    line = r"no \.las or \.laz .*out[/\\]classified is the result of a run, left out"
+    line = r"no \.las.* file there .*out[/\\]classified is the result of a run, left out"
     with pytest.raises(InputError, match=line):
         find_inputs([str(root / "out")])
     assert found(notes, root, root / "out", results=True) == named, "as `evaluate` wants it"

@@ -218,5 +218,5 @@ def test_no_input_is_an_error(tmp_path: Path) -> None:
         find_inputs([str(tmp_path / "nowhere")])
     with pytest.raises(ConfigError, match="no input"):
         find_inputs([])
-    with pytest.raises(InputError, match=r"no \.las or \.laz"):
+    with pytest.raises(InputError, match=r"no \.las.* file there"):
         find_inputs([str(tmp_path)])

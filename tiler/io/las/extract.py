@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiler.io.cloud_reading import open_location
+from tiler.io.cloud_formats import open_cloud
 from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.octree import Box, Octree
 from tiler.io.las.point_formats import coordinate
@@ -123,7 +123,7 @@ def _write(header: LasHeader, records: Records, target: Path) -> None:
 
     The numbers of points by return are 0.
     """
-    with open_location(header.path, _BLOCK_BYTES) as source:
+    with open_cloud(header.path, _BLOCK_BYTES) as source:
         front = bytearray(source.read(header.points_offset))
     bounds = []
     for axis in range(3):

@@ -7,6 +7,7 @@ The headers of LAS 1.0 to 1.4 are prefixes of it.
 from __future__ import annotations
 
 import math
+import os
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any, BinaryIO, NoReturn
 
 from tiler.core.records import new_digest
 from tiler.errors import InputError
-from tiler.io.cloud_reading import open_location
+from tiler.io.cloud_formats import FORMAT_NAMES, open_cloud
 from tiler.io.foreign_content import packing_of
 from tiler.io.las.layout import (
     CorruptLazError,
@@ -70,6 +71,8 @@ class LasHeader:
     path : Path
     state : FileState
         State of the file when the header was read.
+    size : int
+        Size in bytes of the LAS or LAZ file, or of the one as which a file of another format is read.
     version : tuple of int
     global_encoding, header_size, points_offset, record_length : int
     point_format : int
@@ -107,6 +110,7 @@ class LasHeader:
 
     path: Path
     state: FileState
+    size: int
     version: tuple[int, int]
     global_encoding: int
     header_size: int
@@ -130,11 +134,6 @@ class LasHeader:
     time_offset: int | None = None
     stated_points: int = 0
     salvaged: bool = False
-
-    @property
-    def size(self) -> int:
-        """Size of the file in bytes."""
-        return self.state.size
 
     @property
     def stamp(self) -> list[Any]:
@@ -187,8 +186,8 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         state = state_of(path)
         # Opening a pipe would wait for its other end.
         if not is_url(path) and not path.is_file():
-            refuse(path, "is not a regular file", "give LAS or LAZ files")
-        with open_location(path, _BLOCK_BYTES) as stream:
+            refuse(path, "is not a regular file", f"give {FORMAT_NAMES} files")
+        with open_cloud(path, _BLOCK_BYTES) as stream:
             header = _fixed_block(path, stream, state, salvage)
             header = _records(header, stream)
             if header.laz is None:
@@ -202,20 +201,21 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         refuse(
             path,
             f"cannot be read ({error.strerror or error})",
-            reading_remedy(path, "give a readable LAS or LAZ file"),
+            reading_remedy(path, f"give a readable {FORMAT_NAMES} file"),
         )
 
 
 def read_payload(path: Path, record: Vlr, limit: int = 1 << 24) -> bytes:
     """Return the content of a record, at most ``limit`` bytes."""
-    with open_location(path, _BLOCK_BYTES) as stream:
+    with open_cloud(path, _BLOCK_BYTES) as stream:
         stream.seek(record.payload)
         return stream.read(min(record.length, limit))
 
 
 def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) -> LasHeader:
     """Return the header with only the fields of the public header block."""
-    size = state.size
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
     raw = stream.read(HEADER_SIZES[5])
     if not raw:
         refuse(path, "is empty")
@@ -229,7 +229,7 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
         refuse(
             path,
             f"begins with {raw[:4]!r}, not with LASF: not a LAS or LAZ file",
-            "give LAS or LAZ files",
+            f"give {FORMAT_NAMES} files",
         )
     if len(raw) < _BLOCK.size:
         refuse(path, f"has {size} bytes, its header alone needs {_BLOCK.size}")
@@ -274,6 +274,7 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
     header = LasHeader(
         path=path,
         state=state,
+        size=size,
         version=(major, minor),
         global_encoding=encoding,
         header_size=header_size,

@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import DiskFullError, InputError, TilerError
-from tiler.io.cloud_reading import BLOCK_BYTES, open_location, reopen
+from tiler.io.cloud_formats import open_cloud
+from tiler.io.cloud_reading import BLOCK_BYTES, reopen
 from tiler.io.las.headers import AGAIN, LasHeader, read_header, refuse
 from tiler.io.las.layout import CorruptLazError, LazLayout, check_layers, is_panic
 from tiler.io.locations import FileState, state_of
@@ -118,7 +119,7 @@ class PointReader:
         self.dtype = record_dtype(header.point_format, header.record_length)
         self._selection = selection
         with decoding(header.path):
-            self._file: BinaryIO = open_location(
+            self._file: BinaryIO = open_cloud(
                 header.path, block_bytes, _parts(header, ranges or ())
             )
             # The decoder needs the position of its file, so checks of the next chunks use a
