@@ -28,6 +28,7 @@ from tiler.errors import ProcessingError, write_error
 from tiler.export.cloud_frame import (
     CloudStatistics,
     new_crs,
+    patch_bounds,
     patch_counts_and_bounds,
     write_back,
     write_copc_back,
@@ -150,6 +151,8 @@ def _write(store: TileStore, header: LasHeader, cloud: CloudCopy, out: Path) -> 
                 writer.close()
                 if cloud.ranges:
                     patch_counts_and_bounds(target, statistics)
+                elif not header.has_bounds:
+                    patch_bounds(target, statistics)
                 write_back(header, source, target, crs)
             target.flush()
             os.fsync(target.fileno())

@@ -132,15 +132,20 @@ def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
 
 def patch_counts_and_bounds(target: BinaryIO, statistics: CloudStatistics) -> None:
     """Write counts and bounds of the written points into a LAS 1.4 header."""
+    _patch(target, 107, "<6I", *[0] * 6)
+    _patch(target, 247, "<16Q", statistics.points, *statistics.by_return)
+    patch_bounds(target, statistics)
+
+
+def patch_bounds(target: BinaryIO, statistics: CloudStatistics) -> None:
+    """Write the bounds of the written points into a header of any version."""
     fields = statistics.to_json()["fields"]
     ends = [0.0] * 6
     if fields:
         ends = []
         for axis in "XYZ":
             ends += [fields[axis]["maximum"], fields[axis]["minimum"]]
-    _patch(target, 107, "<6I", *[0] * 6)
     _patch(target, 179, "<6d", *ends)
-    _patch(target, 247, "<16Q", statistics.points, *statistics.by_return)
     target.seek(0, os.SEEK_END)
 
 

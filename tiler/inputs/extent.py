@@ -132,9 +132,8 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
             )
         if not claimed:
             claim = _BoundingBox.around(header, reader.pieces(_SCAN))
-            note = (
-                "its points lie outside the bounds that its header gives: read from the points"
-            )
+            if header.has_bounds:
+                note = "its points lie outside the bounds that its header gives: read from the points"
     if not np.all(np.isfinite(claim.low)):
         raise InputError(
             f"{header.path}: none of its {header.point_count} points has finite coordinates; get the file again"

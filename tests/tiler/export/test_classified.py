@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import os
 import struct
 from pathlib import Path
@@ -16,6 +17,7 @@ from tiler.errors import InputError, ProcessingError
 from tiler.export import classified
 from tiler.export.classified import write_classified
 from tiler.export.output_files import CloudCopy, CloudRecord
+from tiler.inputs import inspect
 from tiler.io.las.headers import LasHeader, read_header, read_payload
 from tiler.io.las.reader import EVERYTHING, PointReader
 
@@ -128,6 +130,23 @@ def test_all_but_the_classes_is_equal(
     assert record.ground == sum(value == 2 for value in labels.values())
     assert record.classes.get("2", 0) == np.count_nonzero(expected == 2)
     assert [p.name for p in out.parent.iterdir()] == [f"a.{to}"]
+
+
+@pytest.mark.parametrize("version", ["1.2", "1.4"])
+def test_missing_bounds_are_written_from_the_points(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, version: str
+) -> None:
+    path = make_cloud("a.las", version=version)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<6d", data, 179, *[math.nan] * 6)
+    path.write_bytes(data)
+    assert inspect(path).notes == ()
+    out = tmp_path / "out" / "a.laz"
+    export(memory_store, path, out, label(memory_store, {1: 2}))
+    header, xyz = read_header(out), laspy.read(path).xyz
+    assert header.mins == pytest.approx(tuple(xyz.min(axis=0)))
+    assert header.maxs == pytest.approx(tuple(xyz.max(axis=0)))
+    assert without_class(decoded(path), 3) == without_class(decoded(out), 3)
 
 
 @pytest.mark.parametrize("to", ["las", "laz"])

@@ -86,7 +86,7 @@ class LasHeader:
     scales, offsets : tuple of 3 float
         Scales from `FINEST_SCALE` to `COARSEST_SCALE`, and finite offsets.
     mins, maxs : tuple of 3 float
-        Bounds in the header, which may be wrong.
+        Bounds in the header, which may be wrong, or all NaN if the writer did not know them.
     waveform_start : int
         First byte of the waveform packets (LAS 1.3 and later), or 0.
     evlrs_start : int
@@ -139,6 +139,11 @@ class LasHeader:
     def stamp(self) -> list[Any]:
         """State and digest, which change if the file changes (see `tiler.io.las.reader`)."""
         return [*self.state.to_json(), self.digest]
+
+    @property
+    def has_bounds(self) -> bool:
+        """Whether any of the bounds in the header is a number."""
+        return not all(map(math.isnan, (*self.mins, *self.maxs)))
 
     @property
     def prefers_wkt(self) -> bool:
