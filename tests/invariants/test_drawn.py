@@ -167,7 +167,7 @@ def test_only_what_an_edit_reaches_is_done_again(
     changed = {
         name for name, digest in digests(tmp_path / "out").items() if digest != before[name]
     }
-    assert changed == {"dtm.tif", "ne.laz"}
+    assert changed == {"dtm.tif", "ne.laz", "review.gpkg"}
     (fact,) = again.summary["edits"]
     assert fact["ground_before"] > 0 == fact["ground_after"]
     assert do(quarter_files, tmp_path / "out", **fine, edits=edits).did_nothing
