@@ -132,7 +132,12 @@ def test_sheets_are_a_collection(folder: Path, tmp_path: Path) -> None:
     again = do(folder, out, method="keep", ground_classes="1", products="dtm")
     names = {Path(item.get_self_href()).name for item in items}
     assert {path.name for path in (out / "outdated/stac").iterdir()} == names
-    assert again.summary["outputs"].keys() == {"dtm.tif", "outline.gpkg", "stac.json"}
+    assert again.summary["outputs"].keys() == {
+        "dtm.tif",
+        "outline.gpkg",
+        "review.gpkg",
+        "stac.json",
+    }
     assert not any(stage.startswith("filter") for stage in again.summary["stages"])
 
 

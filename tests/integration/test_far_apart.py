@@ -209,7 +209,7 @@ def test_one_more_input_makes_the_sheets_that_it_touches(tmp_path: Path) -> None
     result = do(
         [*first, site(tmp_path / "1.las", west + 1000, south + 1000)], tmp_path / "out", **how
     )
-    assert result.summary["stages"]["export"]["tasks"] == 4  # the outline, too
+    assert result.summary["stages"]["export"]["tasks"] == 5  # outline and review, too
     assert result.summary["stages"]["export"]["computed"] == 2
     assert tags().items() > before.items()
 

@@ -116,6 +116,29 @@ def test_a_file_that_a_client_changed_is_not_removed(out: Path, delivery: Path) 
     assert verify(delivery).extra == ["gone.tif"]
 
 
+def test_nothing_is_removed_through_a_link(out: Path, delivery: Path, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "old.tif").write_bytes(b"old")
+    (delivery / "more").symlink_to(tmp_path / "elsewhere", target_is_directory=True)
+    change_manifest(
+        delivery,
+        lambda content: content["files"].append(
+            {"path": "more/old.tif", "bytes": 3, "sha256": hashlib.sha256(b"old").hexdigest()}
+        ),
+    )
+    with pytest.raises(ConfigError, match="link"):
+        deliver(out, delivery)
+    assert (tmp_path / "elsewhere" / "old.tif").exists()
+
+
+def test_a_name_that_is_too_long_is_missing(delivery: Path) -> None:
+    change_manifest(
+        delivery,
+        lambda content: content["files"].append({"path": 3000 * "a", "bytes": 1, "sha256": ""}),
+    )
+    assert verify(delivery).missing == [3000 * "a"]
+
+
 def test_a_delivery_that_was_killed_goes_on(out: Path, tmp_path: Path) -> None:
     (tmp_path / "to").mkdir()
     (tmp_path / "to" / UNDER_WAY).touch()
@@ -158,7 +181,7 @@ def test_folders_that_cannot_be_used_are_refused(out: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    "path", ["/etc/passwd", "../out/run.json", "a/../../b", "..\\b", "C:/b", "C:b"]
+    "path", ["", ".", "/etc/passwd", "../out/run.json", "a/../../b", "..\\b", "C:/b", "C:b"]
 )
 def test_a_manifest_that_leads_out_of_its_folder_is_refused(delivery: Path, path: str) -> None:
     change_manifest(delivery, lambda content: content["files"][0].update(path=path))
@@ -167,7 +190,18 @@ def test_a_manifest_that_leads_out_of_its_folder_is_refused(delivery: Path, path
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", '{"files": [1]}', '{"files": [{"path": "a"}]}']
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"format": 99, "files": []}',
+        '{"format": 1, "files": [1]}',
+        '{"format": 1, "files": [{"path": "a"}]}',
+        '{"format": 1, "files": [{"path": "a", "bytes": 1e999, "sha256": ""}]}',
+        '{"format": 1, "files": [{"path": "a", "bytes": 1, "sha256": ""}, '
+        '{"path": "a", "bytes": 2, "sha256": ""}]}',
+    ],
 )
 def test_a_damaged_manifest_is_one_line(delivery: Path, text: str) -> None:
     (delivery / MANIFEST).write_text(text)

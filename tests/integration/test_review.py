@@ -21,6 +21,7 @@ from pyogrio import raw
 from tests.invariants.runs import do
 from tests.scenes.drawings import EAST, NORTH, ground, written
 from tiler.core.products import NODATA
+from tiler.errors import InputError
 from tiler.pipeline import RunResult
 
 SIDE, NUMBER = 160.0, 57_000
@@ -134,6 +135,88 @@ def test_fixed_places_become_edits_and_the_changed_files_are_listed(
     again = made(cloud, out, edits=str(out / "review.gpkg"))
     assert again.did_nothing
     assert json.loads((out / "changed.json").read_text()) == changes
+
+
+def test_a_second_run_tells_the_same_of_edits_whose_rows_moved(cloud: Path, out: Path) -> None:
+    with edited(out) as database:
+        database.execute(
+            "UPDATE review SET status = 'fixed', action = 'not_ground' WHERE rank = 2"
+        )
+    given = {"edits": str(out / "review.gpkg"), "max_edge": "6"}
+    first = made(cloud, out, **given)
+    second = made(cloud, out, **given)
+    for run in (first, second):
+        ((hole,), (edit,)) = (
+            [p for p in run.summary["problems"] if p["what"] == "hole in an edit"],
+            run.summary["edits"],
+        )
+        assert edit["holes"] > 100
+        assert f"{edit['holes']} pixels" in hole["why"]
+    assert first.summary["edits"][0]["holes"] == second.summary["edits"][0]["holes"]
+
+
+def test_a_void_has_the_outline_of_its_pixels(cloud: Path, tmp_path: Path) -> None:
+    run = made(cloud, tmp_path / "out", max_edge="6", sheets=None)
+    voids = [row for row in rows(tmp_path / "out") if row["reason"].startswith("void")]
+    assert len(voids) == run.summary["voids"]["number"] > 0
+    with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
+        heights, corner = raster.read(1), raster.bounds
+    row, col = np.indices(heights.shape) + 0.5
+    for void in voids:
+        assert void["area_m2"] == pytest.approx(void["shape"].area)
+        inside = shapely.contains_xy(void["shape"], corner.left + col, corner.top - row)
+        assert (heights[inside] == NODATA).all()
+
+
+def test_an_open_place_is_no_edit_whatever_its_layer_is_called(cloud: Path, out: Path) -> None:
+    other = out.parent / "fixes.gpkg"
+    meta, _, shapes, columns = raw.read(out / "review.gpkg", layer="review")
+    raw.write(
+        other, shapes, columns, meta["fields"], geometry_type="MultiPolygon", crs=meta["crs"]
+    )
+    run = made(cloud, out, edits=str(other))
+    assert not run.summary.get("edits")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("UPDATE review SET status = 'done' WHERE rank = 1", "its status is 'done'"),
+        ("ALTER TABLE review DROP COLUMN status", "without the column `status`"),
+        ("UPDATE review SET status = 'fixed', action = NULL", "has no `action`"),
+    ],
+)
+def test_a_row_that_cannot_be_an_edit_is_refused(
+    cloud: Path, out: Path, change: str, told: str
+) -> None:
+    with edited(out) as database:
+        database.execute(change)
+    with pytest.raises(InputError, match=told):
+        made(cloud, out, edits=str(out / "review.gpkg"))
+
+
+def test_an_empty_file_is_no_error_as_edits(cloud: Path, out: Path) -> None:
+    with edited(out) as database:
+        database.execute("DELETE FROM review")
+    run = made(cloud, out, edits=str(out / "review.gpkg"))
+    assert run.summary["review"]["open"] == 2
+
+
+def test_columns_of_the_user_are_kept_in_a_copy_and_his_notes_in_the_file(
+    cloud: Path, out: Path
+) -> None:
+    with edited(out) as database:
+        database.execute("ALTER TABLE review ADD COLUMN who TEXT")
+        database.execute(
+            "UPDATE review SET status='ok', who='me', note='a pond' WHERE rank = 1"
+        )
+    run = made(cloud, out)
+    assert any("the columns who are in outdated/review.gpkg" in n for n in run.summary["notes"])
+    assert "who" in raw.read(out / "outdated" / "review.gpkg", layer="review")[0]["fields"]
+    assert [(row["status"], row["note"]) for row in rows(out)] == [
+        ("open", ""),
+        ("ok", "a pond"),
+    ]
 
 
 def test_a_run_without_the_edits_warns_and_keeps_the_decisions(cloud: Path, out: Path) -> None:

@@ -35,7 +35,7 @@ def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoSc
     out, result = default_run
     assert result.exit_code == 0
     assert not result.did_nothing
-    files = {"dtm.tif", "outline.gpkg", "classified.vpc", "stac.json"}
+    files = {"dtm.tif", "outline.gpkg", "review.gpkg", "classified.vpc", "stac.json"}
     names = {*files, *(f"classified/{path.name}" for path in demo.paths)}
     assert result.summary["outputs"] == {name: (out / name).stat().st_size for name in names}
     others = {"classified", "store.zarr", "run.json", "events.jsonl", "report.html"}

@@ -7,6 +7,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -21,12 +22,13 @@ from tiler.core.records import new_digest
 from tiler.errors import ConfigError, InputError, write_error
 from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path, write_atomic
 from tiler.io.cloud_reading import BLOCK_BYTES
-from tiler.io.foreign_content import parse_json_object
+from tiler.io.foreign_content import excerpt, parse_json_object
 from tiler.io.las.headers import read_header
 from tiler.io.locations import is_url
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import CHECK, CLASSIFIED, REPORT, REVIEW, read_run, written_rasters
 from tiler.report.accuracy import read_measured, seams_text
+from tiler.report.runfile import run_file_errors
 from tiler.store import locked_folder
 
 MANIFEST = "manifest.json"
@@ -85,16 +87,17 @@ def deliver(out: str | Path, to: str | Path) -> Delivery:
         A file cannot be written.
     """
     source, target = _folders(out, to)
-    with locked_folder(str(source)):
-        run = _finished_run(source)
+    run = _finished_run(source)
+    _make(target)
+    with locked_folder(str(source)), run_file_errors(source):
         names = [name for name in run["outputs"] if name != REVIEW]
         names += [REPORT] if (source / REPORT).is_file() else []
         earlier = _earlier_delivery(target)
-        check_links("--to", target, names)
+        check_links("--to", target, [*names, *earlier])
         _write(target / UNDER_WAY, b"")
         entries = [_copied(source, target, name, run) for name in sorted(names)]
+        manifest = _manifest(run, read_measured(source, CHECK, run), entries)
     removed = list(_remove(target, earlier, {entry["path"] for entry in entries}))
-    manifest = _manifest(run, read_measured(source, CHECK, run), entries)
     _write(target / MANIFEST, json.dumps(manifest, indent=1).encode())
     (target / UNDER_WAY).unlink(missing_ok=True)
     size = sum(entry["bytes"] for entry in entries)
@@ -110,7 +113,7 @@ def verify(folder: str | Path) -> Verification:
     missing, changed = [], []
     for name, entry in entries.items():
         path = Path(folder, name)
-        if not path.is_file():
+        if not _is_file(path):
             missing.append(name)
         elif path.stat().st_size != entry["bytes"] or _sha256(path) != entry["sha256"]:
             changed.append(name)
@@ -128,13 +131,16 @@ def _folders(out: str | Path, to: str | Path) -> tuple[Path, Path]:
     source, target = Path(out).resolve(), Path(to).resolve()
     if source.is_relative_to(target) or target.is_relative_to(source):
         raise ConfigError(f"--to {to}: contains OUT or lies in it; give another folder")
+    return source, target
+
+
+def _make(target: Path) -> None:
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(
-            f"--to {to}: cannot be made ({error.strerror}); give a folder"
+            f"--to {target}: cannot be made ({error.strerror}); give a folder"
         ) from error
-    return source, target
 
 
 def _finished_run(out: Path) -> dict[str, Any]:
@@ -255,12 +261,14 @@ def _remove(target: Path, earlier: Mapping[str, Any], delivered: set[str]) -> It
     """Remove the files that an earlier delivery wrote and this one does not, if they are unchanged."""
     for name in sorted(earlier.keys() - delivered):
         path = target / name
-        if path.is_file() and _sha256(path) == earlier[name]["sha256"]:
+        if _is_file(path) and _sha256(path) == earlier[name]["sha256"]:
             try:
                 path.unlink()
             except OSError as error:
                 raise write_error(str(path), error, target) from error
             yield name
+            with suppress(OSError):  # A folder that is not empty stays.
+                path.parent.rmdir()
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -272,26 +280,41 @@ def _write(path: Path, content: bytes) -> None:
 
 def _entries(folder: Path) -> dict[str, Any]:
     """Return the entries of a manifest by path. Raise InputError if it is none, or a path leads out of its folder."""
-    path = folder / MANIFEST
+    path, entries = folder / MANIFEST, dict[str, Any]()
+    if not _is_file(path):
+        raise InputError(f"{path}: no such file; give a folder that tiler deliver made")
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ValueError("too large")
-        entries = {}
-        for entry in parse_json_object(path.read_bytes())["files"]:
-            name, inside = entry["path"], PurePosixPath(entry["path"])
-            is_outside = inside.is_absolute() or ".." in inside.parts or "\\" in name
-            if is_outside or PureWindowsPath(name).drive:
-                raise ValueError(f"the path {name!r} leads out of the folder")
-            entries[name] = {"bytes": int(entry["bytes"]), "sha256": str(entry["sha256"])}
-    except FileNotFoundError as error:
-        raise InputError(
-            f"{path}: no such file; give a folder that tiler deliver made"
-        ) from error
+        content = parse_json_object(path.read_bytes())
+        if content["format"] != FORMAT:
+            raise ValueError(f"its format is {excerpt(content['format'])}")
+        for entry in content["files"]:
+            name, size = entry["path"], entry["bytes"]
+            _validate_inside(name)
+            if name in entries or type(size) is not int:
+                raise ValueError(f"the entry of {excerpt(name)} is wrong or repeated")
+            entries[name] = {"bytes": size, "sha256": str(entry["sha256"])}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{path}: cannot be used as a manifest ({error}); get the delivery again"
         ) from error
     return entries
+
+
+def _validate_inside(name: Any) -> None:
+    """Raise ValueError if a path in a manifest is not that of a file in its folder, on any system."""
+    inside = PurePosixPath(name)
+    is_outside = inside.is_absolute() or ".." in inside.parts or "\\" in name
+    if is_outside or PureWindowsPath(name).drive or not inside.name:
+        raise ValueError(f"the path {excerpt(name)} leads out of the folder")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # The name is too long, or has a zero byte.
+        return False
 
 
 def _sha256(path: Path) -> str:

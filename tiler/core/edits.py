@@ -114,9 +114,14 @@ class Edit:
     deck: DeckSurface | None = None
 
     @cached_property
+    def key(self) -> str:
+        """Digest by which records name the edit, since its number in the file may change."""
+        return digest_of_bytes(json.dumps([self.action, self.area.key, self.z]).encode())
+
+    @cached_property
     def digest(self) -> list[Any]:
         """Values on which results depend."""
-        values = [self.action, self.area.key, self.z, self.lowest]
+        values: list[Any] = [self.key, self.lowest]
         if self.deck is not None:
             values += astuple(self.deck)
         return values
@@ -230,13 +235,13 @@ class Edits:
 
     def set_heights(
         self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32]
-    ) -> list[tuple[int, int]]:
+    ) -> list[tuple[str, int]]:
         """Set the heights of a block's pixels, in units of the CRS.
 
         Returns
         -------
-        list of tuple of int
-            Number of each edit, and number of pixels that it changed.
+        list of (str, int)
+            Key of each edit, and number of pixels that it changed.
         """
         changed = []
         for edit in self.edits:
@@ -247,7 +252,7 @@ class Edits:
             pixels = heights[within(part, block)]
             inside = spec.inside(part, edit.area) & (pixels != z)
             pixels[inside] = z
-            changed.append((edit.number, int(inside.sum())))
+            changed.append((edit.key, int(inside.sum())))
         return changed
 
     def to_json(self) -> dict[str, Any]:

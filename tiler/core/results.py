@@ -415,7 +415,7 @@ class VoidResult(Record):
     at : [x, y]
         Centre of one of the pixels, where they are dense. The middle of the bounds may lie in none.
     rings : Rings, optional
-        Outline of places without returns.
+        Outline of rectangles around the pixels, for the places that run.json lists.
     """
 
     pixels: int

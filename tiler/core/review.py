@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 LAYER = "review"
 """Layer of the places in their file."""
+OWN_COLUMNS = ("rank", "reason", "stake_m")
+"""Columns by which places are known if their layer was renamed."""
 OPEN, OK, FIXED = "open", "ok", "fixed"
 """Values of the column ``status``: not looked at, right as it is, and to be changed by the edit of the row."""
 STATUSES = (OPEN, OK, FIXED)
+BARE, HOLES = "bare", "holes"
+"""Pixels with a height in a gap without returns, and pixels of the survey without a height."""
 SAME_SHARE = 0.5
 """Least share of the area of a place inside an earlier place of the same reason that was found to be right."""
+
+
+COPY_SHARE = 0.99
+"""Least share of the larger of two outlines in which a row and its copy overlap."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +34,7 @@ class ReviewRow:
     shape : str
         Polygons in units of the CRS, as WKB in hexadecimal digits.
     status : str
-        One of `STATUSES`. It is empty for an edit that the user drew into the layer.
+        One of `STATUSES`. It is empty for an edit that the user drew into the layer before a run makes it `FIXED`.
     reason, why, remedy : str
         Kind of the problem, its cause and size, and what to do.
     action : str
@@ -36,8 +46,10 @@ class ReviewRow:
     area_m2 : float or None
     sheet : str
         Name of the sheet in which the middle of the place lies.
-    without_returns : bool
-        Whether the place is only the pixels in ``shape`` that lie in a gap without returns.
+    note : str
+        Text of the user.
+    pixels : str
+        Pixels in ``shape`` that form the place: `BARE` or `HOLES`. Empty if the shape is the place.
     """
 
     shape: str
@@ -50,7 +62,13 @@ class ReviewRow:
     stake_m: float | None = None
     area_m2: float | None = None
     sheet: str = ""
-    without_returns: bool = False
+    note: str = ""
+    pixels: str = ""
+
+
+def is_place(layer: str, columns: Container[str]) -> bool:
+    """Return whether a feature is a place to review, also if its layer has another name or lacks a column."""
+    return layer == LAYER or all(name in columns for name in OWN_COLUMNS)
 
 
 def is_edit(status: Any) -> bool:
@@ -66,20 +84,53 @@ def ranked(found: Sequence[ReviewRow], decided: Sequence[ReviewRow]) -> list[Rev
     """
     import shapely
 
-    right = [row for row in decided if row.status == OK]
-    shapes = shapely.from_wkb([row.shape for row in right])
-    tree = shapely.STRtree(shapes)
-    rows = []
+    rows, right = [], {row.reason: _Covered(decided, row.reason) for row in found}
     for row in found:
         shape = shapely.from_wkb(row.shape)
-        near = [i for i in tree.query(shape, "intersects") if right[i].reason == row.reason]
-        inside = shapely.intersection(shape, shapely.union_all(shapes[near])).area
-        if inside < SAME_SHARE * shape.area or not near:
+        if not shape.is_empty and right[row.reason].share(shape) < SAME_SHARE:
             rows.append(row)
     return [*rows, *decided]
 
 
+class _Covered:
+    """Area of the places of one reason that were found to be right."""
+
+    def __init__(self, decided: Sequence[ReviewRow], reason: str) -> None:
+        import shapely
+
+        shapes = [row.shape for row in decided if row.status == OK and row.reason == reason]
+        # The parts of a union do not overlap, so that areas can be added.
+        self._parts = shapely.get_parts(shapely.union_all(shapely.from_wkb(shapes)))
+        self._tree = shapely.STRtree(self._parts)
+
+    def share(self, shape: Any) -> float:
+        """Return the share of a shape that lies in them."""
+        import shapely
+
+        near = self._parts[self._tree.query(shape, "intersects")]
+        return float(shapely.area(shapely.intersection(near, shape)).sum() / shape.area)
+
+
 def without_open(rows: Sequence[ReviewRow]) -> list[ReviewRow]:
-    """Return the rows on which the user decided, each once. Other texts in the status stay as they are."""
-    decided = (replace(row, status=row.status.strip().lower()) for row in rows)
+    """Return the rows on which the user decided, each once, with their status in lower case."""
+    decided = (replace(row, status=row.status.strip().lower() or FIXED) for row in rows)
     return list(dict.fromkeys(row for row in decided if row.status != OPEN))
+
+
+def without_copies(rows: Sequence[ReviewRow], of: Sequence[ReviewRow]) -> list[ReviewRow]:
+    """Return the rows that are not in another file, in which rounding may have moved their outlines."""
+    import shapely
+
+    shapes = shapely.from_wkb([row.shape for row in of])
+    return [row for row in rows if not _is_among(row, of, shapes)]
+
+
+def _is_among(row: ReviewRow, rows: Sequence[ReviewRow], shapes: Any) -> bool:
+    import shapely
+
+    facts = (row.status, row.reason, row.action, row.z)
+    same = [(r.status, r.reason, r.action, r.z) == facts for r in rows]
+    shape, alike = shapely.from_wkb(row.shape), shapes[np.array(same, np.bool_)]
+    both = shapely.area(shapely.intersection(alike, shape))
+    whole = np.maximum(shapely.area(alike), shape.area)
+    return bool((both >= COPY_SHARE * whole).any())

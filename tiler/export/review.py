@@ -13,16 +13,26 @@ import shapely
 
 from tiler.core.edits import ACTIONS
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
-from tiler.core.products import VOID
+from tiler.core.products import SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
-from tiler.core.review import FIXED, LAYER, OK, OPEN, STATUSES, ReviewRow, is_edit, ranked
+from tiler.core.review import (
+    FIXED,
+    HOLES,
+    LAYER,
+    OK,
+    OPEN,
+    STATUSES,
+    ReviewRow,
+    is_edit,
+    ranked,
+)
 from tiler.export.output_files import OutFile, ReviewFileRecord, new_file
 from tiler.export.polygons import polygons_of
 from tiler.io.vector import geopackage
 from tiler.io.vector.writing import WHEN
 from tiler.store import TileStore, coarse_values
 
-TEXTS = ("status", "reason", "why", "action", "sheet", "remedy")
+TEXTS = ("status", "reason", "why", "action", "sheet", "remedy", "note")
 NUMBERS = ("z", "stake_m", "area_m2")
 COLOURS = {OPEN: "209,73,91", OK: "91,140,90", FIXED: "42,111,151"}
 """Red, green and blue of the outlines by status."""
@@ -32,13 +42,14 @@ STYLES = "layer_styles"
 
 @dataclass(frozen=True)
 class DeliveredTerrain:
-    """Raster of the terrain, its pixels, raster of the survey, its cells, and key of the bodies of water."""
+    """Raster of the terrain, its pixels, raster of the survey, its cells, and keys of bodies of water and area."""
 
     raster: str
     spec: RasterSpec
     survey: str
     coarse: RasterSpec
     waters: str | None
+    area: str | None
 
 
 def write_review(
@@ -51,17 +62,16 @@ def write_review(
 ) -> ReviewFileRecord:
     """Write places to review as polygons: those of the run, the most serious first, and those that a user decided on.
 
-    The outline of a place without returns is that of its pixels, for which ``terrain`` is needed.
+    The outline of voids and places without returns is that of their pixels, for which ``terrain`` is needed.
 
     Columns are ``rank`` (1 for the first), ``status`` (open, ok or fixed), ``reason``, ``why``, ``action`` (of the
     edit that a row becomes once it is fixed) and its height ``z``, ``stake_m`` (height by which the terrain may be
-    wrong), ``area_m2``, ``sheet`` and ``remedy``.
+    wrong), ``area_m2``, ``sheet``, ``remedy`` and ``note`` (of the user).
 
     Return the `ReviewFileRecord`. Raise ProcessingError if the file cannot be written.
     """
     outlined = [
-        _outlined(store, row, terrain) if terrain and row.without_returns else row
-        for row in found
+        _outlined(store, row, terrain) if terrain and row.pixels else row for row in found
     ]
     rows = ranked(outlined, decided)
     shapes = shapely.from_wkb([row.shape for row in rows])
@@ -81,14 +91,19 @@ def write_review(
 
 
 def _outlined(store: TileStore, row: ReviewRow, terrain: DeliveredTerrain) -> ReviewRow:
-    """Return a row with the outline of the pixels that have a height but lie in a gap without returns."""
+    """Return a row with the outline of its pixels, which may be empty."""
+    area = store.area(terrain.area)
     around = shapely.from_wkb(row.shape)
     edges = np.rint(np.array(around.bounds) * COUNTS_PER_UNIT).astype(int).tolist()
     pieces = [np.empty(0, object)]
     for block in terrain.spec.blocks_within(Bounds(*edges), BLOCK_PIXELS):
         cells = coarse_values(store, terrain.survey, terrain.coarse, terrain.spec, block)
         heights = store.read_block(terrain.raster, block)
-        inside = (cells >= VOID) & (heights != np.float32(NODATA))
+        has_height = heights != np.float32(NODATA)
+        if row.pixels == HOLES:
+            inside = (cells >= SURVEYED) & ~has_height & terrain.spec.inside(block, area)
+        else:
+            inside = (cells >= VOID) & has_height
         waters = store.waters(terrain.waters, terrain.spec.block_bounds(block))
         if waters is not None:
             inside &= ~waters.inside(terrain.spec, block)
@@ -138,7 +153,8 @@ def _qml() -> str:
         '<qgis version="3.22.0" styleCategories="Symbology|Forms|Fields">'
         f'<renderer-v2 type="categorizedSymbol" attr="status" symbollevels="0" enableorderby="0">'
         f"<categories>{categories}</categories><symbols>{symbols}</symbols></renderer-v2>"
-        f"<fieldConfiguration>{lists}</fieldConfiguration></qgis>"
+        f"<fieldConfiguration>{lists}</fieldConfiguration>"
+        '<attributetableconfig sortExpression="&quot;rank&quot;" sortOrder="0"/></qgis>'
     )
 
 

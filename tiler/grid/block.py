@@ -94,7 +94,7 @@ Index = npt.NDArray[np.intp]
 
 def _edit_heights(
     store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
-) -> list[tuple[int, int]]:
+) -> list[tuple[str, int]]:
     """Set the heights of edits. Return for each edit its number and the number of changed pixels in the block."""
     edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
     return [] if edits is None else edits.set_heights(spec, block, heights)

@@ -226,7 +226,7 @@ class EditsNear:
             mask |= self.spec.inside(self.block, edit.area)
         return mask
 
-    def set_heights(self, heights: Heights) -> list[tuple[int, int]]:
+    def set_heights(self, heights: Heights) -> list[tuple[str, int]]:
         """Set the heights of edits, see `Edits.set_heights`."""
         if self.key is None:
             return []

@@ -264,7 +264,7 @@ def holes_of_block(known: Bools, surveyed: Bools, edits: EditsNear, area: Bools)
     -------
     dict
         ``surveyed``: number of pixels that have a height or should have one. ``voided``: number of holes that edits
-        request. ``holes``: all other holes, see `hole_cells`. ``edit_holes``: number (name) of each edit, and count of
+        request. ``holes``: all other holes, see `hole_cells`. ``edit_holes``: key of each edit, and count of
         the holes in it.
     """
     outside, in_area = ~(surveyed & area), area[1:-1, 1:-1]
@@ -274,7 +274,7 @@ def holes_of_block(known: Bools, surveyed: Bools, edits: EditsNear, area: Bools)
     for edit in edits.of(LEAVE_HOLES):
         part = edits.spec.part(edits.block, edit.area.bounds)
         inside, part_in_block = edits.spec.inside(part, edit.area), within(part, edits.block)
-        counts.append([edit.number, int(np.count_nonzero(inside & holes[part_in_block]))])
+        counts.append([edit.key, int(np.count_nonzero(inside & holes[part_in_block]))])
         if edit.action == VOID:
             asked[part_in_block] |= inside
     return {

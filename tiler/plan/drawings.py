@@ -14,9 +14,10 @@ from tiler.core.area import Area
 from tiler.core.breaklines import MAX_SEGMENT, two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
-from tiler.core.review import LAYER, is_edit
+from tiler.core.review import STATUSES, is_edit, is_place
 from tiler.core.water import KINDS, LAKE, RIVER, Water, lengths_along, lifted_line
 from tiler.errors import ConfigError, InputError
+from tiler.io.result_folder import REVIEW
 from tiler.io.vector import (
     CUT,
     LINES,
@@ -70,11 +71,15 @@ def with_user_features(plan: Plan) -> Plan:
         warnings += [*_warn_two_heights(lines), *_warn_vertical(lines)]
     edits: tuple[Edit, ...] = ()
     if config.edits is not None:
-        drawing = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
+        # The last places may have been removed, and the command stays the same.
+        empty = Path(config.edits).name == REVIEW
+        drawing = _read(
+            plan, Path(config.edits), POLYGONS, False, notes, warnings, may_be_empty=empty
+        )
         edits = tuple(
             _edit(number, feature)
             for number, feature in enumerate(drawing.features, start=1)
-            if feature.layer != LAYER or is_edit(feature.attributes.get("status"))
+            if _becomes_edit(feature)
         )
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:
@@ -94,6 +99,7 @@ def _read(
     notes: list[str],
     warnings: list[str],
     all_layers: bool = False,
+    may_be_empty: bool = False,
 ) -> Features:
     """Read the features of a file in the CRS of the run.
 
@@ -102,11 +108,10 @@ def _read(
     all_layers |= needs_z
     wkt = plan.frame.crs_wkt
     if plan.config.in_process:
-        features = read_in_crs(path, kind, wkt, all_layers, needs_z)
+        features = read_in_crs(path, kind, wkt, all_layers, needs_z, may_be_empty)
     else:
-        features = call_isolated(
-            read_in_crs, path, kind, wkt, all_layers, needs_z, paths=(path,), smaller=CUT
-        )
+        arguments = (path, kind, wkt, all_layers, needs_z, may_be_empty)
+        features = call_isolated(read_in_crs, *arguments, paths=(path,), smaller=CUT)
     notes += features.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
     warnings += warn_outside(path, features, (x0, y0, x1, y1))
@@ -167,6 +172,26 @@ def _warn_vertical(lines: list[Counts]) -> list[str]:
         f"--breaklines: vertical segments are left out ({len(starts)}, the first at {x:.10g}, {y:.10g}); draw the top "
         "and the foot of a wall some centimetres apart"
     ]
+
+
+def _becomes_edit(feature: Feature) -> bool:
+    """Return whether a feature is an edit: it is not a place to review, or one that is fixed.
+
+    Raise InputError if it is a place to review without a known status.
+    """
+    columns = feature.attributes
+    if not is_place(feature.layer, columns):
+        return True
+    if "status" not in columns:
+        raise InputError(
+            f"{feature.place}: is a place to review without the column `status`; add it, or give the file of the run"
+        )
+    status = columns["status"]
+    if not is_edit(status) and str(status).strip().lower() not in STATUSES:
+        raise InputError(
+            f"{feature.place}: its status is {status!r}; give {', '.join(STATUSES)} in the column `status`"
+        )
+    return is_edit(status)
 
 
 def _edit(number: int, feature: Feature) -> Edit:

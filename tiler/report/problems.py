@@ -27,6 +27,7 @@ one row."""
 SMALL_M2 = 1000.0
 """Voids at the border of the survey below this area share one row."""
 WITHOUT_RETURNS = "place without returns"
+INSIDE = "void inside the survey"
 AT_BORDER = "void at the border of the survey"
 
 Run = Mapping[str, Any]
@@ -218,14 +219,15 @@ def _is_small(problem: Problem) -> bool:
 def _all_voids(run: Run) -> Iterator[Problem]:
     for void in run.get("voids", {}).get("largest", ()):
         why = f"{counted(void['pixels'], 'pixel')} ({_area(run, void['area_m2'])}) without a height"
-        what, remedy = "void inside the survey", "use --voids fill to fill it from its boundary"
+        what, remedy = INSIDE, "use --voids fill to fill it from its boundary"
         if void.get("at_border"):
             # Filling needs a boundary on all sides.
             what = AT_BORDER
             remedy = "use --edits with action ground if land behind a wall was classified as a building"
         remedy += ", or --edits with action void to accept it"
         where, area_m2, at = place_of(void["bounds"]), void["area_m2"], void.get("at")
-        yield Problem(what, where, why, remedy, area_m2, at)
+        rings = void.get("rings") or ()
+        yield Problem(what, where, why, remedy, area_m2, at, rings=rings)
 
 
 def _without_returns(run: Run) -> Iterator[Problem]:
@@ -372,7 +374,7 @@ def problems(run: Run) -> Node:
     if review:
         told = el(
             "p",
-            f"The places are in review.gpkg, where they get a status: {review_text(review)}.",
+            f"The run's folder has the places in review.gpkg, where they get a status: {review_text(review)}.",
         )
     rows: list[tuple[Content, ...]] = [
         (p.what, _link(p.where, p.at), p.why, p.remedy) for p in all_problems[:MAX_ROWS]

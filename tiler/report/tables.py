@@ -16,7 +16,7 @@ from tiler.core.crs import at_degrees, split, vertical_name
 from tiler.core.file_names import DEFAULT as SHEET_NAME
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.words import GRID, counted
-from tiler.io.result_folder import CLASSIFIED, written_rasters
+from tiler.io.result_folder import CLASSIFIED, REVIEW, written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, bar, el, facts, section, table
 from tiler.report.problems import MAX_ROWS, Run
@@ -90,7 +90,11 @@ def _products(run: Run) -> Iterator[str]:
     if rasters:
         compression = configuration.get("compress", "deflate")
         yield f"{', '.join(rasters)} as cloud-optimized GeoTIFF, compression {compression}"
-    layers = [name.removesuffix(".gpkg") for name in outputs if name.endswith(".gpkg")]
+    layers = [
+        name.removesuffix(".gpkg")
+        for name in outputs
+        if name.endswith(".gpkg") and name != REVIEW
+    ]
     if layers:
         yield f"{', '.join(layers)} as GeoPackage"
     clouds = sum(name.startswith(f"{CLASSIFIED}/") for name in outputs)
@@ -192,7 +196,9 @@ def _more(number: int) -> Node | None:
 
 def outputs(run: Run) -> Node:
     """Return the table of output files with relative links. Changed files are first, files in folders are last."""
-    sizes, changes = run.get("outputs", {}), run.get("changes", {})
+    changes = run.get("changes", {})
+    # A delivery has no places to review.
+    sizes = {name: size for name, size in run.get("outputs", {}).items() if name != REVIEW}
     since = dict.fromkeys(changes.get("changed", ()), "changed")
     since |= dict.fromkeys(changes.get("added", ()), "new")
     order = sorted(sizes.items(), key=lambda file: (file[0] not in since, "/" in file[0]))

@@ -7,7 +7,17 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.core.review import FIXED, OK, OPEN, ReviewRow, is_edit, ranked, without_open
+from tiler.core.review import (
+    FIXED,
+    OK,
+    OPEN,
+    ReviewRow,
+    is_edit,
+    is_place,
+    ranked,
+    without_copies,
+    without_open,
+)
 
 
 def row(x: float, width: float = 10.0, **values: str) -> ReviewRow:
@@ -48,7 +58,33 @@ def test_rows_without_a_status_are_drawn_by_the_user_and_are_edits() -> None:
 
 def test_open_rows_are_left_out_whatever_their_case() -> None:
     rows = [row(0, status=" Open"), row(1, status="OK "), row(1, status=OK), row(2, status="")]
-    assert without_open(rows) == [row(1, status=OK), row(2, status="")]
+    assert without_open(rows) == [row(1, status=OK), row(2, status=FIXED)]
+
+
+def test_a_place_without_an_outline_is_not_listed() -> None:
+    nothing = shapely.to_wkb(shapely.MultiPolygon([]), hex=True)
+    assert ranked([row(0), ReviewRow(shape=nothing, reason="void")], []) == [row(0)]
+
+
+def test_a_copy_whose_outline_was_rounded_is_the_same_row() -> None:
+    rows = [row(0, status=FIXED, action="void"), row(50, status=OK)]
+    moved = [row(0.01, status=FIXED, action="void"), row(50.01, status=FIXED)]
+    assert without_copies(rows, moved) == [row(50, status=OK)]
+    assert without_copies(rows, []) == rows
+
+
+@pytest.mark.parametrize(
+    ("layer", "columns", "place"),
+    [
+        ("review", [], True),
+        ("my fixes", ["rank", "reason", "stake_m"], True),
+        ("edits", ["action", "rank", "status"], False),
+    ],
+)
+def test_places_are_known_by_their_layer_or_by_their_columns(
+    layer: str, columns: list[str], place: bool
+) -> None:
+    assert is_place(layer, columns) is place
 
 
 @given(

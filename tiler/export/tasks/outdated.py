@@ -15,6 +15,7 @@ Files may be missing, changed by a user, or damaged. Usually size and time show 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -151,8 +152,8 @@ def _inside(out: str, path: str) -> bool:
     return whole.resolve().is_relative_to(Path(out).resolve()) and not whole.is_dir()
 
 
-def archive(job: Job, paths: Sequence[str]) -> str:
-    """Move files of OUT and their sidecars into one folder in which none of their names exists.
+def archive(job: Job, paths: Sequence[str], copies: bool = False) -> str:
+    """Move or copy files of OUT and their sidecars into one folder in which none of their names exists.
 
     Return the path of the folder in OUT. Raise ConfigError if one of them is an open GeoPackage, or a folder is a link.
     """
@@ -164,7 +165,10 @@ def archive(job: Job, paths: Sequence[str]) -> str:
         folder = f"{OUTDATED}/{number}"
     check_links("-o", out, [*paths, *(f"{folder}/{path}" for path in paths)])
     for path in paths:
-        _move(out, path, joined(out, folder, path))
+        if copies:
+            _copy(out, path, joined(out, folder, path))
+        else:
+            _move(out, path, joined(out, folder, path))
     return folder
 
 
@@ -210,6 +214,14 @@ def _move(out: str, path: str, target: str) -> None:
     if not is_url(out):
         with suppress(OSError):  # The folder of a product's sheets is removed once it is empty.
             Path(source).parent.rmdir()
+
+
+def _copy(out: str, path: str, target: str) -> None:
+    try:
+        Path(target).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(joined(out, path), target)
+    except OSError as error:
+        raise write_error(target, error, Path(out)) from error
 
 
 def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import reduce
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,13 @@ import shapely
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.results import ReviewResult
 from tiler.core.review import (
-    LAYER,
+    BARE,
+    FIXED,
+    HOLES,
+    STATUSES,
     ReviewRow,
-    is_edit,
+    is_place,
+    without_copies,
     without_open,
 )
 from tiler.core.words import counted
@@ -27,12 +31,14 @@ from tiler.io.locations import is_url, joined, state_at
 from tiler.io.overwrite_check import same_file
 from tiler.io.result_folder import REVIEW
 from tiler.io.vector import CUT, POLYGONS, Feature, read_in_crs
-from tiler.observe.events import Warned
-from tiler.report.problems import WITHOUT_RETURNS, Problem
+from tiler.observe.events import Note, Warned
+from tiler.report.problems import AT_BORDER, INSIDE, WITHOUT_RETURNS, Problem
 from tiler.runs.found import Gridded, final_raster
 from tiler.runs.job import Job
 from tiler.schedule import Task, call_isolated, calling
 
+PIXELS = {WITHOUT_RETURNS: BARE, INSIDE: HOLES, AT_BORDER: HOLES}
+"""Pixels that form a place, by the kind of the problem."""
 LEAST_SIDE_M = 5.0
 """Side of the square that is drawn around a place without an extent."""
 
@@ -41,9 +47,12 @@ def review_task(job: Job, gridding: Gridded, out: str) -> Task:
     """Return the task that writes the places to review."""
     found = [_row(problem, gridding) for problem in job.problems() if problem.where is not None]
     terrain, seen = None, []
-    if any(row.without_returns for row in found):
-        raster, waters = final_raster("dtm", gridding.plan.config), gridding.waters.stored_key
-        terrain = DeliveredTerrain(raster, gridding.spec, "survey", gridding.coarse, waters)
+    if any(row.pixels for row in found):
+        raster, area = final_raster("dtm", gridding.plan.config), gridding.plan.inputs.area_key
+        waters = gridding.waters.stored_key
+        terrain = DeliveredTerrain(
+            raster, gridding.spec, "survey", gridding.coarse, waters, area
+        )
         seen = [gridding.checksums("survey"), gridding.checksums(raster)]
     call = calling(
         write_review,
@@ -67,8 +76,7 @@ def _row(problem: Problem, gridding: Gridded) -> ReviewRow:
     side = LEAST_SIDE_M / float(gridding.plan.frame.units.horizontal)
     if problem.rings:
         rings = [np.reshape(ring, (-1, 2)) for ring in problem.rings]
-        # A ring inside another one is a hole.
-        shape = reduce(shapely.symmetric_difference, map(shapely.Polygon, rings))
+        shape = shapely.build_area(shapely.MultiLineString(rings))
     else:
         west, south, east, north = problem.where or (0.0, 0.0, 0.0, 0.0)
         across, along = max(side - (east - west), 0) / 2, max(side - (north - south), 0) / 2
@@ -83,7 +91,7 @@ def _row(problem: Problem, gridding: Gridded) -> ReviewRow:
         stake_m=problem.stake_m,
         area_m2=problem.area_m2,
         sheet=_sheet(problem, gridding),
-        without_returns=problem.what == WITHOUT_RETURNS,
+        pixels=PIXELS.get(problem.what, "") if problem.rings else "",
     )
 
 
@@ -101,37 +109,62 @@ def _sheet(problem: Problem, gridding: Gridded) -> str:
 def _decided(job: Job) -> list[ReviewRow]:
     """Return the rows that the user decided on, of the file in OUT and of one that is given with ``--edits``.
 
-    A file in OUT that cannot be read is moved, so that nothing in it is lost.
+    A file in OUT that cannot be read is moved, and one with columns of the user is copied, so that nothing is lost.
     """
     given, here = job.plan.config.edits, joined(job.products, REVIEW)
-    edits = without_open(_read(job, given)) if given is not None else []
-    if is_url(here) or (given is not None and same_file(given, here)):
+    edits = without_open(_rows(job, given)) if given is not None else []
+    if is_url(here) or state_at(here) is None:
         return edits
+    is_given = given is not None and same_file(given, here)
     try:
-        decided = without_open(_read(job, here))
+        places = _read(job, here)
+        if not is_given and any(not is_place(p.layer, p.attributes) for p in places):
+            raise InputError(f"{here}: has no layer of places to review")
     except InputError as error:
         text = f"{error}; moved to {archive(job, [REVIEW])}/, so its statuses are not used"
         job.listener(Warned(text))
         return edits
-    unused = [row for row in decided if is_edit(row.status) and row not in edits]
-    if unused:
-        fixed = counted(len(unused), "fixed place")
+    _keep_other_columns(job, places)
+    if is_given:
+        return edits
+    decided = without_copies(without_open([_row_of(place) for place in places]), edits)
+    unknown = sorted({row.status for row in decided} - set(STATUSES))
+    if unknown:
         job.listener(
-            Warned(f"{here}: {fixed} not among the edits of this run; use --edits {here}")
+            Warned(f"{here}: unknown status {unknown[0]!r}; give one of {', '.join(STATUSES)}")
         )
-    return list(dict.fromkeys([*decided, *edits]))
+    if unused := [row for row in decided if row.status == FIXED]:
+        number = counted(len(unused), "fixed place")
+        remedy = f"use --edits {here}" if given is None else f"copy them into {given}"
+        job.listener(Warned(f"{here}: {number} not among the edits of this run; {remedy}"))
+    return [*decided, *edits]
 
 
-def _read(job: Job, name: str) -> list[ReviewRow]:
-    """Return the rows in the layer of places to review of a file, if it exists."""
-    if state_at(name) is None:
-        return []
-    arguments = (Path(name), POLYGONS, job.plan.frame.crs_wkt, False, False, True)
+def _keep_other_columns(job: Job, places: Sequence[Feature]) -> None:
+    """Copy the file in OUT if the user added columns, since the new file does not have them."""
+    own = {"rank", *TEXTS, *NUMBERS}
+    added = sorted({name for place in places for name in place.attributes} - own)
+    if added:
+        folder = archive(job, [REVIEW], copies=True)
+        job.note(
+            f"{REVIEW}: the columns {', '.join(added)} are in {folder}/{REVIEW} and not in the new file; "
+            "texts in the column `note` stay",
+            Note,
+        )
+
+
+def _rows(job: Job, name: str) -> list[ReviewRow]:
+    """Return the places to review in a file."""
+    features = _read(job, name) if state_at(name) else ()
+    return [_row_of(f) for f in features if is_place(f.layer, f.attributes)]
+
+
+def _read(job: Job, name: str) -> tuple[Feature, ...]:
+    arguments = (Path(name), POLYGONS, job.plan.frame.crs_wkt, True, False, True)
     if job.plan.config.in_process:
-        drawing = read_in_crs(*arguments)
-    else:
-        drawing = call_isolated(read_in_crs, *arguments, paths=(Path(name),), smaller=CUT)
-    return [_row_of(feature) for feature in drawing.features if feature.layer == LAYER]
+        return read_in_crs(*arguments).features
+    drawing = call_isolated(read_in_crs, *arguments, paths=(Path(name),), smaller=CUT)
+    return drawing.features
 
 
 def _row_of(feature: Feature) -> ReviewRow:

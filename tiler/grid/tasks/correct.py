@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -165,14 +165,15 @@ def _result(edit: Edit, counts: Sequence[int]) -> EditResult:
 
 def report_edited_pixels(job: Job, terrain: Commits) -> None:
     """Add to run.json the number of pixels of the terrain that each edit set."""
-    counts: dict[int, int] = {}
+    counts = Counter[str]()
     for record in records_of(TerrainRecord, terrain):
-        for number, pixels in record.edited or ():
-            counts[number] = counts.get(number, 0) + pixels
+        for key, pixels in record.edited or ():
+            counts[key] += pixels
     if not job.results.edits:
         return
+    keys = {edit.number: edit.key for edit in job.plan.inputs.edits}
     job.results.edits = [
-        _with_pixels(edit, counts.get(edit.number, 0)) for edit in job.results.edits
+        _with_pixels(edit, counts[keys[edit.number]]) for edit in job.results.edits
     ]
     unchanged = [edit for edit in job.results.edits if not edit.changed]
     if unchanged:

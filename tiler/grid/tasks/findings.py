@@ -326,13 +326,14 @@ too."""
 def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
     """Add to run.json the voids of the delivered terrain, places without returns, and the holes inside each edit."""
     of_blocks, spec = [counts for _, counts in outlined.values()], gridding.spec
-    hole_pixels: Counter[int] = Counter()
+    hole_pixels = Counter[str]()
     for counts in of_blocks:
         for edit, n_pixels in counts["edit_holes"]:
             hole_pixels[edit] += n_pixels
     if job.results.edits:
+        keys = {edit.number: edit.key for edit in job.plan.inputs.edits}
         job.results.edits = [
-            replace(edit, holes=hole_pixels[edit.number]) for edit in job.results.edits
+            replace(edit, holes=hole_pixels[keys[edit.number]]) for edit in job.results.edits
         ]
     cells = chain.from_iterable(counts["holes"] for counts in of_blocks)
     pixel_m2 = float(job.plan.grid.resolution) ** 2
@@ -347,16 +348,14 @@ def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
     bare = chain.from_iterable(counts["bare"] for counts in of_blocks)
     # What water or the border leaves of a place may be smaller.
     min_m2 = (MIN_BARE_CELLS * float(gridding.coarse_m)) ** 2
-    places = [p for p in voids_of(bare, spec, pixel_m2, outlined=True) if p.area_m2 >= min_m2]
+    places = [p for p in voids_of(bare, spec, pixel_m2) if p.area_m2 >= min_m2]
     job.results.without_returns = places[:MAX_LISTED]
 
 
-def voids_of(
-    cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float, outlined: bool = False
-) -> list[VoidResult]:
+def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
     """Merge touching cells with holes (see `tiler.grid.voids.hole_cells`) into voids, the largest first.
 
-    With ``outlined``, voids have rings around the holes of each cell.
+    Those that run.json lists have rings around the holes of each cell.
     """
     table = np.array(list(cells), np.int64).reshape(-1, 8)
     if not len(table):
@@ -382,9 +381,7 @@ def voids_of(
             int(pixels[i]) * pixel_m2,
             bool(at_border[i]),
             _centre(_bounds(spec, at[i], at[i])),
-            _rings(spec, *table[void_of_cell == i, 1:5].T)
-            if outlined and rank < MAX_LISTED
-            else None,
+            _rings(spec, *table[void_of_cell == i, 1:5].T) if rank < MAX_LISTED else None,
         )
         for rank, i in enumerate(order)
     ]
