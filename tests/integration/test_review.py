@@ -168,6 +168,19 @@ def test_a_void_has_the_outline_of_its_pixels(cloud: Path, tmp_path: Path) -> No
         assert (heights[inside] == NODATA).all()
 
 
+def test_a_void_in_parts_is_edited_where_it_is(cloud: Path, tmp_path: Path) -> None:
+    """Cells of a void that touch at a corner: a polygon around both would hold land."""
+    out = tmp_path / "out"
+    made(cloud, out, max_edge="6", sheets=None)
+    with edited(out) as database:
+        database.execute(
+            "UPDATE review SET status = 'fixed', action = 'void' WHERE reason LIKE 'void%'"
+        )
+    run = made(cloud, out, max_edge="6", sheets=None, edits=str(out / "review.gpkg"))
+    assert [edit["pixels"] for edit in run.summary["edits"]] == [0] * len(run.summary["edits"])
+    assert run.summary["voids"]["pixels"] == 0 < run.summary["voids"]["asked_pixels"]
+
+
 def test_an_open_place_is_no_edit_whatever_its_layer_is_called(cloud: Path, out: Path) -> None:
     other = out.parent / "fixes.gpkg"
     meta, _, shapes, columns = raw.read(out / "review.gpkg", layer="review")

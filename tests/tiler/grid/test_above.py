@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 from tests.tiler.grid.conftest import FINAL, Scene, make_block, sources_of
 from tiler.core.area import Area
@@ -262,3 +263,20 @@ def test_the_note_counts_the_pixels_of_its_places(make_scene) -> None:
     (note,) = notes
     assert note.startswith("in 10 pixels all returns lie more than 1 m below the terrain, ")
     assert "in 1 place of at least 10 m2" in note
+
+
+def test_the_rings_of_a_place_enclose_its_pixels_also_in_parts_and_around_holes(
+    make_scene,
+) -> None:
+    ring = pixels((slice(10, 20), slice(10, 20)))
+    ring[13:17, 13:17] = False
+    apart = pixels((slice(20, 26), slice(20, 26)))  # touches the ring at a corner
+    (place,) = places_of(
+        records(flat_scene(make_scene, ring | apart)),
+        spec_of(flat_scene(make_scene, ring)),
+        Fraction(1),
+    )
+    rings = [np.reshape(part, (-1, 2)) for part in place.rings]
+    shape = shapely.build_area(shapely.MultiLineString(rings))
+    row, col = np.indices((SIDE, SIDE)) + 0.5
+    assert np.array_equal(shapely.contains_xy(shape, col, SIDE - row), ring | apart)

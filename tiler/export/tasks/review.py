@@ -91,7 +91,7 @@ def _row(problem: Problem, gridding: Gridded) -> ReviewRow:
         stake_m=problem.stake_m,
         area_m2=problem.area_m2,
         sheet=_sheet(problem, gridding),
-        pixels=PIXELS.get(problem.what, "") if problem.rings else "",
+        pixels=PIXELS.get(problem.what, ""),
     )
 
 

@@ -422,5 +422,5 @@ def _rings(spec: RasterSpec, top: Any, left: Any, bottom: Any, right: Any) -> Ri
     east, north = (spec.west + right + 1) * size, (spec.north - top) * size
     west, south = (spec.west + left) * size, (spec.north - bottom - 1) * size
     shape = shapely.normalize(shapely.union_all(shapely.box(west, south, east, north)))
-    rings = shapely.get_rings(shapely.simplify(shape, 0.0))
+    rings = shapely.get_rings(shapely.get_parts(shapely.simplify(shape, 0.0)))
     return [np.round(shapely.get_coordinates(ring), 3).ravel().tolist() for ring in rings]
