@@ -190,7 +190,7 @@ def test_a_session(
     edits_layer, review, _, shade, mask, heights = found["layers"]
     assert {layer["group"] for layer in found["layers"]} == {"out"}
     assert edits_layer["widget"] == "ValueMap"
-    assert review["renderer"] == "categorizedSymbol"
+    assert review["widget"] == "ValueMap"  # from the style in the file
     assert [next(iter(entry.values())) for entry in edits_layer["list"]] == list(ACTIONS)
     assert (shade["renderer"], shade["blend"]) == ("hillshade", MULTIPLY)
     assert (heights["renderer"], heights["shown"]) == ("singlebandpseudocolor", True)
