@@ -69,9 +69,17 @@ def test_heights_of_pixels_whose_centres_are_inside():
     spec = RasterSpec(CELL, 10, 2, 2, 3)  # x 100 to 130, y 0 to 20
     heights = np.full((2, 3), 0.5, np.float32)
     heights[1, 2] = 2
-    edits = Edits((edit(FLAT, 100, 130, 1, z=2000), edit(VOID, 112, 116, 2)), CELL)
-    assert edits.set_heights(spec, Block(0, 0, 2, 3), heights) == [(1, 2), (2, 1)]
+    flat, void = edit(FLAT, 100, 130, 1, z=2000), edit(VOID, 112, 116, 2)
+    edits = Edits((flat, void), CELL)
+    changed = edits.set_heights(spec, Block(0, 0, 2, 3), heights)
+    assert changed == [(flat.key, 2), (void.key, 1)]
     assert heights.tolist() == [[0.5, 0.5, 0.5], [2, NODATA, 2]]
+
+
+def test_the_key_of_an_edit_does_not_depend_on_its_number_in_the_file():
+    assert edit(VOID, 112, 116, 2).key == edit(VOID, 112, 116, 7).key
+    others = edit(VOID, 112, 117), edit(NOT_GROUND, 112, 116), edit(FLAT, 112, 116, z=1)
+    assert len({other.key for other in (*others, edit(VOID, 112, 116))}) == 4
 
 
 def test_a_digest_for_bounds_holds_only_the_edits_that_touch_them():
