@@ -51,6 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lines = [f"{500_000 + 5 * i},{5_400_000 + 5 * i},100" for i in range(1, 30)]
     (folder / "points.csv").write_text("x,y,z\n" + "\n".join(lines))
     assert tiler("run", folder / "town.laz", "-o", folder / "done", *OPTIONS).returncode == 0
+    assert tiler("deliver", folder / "done", "--to", folder / "delivery").returncode == 0
     return folder
 
 
@@ -82,6 +83,8 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
             str(out / "figures"),
         ],
         "report": ["report", str(done)],
+        "deliver": ["deliver", str(done), "--to", str(out / "delivery")],
+        "verify": ["verify", str(folder / "delivery")],
         "clean": ["clean", str(done)],
         "simulate": ["simulate", str(out / "scene.laz"), "--size", "300"],
         "config": ["config", "--template"],
