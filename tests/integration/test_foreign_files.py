@@ -32,7 +32,7 @@ def put(out: Path, *names: str) -> dict[str, bytes]:
     return content(out)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "changed.json"])
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_first_run_replaces_nothing(
     name: str, overwrite: bool, cloud: Path, tmp_path: Path
@@ -56,6 +56,26 @@ def test_all_of_them_are_named_and_forced(cloud: Path, tmp_path: Path) -> None:
     assert json.loads((out / "run.json").read_text())["state"] == "done"
     assert (out / "notes.txt").read_bytes() == b"mine, not a run's"
     assert do(cloud, out).did_nothing, "now they are known"
+
+
+def test_a_second_run_replaces_only_its_own_list_of_changes(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out)
+    (out / "changed.json").write_text('{"changed": "mine"}')
+    with pytest.raises(ConfigError, match=r"changed\.json: already exists"):
+        do(cloud, out, resolution="2")
+    (out / "changed.json").unlink()
+    assert do(cloud, out, resolution="2").exit_code == 0
+    assert "dtm.tif" in json.loads((out / "changed.json").read_text())["changed"]
+    assert do(cloud, out, resolution="1").exit_code == 0, "now it is known"
+
+
+def test_a_list_of_changes_that_cannot_be_written_is_told(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out)
+    (out / "changed.json").mkdir()
+    with pytest.raises(ProcessingError, match=r"changed\.json: cannot be written"):
+        do(cloud, out, resolution="2", force=True)
 
 
 @pytest.mark.parametrize("text", ["{", "{}"])

@@ -80,6 +80,8 @@ RESULTS = (
 
 _KEYS = frozenset(("state", "version", "configuration", "plan", "stages"))
 """Keys that every version of tiler writes to ``run.json``."""
+_KEYS_OF_CHANGES = frozenset(("changed", "added", "removed", "unchanged", "sheets"))
+"""Keys that every version of tiler writes to ``changed.json``."""
 
 
 def raster_file(product: str, product_name: str | None = None) -> str:
@@ -137,13 +139,17 @@ def local_folder(products: str) -> Path:
 
 def read_run(place: str) -> dict[str, Any] | None:
     """Return the content of ``run.json`` in a folder or at a URL, or None if tiler did not write one there."""
+    content = _read_json(place, RUN)
+    return content if content.keys() >= _KEYS else None
+
+
+def _read_json(place: str, name: str) -> dict[str, Any]:
+    """Return the content of a JSON file of OUT, or an empty dict if it cannot be read."""
     try:
-        content = json.loads(read_bytes(joined(place, RUN)) or b"null")
+        content = json.loads(read_bytes(joined(place, name)) or b"null")
     except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(content, dict) or not content.keys() >= _KEYS:
-        return None
-    return content
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 AGAIN_WITHOUT_RUN = (
@@ -279,6 +285,9 @@ def foreign_files(
     for place in dict.fromkeys((str(out), products)):
         if read_run(place) is None:
             foreign += _existing(place, [RUN, EVENTS, REPORT])
+        # A second run writes it, and run.json does not list it.
+        if not _read_json(place, CHANGED).keys() >= _KEYS_OF_CHANGES:
+            foreign += _existing(place, [CHANGED])
     return list(dict.fromkeys(foreign))
 
 

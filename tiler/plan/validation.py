@@ -33,6 +33,7 @@ from tiler.io.overwrite_check import (
 )
 from tiler.io.result_folder import (
     BRIDGES,
+    CHANGED,
     CLASSIFIED,
     COPC_SUFFIX,
     EVENTS,
@@ -148,7 +149,7 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
         earlier.discard(WATER)
     locations = [joined(products, name) for name in file_names]
     for folder in (str(out), products):
-        locations += [joined(folder, name) for name in (RUN, EVENTS, REPORT)]
+        locations += [joined(folder, name) for name in (RUN, EVENTS, REPORT, CHANGED)]
     reads: list[str | Path] = [*paths, *other_inputs(plan.config)]
     if plan.config.edits is not None and same_file(plan.config.edits, joined(products, REVIEW)):
         reads.remove(plan.config.edits)  # Its decisions stay in the new file.
@@ -181,7 +182,7 @@ def _validate_links(plan: Plan, products: str, file_names: Sequence[str]) -> Non
     folders = [OUTDATED]
     if plan.config.sheets is not None:
         folders += [*plan.config.exported, SHEET_ITEMS]
-    check_links("-o", products, [*file_names, *(f"{folder}/x" for folder in folders)])
+    check_links("-o", products, [*file_names, CHANGED, *(f"{folder}/x" for folder in folders)])
 
 
 def _targets(plan: Plan) -> list[str]:

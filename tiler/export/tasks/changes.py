@@ -6,6 +6,7 @@ import json
 
 from tiler.core.results import Changes
 from tiler.core.words import counted, listed
+from tiler.errors import write_error
 from tiler.export.tasks.sheets import name_of
 from tiler.io.atomic_files import write_atomic
 from tiler.io.locations import is_url, joined, upload_file
@@ -40,9 +41,12 @@ def report_changes(job: Job, gridding: Gridded) -> None:
     if not changed and not added and not removed:
         return
     path = job.out / CHANGED
-    write_atomic(path, json.dumps(changes.to_json(), indent=1).encode())
-    if is_url(job.products):
-        upload_file(path, joined(job.products, CHANGED))
+    try:
+        write_atomic(path, json.dumps(changes.to_json(), indent=1).encode())
+        if is_url(job.products):
+            upload_file(path, joined(job.products, CHANGED))
+    except OSError as error:
+        raise write_error(str(path), error, job.out) from error
     number = f"{len(changed) + len(added)} of {counted(len(after), 'file')}"
     job.note(
         f"changed since the run before: {number} ({listed(sorted(changed | added), NAMED)}; {CHANGED})"
