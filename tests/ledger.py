@@ -30,11 +30,11 @@ from tiler.core.products import PRODUCTS
 LEFT_OUT = ("report.html", "events.jsonl", "run.json", "classified.vpc")
 """Files with times. Of ``run.json`` the rest is read."""
 FACTS_LEFT_OUT = (
-    "cpu_seconds", "inputs", "libraries", "mtime_ns", "outputs", "peak_rss_bytes", "projected_seconds",
-    "rates_of_this_machine", "seconds", "stages", "tiles",
+    "changes", "cpu_seconds", "delivered", "inputs", "libraries", "mtime_ns", "outputs", "peak_rss_bytes",
+    "projected_seconds", "rates_of_this_machine", "seconds", "stages", "tiles",
     "version", "written",
 )  # fmt: skip
-"""Names in ``run.json`` of times, memory, the machine, and what the work was divided into."""
+"""Names in ``run.json`` of times, memory, the machine, the runs before, and what the work was divided into."""
 KILLED_IN = "grid-dtm"
 MOST_IN_NODE = 20_000
 Arguments = list[str]

@@ -58,7 +58,9 @@ def test_all_of_them_are_named_and_forced(cloud: Path, tmp_path: Path) -> None:
     assert do(cloud, out).did_nothing, "now they are known"
 
 
-def test_a_second_run_replaces_only_its_own_list_of_changes(cloud: Path, tmp_path: Path) -> None:
+def test_a_second_run_replaces_only_its_own_list_of_changes(
+    cloud: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     do(cloud, out)
     (out / "changed.json").write_text('{"changed": "mine"}')

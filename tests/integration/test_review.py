@@ -22,6 +22,7 @@ from tests.invariants.runs import do
 from tests.scenes.drawings import EAST, NORTH, ground, written
 from tiler.core.products import NODATA
 from tiler.errors import InputError
+from tiler.export import review
 from tiler.pipeline import RunResult
 
 SIDE, NUMBER = 160.0, 57_000
@@ -168,6 +169,20 @@ def test_a_void_has_the_outline_of_its_pixels(cloud: Path, tmp_path: Path) -> No
         assert (heights[inside] == NODATA).all()
 
 
+def test_a_large_place_has_a_coarse_outline_and_no_action(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Land around it would lose its heights."""
+    monkeypatch.setattr(review, "MOST_BLOCKS", 0)
+    made(cloud, tmp_path / "out")
+    bare = [row for row in rows(tmp_path / "out") if row["reason"] == "place without returns"]
+    assert len(bare) == 2
+    for row in bare:
+        assert not row["action"]
+        assert row["shape"].area >= row["area_m2"]
+        assert row["remedy"].endswith("draw the edit, or use the setting for the whole run")
+
+
 def test_a_void_in_parts_is_edited_where_it_is(cloud: Path, tmp_path: Path) -> None:
     """Cells of a void that touch at a corner: a polygon around both would hold land."""
     out = tmp_path / "out"
@@ -179,6 +194,8 @@ def test_a_void_in_parts_is_edited_where_it_is(cloud: Path, tmp_path: Path) -> N
     run = made(cloud, out, max_edge="6", sheets=None, edits=str(out / "review.gpkg"))
     assert [edit["pixels"] for edit in run.summary["edits"]] == [0] * len(run.summary["edits"])
     assert run.summary["voids"]["pixels"] == 0 < run.summary["voids"]["asked_pixels"]
+    assert not any("changed nothing" in note for note in run.summary["notes"])
+    assert not any(p["what"] == "edit without effect" for p in run.summary["problems"])
 
 
 def test_an_open_place_is_no_edit_whatever_its_layer_is_called(cloud: Path, out: Path) -> None:

@@ -34,7 +34,7 @@ class ReviewRow:
     shape : str
         Polygons in units of the CRS, as WKB in hexadecimal digits.
     status : str
-        One of `STATUSES`. It is empty for an edit that the user drew into the layer before a run makes it `FIXED`.
+        One of `STATUSES`. In the file it may be empty, see `is_edit`.
     reason, why, remedy : str
         Kind of the problem, its cause and size, and what to do.
     action : str

@@ -40,13 +40,18 @@ STYLES = "layer_styles"
 """Table from which QGIS takes the styles of the layers of a GeoPackage."""
 
 
+MOST_BLOCKS = 256
+"""Number of blocks up to which a place has the outline of its pixels. A ragged void has some 10,000 corners in each."""
+COARSE = "its outline here is coarse and holds land as well: draw the edit, or use the setting for the whole run"
+"""Addition to the remedy of larger places, whose outline would take away heights around them."""
+
+
 @dataclass(frozen=True)
 class DeliveredTerrain:
-    """Raster of the terrain, its pixels, raster of the survey, its cells, and keys of bodies of water and area."""
+    """Raster of the terrain, its pixels, cells of the survey, and keys of bodies of water and area."""
 
     raster: str
     spec: RasterSpec
-    survey: str
     coarse: RasterSpec
     waters: str | None
     area: str | None
@@ -91,13 +96,16 @@ def write_review(
 
 
 def _outlined(store: TileStore, row: ReviewRow, terrain: DeliveredTerrain) -> ReviewRow:
-    """Return a row with the outline of its pixels, which may be empty."""
+    """Return a row with the outline of its pixels, which may be empty. A large place keeps its coarse outline."""
     area = store.area(terrain.area)
     around = shapely.from_wkb(row.shape)
     edges = np.rint(np.array(around.bounds) * COUNTS_PER_UNIT).astype(int).tolist()
+    blocks = list(terrain.spec.blocks_within(Bounds(*edges), BLOCK_PIXELS))
+    if len(blocks) > MOST_BLOCKS:
+        return replace(row, action="", remedy="; ".join(filter(None, (row.remedy, COARSE))))
     pieces = [np.empty(0, object)]
-    for block in terrain.spec.blocks_within(Bounds(*edges), BLOCK_PIXELS):
-        cells = coarse_values(store, terrain.survey, terrain.coarse, terrain.spec, block)
+    for block in blocks:
+        cells = coarse_values(store, "survey", terrain.coarse, terrain.spec, block)
         heights = store.read_block(terrain.raster, block)
         has_height = heights != np.float32(NODATA)
         if row.pixels == HOLES:

@@ -50,9 +50,7 @@ def review_task(job: Job, gridding: Gridded, out: str) -> Task:
     if any(row.pixels for row in found):
         raster, area = final_raster("dtm", gridding.plan.config), gridding.plan.inputs.area_key
         waters = gridding.waters.stored_key
-        terrain = DeliveredTerrain(
-            raster, gridding.spec, "survey", gridding.coarse, waters, area
-        )
+        terrain = DeliveredTerrain(raster, gridding.spec, gridding.coarse, waters, area)
         seen = [gridding.checksums("survey"), gridding.checksums(raster)]
     call = calling(
         write_review,

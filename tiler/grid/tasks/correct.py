@@ -20,6 +20,7 @@ from tiler.core.edits import (
     OF_PIXELS,
     OF_POINTS,
     TO_GROUND,
+    VOID,
     DeckSurface,
     DrawnDeck,
     Edit,
@@ -175,10 +176,29 @@ def report_edited_pixels(job: Job, terrain: Commits) -> None:
     job.results.edits = [
         _with_pixels(edit, counts[keys[edit.number]]) for edit in job.results.edits
     ]
+
+
+def report_edit_holes(job: Job, counts: Mapping[str, int]) -> None:
+    """Add to run.json the number of pixels without a height in each edit, by its key, and note edits without effect.
+
+    An edit that accepts a void has an effect, although it sets no pixel.
+    """
+    if not job.results.edits:
+        return
+    keys = {edit.number: edit.key for edit in job.plan.inputs.edits}
+    job.results.edits = [
+        _with_holes(edit, counts.get(keys[edit.number], 0)) for edit in job.results.edits
+    ]
     unchanged = [edit for edit in job.results.edits if not edit.changed]
     if unchanged:
         names = [f"feature {edit.number} ({edit.action})" for edit in unchanged]
         job.note(f"--edits: {listed(names, 5)}: changed nothing")
+
+
+def _with_holes(edit: EditResult, holes: int) -> EditResult:
+    """Return the changes by an edit with the number of pixels inside it that have no height."""
+    accepts = edit.action == VOID and holes > 0
+    return replace(edit, holes=holes, changed=edit.changed or accepts)
 
 
 def _with_pixels(edit: EditResult, pixels: int) -> EditResult:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from fractions import Fraction
 from itertools import chain
 from typing import Any
@@ -45,6 +44,7 @@ from tiler.grid.flaws import (
     min_pixels,
 )
 from tiler.grid.steps import Counts
+from tiler.grid.tasks.correct import report_edit_holes
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.voids import CELL_PIXELS
 from tiler.observe.events import Warned
@@ -330,11 +330,7 @@ def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
     for counts in of_blocks:
         for edit, n_pixels in counts["edit_holes"]:
             hole_pixels[edit] += n_pixels
-    if job.results.edits:
-        keys = {edit.number: edit.key for edit in job.plan.inputs.edits}
-        job.results.edits = [
-            replace(edit, holes=hole_pixels[keys[edit.number]]) for edit in job.results.edits
-        ]
+    report_edit_holes(job, hole_pixels)
     cells = chain.from_iterable(counts["holes"] for counts in of_blocks)
     pixel_m2 = float(job.plan.grid.resolution) ** 2
     voids = voids_of(cells, spec, pixel_m2)
