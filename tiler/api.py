@@ -16,7 +16,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tiler.apps.check import PointOptions, measure, parse_requirements, terrain_in
+from tiler.apps.check import (
+    AgainstOptions,
+    PointOptions,
+    measure,
+    parse_requirements,
+    terrain_in,
+)
 from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
 from tiler.apps.results import CheckSummary
 from tiler.config import RunConfig
@@ -251,8 +257,11 @@ def check(
     strips: Iterable[PathLike] = (),
     require: Iterable[str] = (),
     figures: PathLike | None = None,
+    against: PathLike | None = None,
+    change: float | str = 0.5,
+    difference: PathLike | None = None,
 ) -> CheckResult:
-    """Measure the vertical accuracy of a DTM, its seams, and the fit of flight strips, like ``tiler check``.
+    """Measure the vertical accuracy of a DTM, its seams, the fit of flight strips, and changes, like ``tiler check``.
 
     Parameters
     ----------
@@ -274,6 +283,12 @@ def check(
         Limits as ``name=value``, such as ``rmse=0.1``. ``tiler check --help`` lists the names.
     figures : path, optional
         Folder for histogram.svg and map.svg of the checkpoints.
+    against : path or URL, optional
+        Earlier DTM, or OUT folder of an earlier run. It may have other pixels.
+    change : length
+        Least difference to the earlier DTM that is a change.
+    difference : path, optional
+        GeoTIFF that receives this DTM minus the earlier one.
 
     Returns
     -------
@@ -305,6 +320,7 @@ def check(
         _texts("strips", strips),
         parse_requirements(_texts("require", require)),
         None if figures is None else Path(_text("figures", figures)),
+        _against(against, change, difference),
     )
     report = None
     if is_out:
@@ -312,6 +328,21 @@ def check(
         report = write_report_at(place)
     met = all(requirement["met"] for requirement in summary["requirements"])
     return CheckResult(0 if met else 5, summary, report)
+
+
+def _against(
+    against: PathLike | None, change: float | str, difference: PathLike | None
+) -> AgainstOptions | None:
+    if against is None:
+        if difference is not None:
+            raise ConfigError("--difference: there is no earlier DTM; give it with --against")
+        return None
+    place = _text("against", against)
+    return AgainstOptions(
+        as_path(terrain_in(place) if is_results(place) else place),
+        float(parse_length(change)),
+        None if difference is None else Path(_text("difference", difference)),
+    )
 
 
 def open_store(path: PathLike) -> TileStore:

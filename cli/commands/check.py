@@ -78,9 +78,26 @@ HEADINGS = (
     metavar="FOLDER",
     help="draw histogram.svg and map.svg of the checkpoints [default: none]",
 )
+@click.option(
+    "--against",
+    metavar="DTM",
+    help="earlier DTM, or OUT folder of an earlier run, to compare with; its pixels may differ [default: none]",
+)
+@click.option(
+    "--change",
+    metavar="LENGTH",
+    default="0.5",
+    help="least difference to the earlier DTM that is a change [unit: m; default: 0.5]",
+)
+@click.option(
+    "--difference",
+    type=click.Path(path_type=Path),
+    metavar="FILE.tif",
+    help="write DTM minus earlier DTM on the pixels of DTM [default: none]",
+)
 @json_option
 def command(dtm: str, as_json: bool, **options: Any) -> int:
-    """Measure accuracy, seams and strip alignment of a DTM.
+    """Measure accuracy, seams, strip alignment and changes of a DTM.
 
     A difference is the height of the DTM, interpolated bilinearly between pixel centres, minus
     the height of the checkpoint. In the ASPRS standards, Edition 2, accuracy is the RMSE of the
@@ -110,6 +127,8 @@ def _print_report(report: Mapping[str, Any]) -> None:
         _print_seams(report["seams"])
     if "strips" in report:
         _print_strips(report["strips"])
+    if "against" in report:
+        _print_changes(report["against"])
     for requirement in report["requirements"]:
         unit = f" {requirement['unit']}".rstrip()
         value = (
@@ -191,6 +210,23 @@ def _print_strips(strips: Mapping[str, Any]) -> None:
     rows.append(("all", f"{strips['cells']:,}", *(_number(strips["all"][key]) for key in keys)))
     columns = ("strips", "cells", "RMSE", "mean", "median", "NMAD", "95 % within")
     print_table(f"strips in cells of {strips['cell_m']:g} m, {strips['unit']}", columns, rows)
+
+
+def _print_changes(against: Mapping[str, Any]) -> None:
+    from tiler.report.accuracy import CHANGE_HEADINGS, changes_text, groups_of, places_of
+
+    keys = ("rmse", "bias", "median", "nmad", "p95_abs")
+    rows = [
+        (name, f"{found['pixels']:,}", *(_number(found[key]) for key in keys))
+        for name, found in groups_of(against).items()
+    ]
+    columns = ("pixels of", "number", "RMSE", "mean", "median", "NMAD", "95 % within")
+    print_table(f"DTM minus {against['old']}, {against['unit']}", columns, rows)
+    write_line(changes_text(against))
+    if against["places"]:
+        print_table("largest places", CHANGE_HEADINGS, places_of(against, 5))
+    if against["difference"]:
+        write_line(f"wrote   {against['difference']}")
 
 
 def _number(value: float | None) -> str:

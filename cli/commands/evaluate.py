@@ -142,7 +142,10 @@ def command(
                     clouds, config, ignored, request, listener
                 )
     if dtm is not None and true_dtm is not None:
-        both, sigma = (Path(dtm), Path(true_dtm)), dtm_sigma or evaluate.sigma_beside(dtm)
+        both, sigma = (
+            (Path(dtm), Path(true_dtm)),
+            dtm_sigma or evaluate.raster_beside(dtm, "sigma"),
+        )
         dtm_scores = call_isolated(
             evaluate.evaluate_dtm,
             *both,

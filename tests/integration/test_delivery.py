@@ -19,7 +19,7 @@ from cli.summary import summary_lines
 from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.apps.check import terrain_in
-from tiler.apps.evaluate import sigma_beside
+from tiler.apps.evaluate import raster_beside
 from tiler.core.products import MASK_VALUES
 from tiler.errors import ConfigError
 
@@ -175,7 +175,7 @@ def test_rasters_in_one_file_have_other_names_that_every_reader_finds(
     assets = json.loads((tmp_path / "stac.json").read_text("utf-8"))["assets"]
     assert assets["mask"]["href"] == "./Quelle%20%C3%A9.tif"
     assert terrain_in(str(tmp_path)) == str(tmp_path / "MNT.tif")
-    assert sigma_beside(tmp_path / "MNT.tif") == tmp_path / "sigma.tif"
+    assert raster_beside(tmp_path / "MNT.tif", "sigma") == tmp_path / "sigma.tif"
     assert f"DTM         {tmp_path / 'MNT.tif'}, " in "\n".join(
         summary_lines(done.summary, str(tmp_path))
     )

@@ -138,6 +138,49 @@ class Strips(TypedDict):
     pairs: list[StripPair]
 
 
+class ChangeFigures(Spread):
+    """Number of pixels, and statistics of their changes."""
+
+    pixels: int
+
+
+class ChangePlace(TypedDict):
+    """Changed pixels in connected cells: their bounds in units of the CRS, number and heights.
+
+    ``volume_m3`` is the sum of the absolute changes times the area of a pixel.
+    """
+
+    bounds: list[float]
+    pixels: int
+    area_m2: float
+    mean_m: float
+    largest_m: float
+    volume_m3: float
+
+
+class Against(TypedDict):
+    """Comparison with an earlier DTM: new minus old, in ``unit``, over the pixels that both have.
+
+    ``only_new`` and ``only_old`` are numbers of pixels in which only one has a height. ``changed_pixels`` differ by
+    ``change_m`` or more. ``by_source`` has a key per source of the new height (`mask.tif`), if it is known. ``places``
+    are the largest of ``number_of_places``. ``difference`` is the path of the raster of differences, or None.
+    """
+
+    old: str
+    unit: str
+    metres_per_unit: float
+    change_m: float
+    only_new: int
+    only_old: int
+    changed_pixels: int
+    all: ChangeFigures
+    by_slope: dict[str, ChangeFigures]
+    by_source: dict[str, ChangeFigures]
+    places: list[ChangePlace]
+    number_of_places: int
+    difference: str | None
+
+
 class Judgement(TypedDict):
     """Comparison of a value with its limit, both in ``unit``: ``m``, or empty for numbers of points.
 
@@ -158,6 +201,7 @@ class Measured(TypedDict):
     accuracy: NotRequired[Accuracy]
     seams: NotRequired[Seams]
     strips: NotRequired[Strips]
+    against: NotRequired[Against]
 
 
 class CheckSummary(Measured):

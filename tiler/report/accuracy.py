@@ -47,6 +47,7 @@ SPREAD = {
 HOW = {
     "with checkpoints": "tiler check OUT --points FILE",
     "between flight strips": "tiler check OUT --strips OUT/classified",
+    "with an earlier DTM": "tiler check OUT --against OLD.tif --difference FILE.tif",
     "with reference classes": "tiler evaluate CLOUD --reference REF --json > OUT/evaluate.json",
     "after tiler evaluate": "tiler report OUT",
 }
@@ -102,6 +103,8 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
         content.append(_seams(check["seams"]))
     if check.get("strips"):
         content.append(_strips(check["strips"]))
+    if check.get("against"):
+        content.append(_changes(check["against"]))
     if check.get("requirements"):
         content.append(_requirements(check["requirements"]))
     if "total" in evaluation:
@@ -137,6 +140,52 @@ def seams_text(seams: Mapping[str, Any]) -> str:
         degree = "not" if excess <= 0 else "hardly"
         return f"No seam: steps at tile edges are {degree} larger than next to them ({means})."
     return f"Seams: steps at tile edges are larger by {excess:.4f} {unit} than next to them ({means})."
+
+
+CHANGE_HEADINGS = ("west, south", "east, north", "area m2", "mean m", "largest m", "volume m3")
+"""Columns of a table of places of change."""
+
+
+def changes_text(against: Mapping[str, Any]) -> str:
+    """Return a sentence about the changes since an earlier DTM."""
+    limit, changed, pixels = (
+        against["change_m"],
+        against["changed_pixels"],
+        against["all"]["pixels"],
+    )
+    text = (
+        f"{_percent(changed / pixels)} of {counted(pixels, 'pixel')} changed by {limit:g} m or more, "
+        f"in {counted(against['number_of_places'], 'place')}"
+    )
+    if against["only_new"]:
+        text += f"; {counted(against['only_new'], 'pixel')} had no earlier height"
+    if against["only_old"]:
+        text += f"; {counted(against['only_old'], 'pixel')} lost their height"
+    return text + "."
+
+
+def groups_of(against: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the figures of all changes, by slope and by source of the new height."""
+    by_source = {name.partition(":")[0]: found for name, found in against["by_source"].items()}
+    return {"all": against["all"], **against["by_slope"], **by_source}
+
+
+def places_of(against: Mapping[str, Any], number: int) -> list[tuple[str, ...]]:
+    """Return rows of `CHANGE_HEADINGS` for the first places of change."""
+    rows = []
+    for place in against["places"][:number]:
+        west, south, east, north = place["bounds"]
+        figures = (place["mean_m"], place["largest_m"])
+        rows.append(
+            (
+                f"{west:.0f}, {south:.0f}",
+                f"{east:.0f}, {north:.0f}",
+                f"{place['area_m2']:,.0f}",
+                *(f"{figure:.2f}" for figure in figures),
+                f"{place['volume_m3']:,.0f}",
+            )
+        )
+    return rows
 
 
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
@@ -226,6 +275,17 @@ def _strips(found: Mapping[str, Any]) -> Node:
     ]
     names = (f"strips, in cells of {found['cell_m']:g} m", "cells", *SPREAD.values())
     return el("div", heading, table(names, rows, range(1, len(names))))
+
+
+def _changes(found: Mapping[str, Any]) -> Node:
+    heading = el("h3", f"Changes since {shown(found['old'])}, {found['unit']}")
+    rows = [
+        (name, _number(values["pixels"]), *(_number(values[key]) for key in SPREAD))
+        for name, values in groups_of(found).items()
+    ]
+    figures = table(("pixels of", "number", *SPREAD.values()), rows, range(1, len(SPREAD) + 2))
+    places = table(CHANGE_HEADINGS, places_of(found, MAX_ROWS), range(len(CHANGE_HEADINGS)))
+    return el("div", heading, figures, el("p", changes_text(found)), places)
 
 
 def _requirements(found: list[Mapping[str, Any]]) -> Node:

@@ -58,6 +58,8 @@ Only a shift of all heights moves the median by many NMAD.
 """
 MIN_OFFSET_POINTS = 3
 """Minimum number of checkpoints that show a constant offset. Two blunders may agree by chance."""
+MAX_WINDOW = 1 << 22
+"""Largest number of pixels that are read at once to interpolate heights."""
 _ROUNDING = 1e-9
 
 Floats = npt.NDArray[np.float64]
@@ -234,8 +236,8 @@ def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.
         (columns >= 0) & (columns <= raster.width) & (rows >= 0) & (rows <= raster.height)
     )
     heights = np.full(x.size, np.nan)
-    for i in np.flatnonzero(~outside):
-        heights[i] = _between_centres(raster, float(columns[i]) - 0.5, float(rows[i]) - 0.5)
+    for i in np.flatnonzero(~outside):  # They may be far apart.
+        heights[i] = between_centres(raster, columns[i : i + 1], rows[i : i + 1])[0]
     return heights, outside
 
 
@@ -252,19 +254,46 @@ def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         return (e * across - b * down) / determinant, (a * down - d * across) / determinant
 
 
-def _between_centres(raster: Any, column: float, row: float) -> float:
-    """Return the height at a position in pixels from the centre of the first pixel, or NaN."""
-    column, row = _near_whole(column), _near_whole(row)
-    left, top = math.floor(column), math.floor(row)
-    across, down = column - left, row - top
-    weights = np.outer((1 - down, down), (1 - across, across))
-    block = read_heights(raster, top, left, 2, 2)
-    return float((block[weights > 0] * weights[weights > 0]).sum())
+def between_centres(raster: Any, columns: Floats, rows: Floats) -> Floats:
+    """Return heights, interpolated bilinearly, at places in pixels from the outer corner of the first pixel.
 
-
-def _near_whole(value: float) -> float:
-    """Return the nearest integer if only rounding separates it from the value, else the value."""
-    return round(value) if abs(value - round(value)) < 1e-6 else value
+    Arrays have any shape. Heights are NaN if a pixel of non-zero weight has no data. Places that would need a window of
+    more than `MAX_WINDOW` pixels are divided.
+    """
+    # An integer is meant if only rounding separates a place from it.
+    rows, cols = (
+        np.where(np.abs(places - np.rint(places)) < 1e-6, np.rint(places), places)
+        for places in (rows - 0.5, columns - 0.5)
+    )
+    heights = np.full(rows.shape, np.nan)
+    # A failed transformation gives infinity.
+    inside = (rows > -1) & (rows < raster.height) & (cols > -1) & (cols < raster.width)
+    if not inside.any():
+        return heights
+    corner = [int(np.floor(places[inside].min())) for places in (rows, cols)]
+    size = [
+        int(np.floor(places[inside].max())) + 2 - first
+        for places, first in zip((rows, cols), corner, strict=True)
+    ]
+    if size[0] * size[1] > MAX_WINDOW and heights.size > 1:
+        axis = int(np.argmax(heights.shape))
+        halves = zip(
+            np.array_split(cols + 0.5, 2, axis),
+            np.array_split(rows + 0.5, 2, axis),
+            strict=True,
+        )
+        return np.concatenate([between_centres(raster, *half) for half in halves], axis)
+    read = read_heights(raster, *corner, *size)
+    row, col = rows[inside] - corner[0], cols[inside] - corner[1]
+    top, left = np.floor(row).astype(int), np.floor(col).astype(int)
+    down, across = row - top, col - left
+    total = np.zeros(row.size)
+    for below, by_row in ((0, 1 - down), (1, down)):
+        for right, by_col in ((0, 1 - across), (1, across)):
+            weight = by_row * by_col
+            total += np.where(weight > 0, weight * read[top + below, left + right], 0.0)
+    heights[inside] = total
+    return heights
 
 
 def outliers(difference: Floats) -> npt.NDArray[np.bool_]:

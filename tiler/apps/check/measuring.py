@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.apps.check.accuracy import check_dtm
+from tiler.apps.check.against import AgainstOptions, compare
 from tiler.apps.check.consistency import seams_of, strip_differences
 from tiler.apps.check.figures import validate_figure_files, write_figures
 from tiler.apps.check.points import PointOptions, read_checkpoints
@@ -152,8 +153,9 @@ def measure(
     strips: Sequence[str] = (),
     requirements: Sequence[Requirement] = (),
     figures: Path | None = None,
+    against: AgainstOptions | None = None,
 ) -> CheckSummary:
-    """Check a DTM by checkpoints, by its seams, and by overlapping strips, as far as these are given.
+    """Check a DTM by checkpoints, its seams, overlapping strips and an earlier DTM, as far as these are given.
 
     Parameters
     ----------
@@ -167,6 +169,8 @@ def measure(
     requirements : sequence of Requirement
     figures : Path, optional
         Folder for drawings of the checkpoints.
+    against : AgainstOptions, optional
+        Earlier DTM.
 
     Raises
     ------
@@ -193,9 +197,15 @@ def measure(
         measured["seams"] = seams
     if strips:
         measured["strips"] = strip_differences(strips)
+    if against is not None:
+        rasters, memory_bytes = (dtm, against.old), half_of_memory()
+        measured["against"] = call_isolated(
+            compare, dtm, against, paths=rasters, memory_bytes=memory_bytes
+        )
     if len(measured) == 1:
         raise ConfigError(
-            f"{dtm}: nothing to check; give --points, --tile-size (there is no run.json beside it) or --strips"
+            f"{dtm}: nothing to check; give --points, --tile-size (there is no run.json beside it), "
+            "--strips or --against"
         )
     judgements = judge(requirements, measured)
     drawings: list[str] = []

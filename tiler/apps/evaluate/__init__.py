@@ -12,7 +12,8 @@ from tiler.apps.evaluate.clouds import (
     evaluate_labels,
     scores,
 )
-from tiler.apps.evaluate.heights import evaluate_dtm, sigma_beside, validate_targets
+from tiler.apps.evaluate.heights import evaluate_dtm, validate_targets
+from tiler.apps.evaluate.rasters import raster_beside
 from tiler.apps.evaluate.scenes import (
     MapRequest,
     Scene,
@@ -32,7 +33,7 @@ __all__ = [
     "evaluate_scenes",
     "filter_and_evaluate",
     "find_scenes",
+    "raster_beside",
     "scores",
-    "sigma_beside",
     "validate_targets",
 ]

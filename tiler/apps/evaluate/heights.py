@@ -32,7 +32,6 @@ from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.raster_files import RasterMetadata, plain_geotiff, raster_errors
-from tiler.io.result_folder import raster_places, read_run
 
 SLOPES_DEG = (0, 5, 15, 30, 90)
 """Edges of the classes of slope, degrees."""
@@ -94,7 +93,9 @@ def evaluate_dtm(
     tally, both, only_dtm, only_truth = SpreadTally(), 0, 0, 0
     with ExitStack() as stack:
         pair = stack.enter_context(_opened(Path(dtm), Path(truth)))
-        write = stack.enter_context(_difference_writer(difference, pair))
+        write = stack.enter_context(
+            difference_writer(difference, pair.truth, "DTM minus truth")
+        )
         unit = unit_label(vertical_unit(pair.truth))
         judge = (
             None
@@ -127,15 +128,6 @@ def evaluate_dtm(
         "quantile_step": tally.step,
         **judged,
     }
-
-
-def sigma_beside(dtm: Path | str) -> Path | None:
-    """Return the raster of standard errors that a run wrote next to its DTM, or None."""
-    path = Path(dtm)
-    run = read_run(str(path.parent))
-    pairs = zip(raster_places(run, "dtm"), raster_places(run, "sigma"), strict=True)
-    found = (path.with_name(sigma) for terrain, sigma in pairs if terrain == path.name)
-    return next((sigma for sigma in found if sigma.is_file()), None)
 
 
 def validate_targets(
@@ -172,18 +164,21 @@ def validate_targets(
 
 
 @contextmanager
-def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
-    """Yield a function that writes a block of differences (NaN: none), or None without a path."""
+def difference_writer(path: Path | str | None, like: Any, description: str) -> Iterator[Any]:
+    """Yield a function that writes a block of differences (NaN: none), or None without a path.
+
+    The file has the pixels of ``like``, an open raster. Raise ProcessingError if the GeoTIFF cannot be written.
+    """
     if path is None:
         yield None
         return
-    crs = pair.truth.crs.to_wkt() if pair.truth.crs else None
-    look = RasterMetadata(crs, unit_label(vertical_unit(pair.truth)), "DTM minus truth", {})
-    transform = tuple(pair.truth.transform)[:6]
+    crs = like.crs.to_wkt() if like.crs else None
+    look = RasterMetadata(crs, unit_label(vertical_unit(like)), description, {})
+    transform = tuple(like.transform)[:6]
     with (
         raster_errors(Path(path)),
         atomic_path(Path(path)) as partial,
-        plain_geotiff(partial, pair.truth.height, pair.truth.width, transform, look) as raster,
+        plain_geotiff(partial, like.height, like.width, transform, look) as raster,
     ):
 
         def write(block: Float64s, row: int, col: int) -> None:

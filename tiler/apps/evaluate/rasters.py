@@ -19,6 +19,7 @@ from rasterio.errors import CRSError, RasterioError
 from tiler.core.units import METRE, exact_unit, unit_named
 from tiler.errors import InputError
 from tiler.io.locations import is_url, reading_remedy, state_at
+from tiler.io.result_folder import raster_places, read_run
 from tiler.redaction import printable
 
 
@@ -66,6 +67,15 @@ def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[Non
     except (RasterioError, CRSError, ProjError, UnicodeDecodeError) as error:
         reason = printable(" ".join(str(error).split()))
         raise InputError(f"{path}: {what} ({reason}); give a readable raster") from error
+
+
+def raster_beside(dtm: Path | str, product: str) -> Path | None:
+    """Return the raster of a product that a run wrote next to its DTM, or None."""
+    path = Path(dtm)
+    run = read_run(str(path.parent))
+    pairs = zip(raster_places(run, "dtm"), raster_places(run, product), strict=True)
+    found = (path.with_name(other) for terrain, other in pairs if terrain == path.name)
+    return next((other for other in found if other.is_file()), None)
 
 
 Float64s = npt.NDArray[np.float64]

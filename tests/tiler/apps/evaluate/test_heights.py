@@ -9,7 +9,7 @@ import pytest
 import rasterio
 
 from tests.tiler.apps.check.rasters import write_heights as raster
-from tiler.apps.evaluate import evaluate_dtm, rasters, sigma_beside
+from tiler.apps.evaluate import evaluate_dtm, raster_beside, rasters
 from tiler.apps.evaluate.heights import SigmaTally
 from tiler.errors import ConfigError, InputError
 
@@ -167,10 +167,10 @@ def test_pixels_without_a_standard_error_are_not_judged(tmp_path: Path) -> None:
 
 def test_the_raster_beside_the_dtm_is_found(tmp_path: Path) -> None:
     dtm = raster(tmp_path / "dtm.tif", np.ones((3, 3)), 0, 3)
-    assert sigma_beside(dtm) is None
+    assert raster_beside(dtm, "sigma") is None
     sigma = raster(tmp_path / "sigma.tif", np.ones((3, 3)), 0, 3)
-    assert sigma_beside(dtm) == Path(sigma)
-    assert sigma_beside(tmp_path / "other.tif") is None
+    assert raster_beside(dtm, "sigma") == Path(sigma)
+    assert raster_beside(tmp_path / "other.tif", "sigma") is None
 
 
 def test_a_raster_on_another_lattice_is_refused(tmp_path: Path) -> None:
