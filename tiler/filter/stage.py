@@ -5,12 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from ptd.matched.cells import CELL_M
 from ptd.matched.evidence import SURE
 from ptd.matched.passes import CanopyPass
 from ptd.matched.survey import SurveyPass, run_facts
@@ -123,9 +121,8 @@ def _canopy_cells(
     for tile in tile_records(made):
         for column, row, area_m2 in tile.partial["blocks"]:
             blocks[column, row] += area_m2
-    side = job.plan.frame.counts(Fraction(repr(CELL_M)))
     digests = label_digests(assembled, made)
-    return CanopyCells(elected_name(electing), labels_name(number), side, digests, blocks)
+    return CanopyCells(elected_name(electing), labels_name(number), digests, blocks)
 
 
 def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:

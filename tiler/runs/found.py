@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cached_property, reduce
 from typing import Any
 
@@ -109,8 +108,6 @@ class CanopyCells:
         Name of the cells in the store, as elected points.
     labels : str
         Name of the labels of the cells in the store.
-    side : Fraction
-        Side of a cell in counts in areas with dense points. In other areas the side is twice as long.
     digests : mapping of Cell to str
         Digest of the cells and labels of each bucket.
     blocks : mapping of (int, int) to int
@@ -119,7 +116,6 @@ class CanopyCells:
 
     elected: str
     labels: str
-    side: Fraction
     digests: Mapping[Cell, str]
     blocks: Mapping[tuple[int, int], int]
 
