@@ -37,7 +37,7 @@ from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError
 
-CELL_PIXELS, MAX_CELLS = 16, 2048
+CELL_PIXELS, MAX_CELLS = 4, 2048
 """Least side in pixels of the cells into which changes are collected, and largest number of cells along a side."""
 MAX_PLACES = 100
 """Number of places that are listed, those with the largest volume of change."""
