@@ -98,6 +98,7 @@ class Seams(TypedDict):
     The heights are in ``unit``, and the sides of tiles and buckets in units of the CRS.
     ``excess`` is the mean jump across edges of tiles minus the mean jump next to them, or
     within tiles if the tiles are too small for lines next to edges.
+    ``excess_error`` is its standard error as if pairs were independent, None for fewer than two.
     """
 
     unit: str
@@ -111,6 +112,7 @@ class Seams(TypedDict):
     beside_tiles: Steps
     beside_blocks: NotRequired[Steps]
     excess: float | None
+    excess_error: float | None
 
 
 class StripPair(Spread):

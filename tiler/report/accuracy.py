@@ -124,11 +124,16 @@ def statement_text(asprs: Mapping[str, Any]) -> str:
     return text
 
 
+SURE_ERRORS = 4
+"""Number of standard errors from which a difference of means is a seam. Pairs beside each other are not independent, so
+that the true error is some 1.5 to 2 times as large."""
+
+
 def seams_text(seams: Mapping[str, Any]) -> str:
     """Return a sentence that says whether the DTM has seams at the edges of tiles.
 
-    Means of rough terrain differ by chance, so a seam is an excess of more than 1 mm and of
-    more than a quarter of the jumps next to the edges.
+    Means of rough terrain differ by chance, so a seam is an excess of more than 1 mm, of more than a quarter of the
+    jumps next to the edges, and of more than `SURE_ERRORS` standard errors.
     """
     excess, unit = seams["excess"], seams["unit"]
     if excess is None:
@@ -139,6 +144,12 @@ def seams_text(seams: Mapping[str, Any]) -> str:
     if excess <= near / 4 or excess * seams["metres_per_unit"] <= 0.001:
         degree = "not" if excess <= 0 else "hardly"
         return f"No seam: steps at tile edges are {degree} larger than next to them ({means})."
+    error = seams.get("excess_error")
+    if error is None or excess <= SURE_ERRORS * error:
+        return (
+            f"Not sure: steps at tile edges are larger by {excess:.4f} {unit} than next to them ({means}), but "
+            f"{counted(seams['tiles']['pairs'], 'pair')} of pixels may give that by chance."
+        )
     return f"Seams: steps at tile edges are larger by {excess:.4f} {unit} than next to them ({means})."
 
 

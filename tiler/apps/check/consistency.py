@@ -92,10 +92,11 @@ class TileEdges:
 
 @dataclass
 class StepStatistics:
-    """Number, sum and maximum of the values that are not NaN."""
+    """Number, sums and maximum of the values that are not NaN."""
 
     n: int = 0
     total: float = 0.0
+    squares: float = 0.0
     largest: float = 0.0
 
     def add(self, values: Floats) -> None:
@@ -104,6 +105,7 @@ class StepStatistics:
         if known.size:
             self.n += known.size
             self.total += float(known.sum())
+            self.squares += float((known**2).sum())
             self.largest = max(self.largest, float(known.max()))
 
     @property
@@ -112,6 +114,14 @@ class StepStatistics:
         if not self.n:
             return None, None
         return self.total / self.n, self.largest
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the mean, as if the values were independent. Infinite for fewer than two values."""
+        if self.n < 2:
+            return math.inf
+        variance = max(self.squares - self.total**2 / self.n, 0.0) / (self.n - 1)
+        return math.sqrt(variance / self.n)
 
 
 def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
@@ -148,11 +158,10 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
                 of_steps.add(steps[mark])
                 of_jumps.add(jumps[mark])
     found = {name: _steps(*tallies[name]) for name in KINDS if name in tallies}
-    across, near, excess = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"], None
-    if near is None:
-        near = found["interior"]["mean_jump"]
-    if across is not None and near is not None:
-        excess = across - near
+    near = "beside_tiles" if found["beside_tiles"]["pairs"] else "interior"
+    across, beside = found["tiles"]["mean_jump"], found[near]["mean_jump"]
+    excess = None if across is None or beside is None else across - beside
+    error = math.hypot(*(tallies[name][1].standard_error for name in ("tiles", near)))
     seams = {
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
@@ -161,6 +170,7 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> Seams:
         "bucket": edges.bucket,
         **found,
         "excess": excess,
+        "excess_error": None if math.isinf(error) else error,
     }
     return cast(Seams, seams)
 

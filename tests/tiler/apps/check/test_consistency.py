@@ -10,11 +10,12 @@ import laspy
 import numpy as np
 import pytest
 
-from tests.tiler.apps.check.rasters import tilted, write_surface
+from tests.tiler.apps.check.rasters import tilted, write_heights, write_surface
 from tiler.apps.check import TileEdges, seam_steps, strip_differences
 from tiler.apps.check.consistency import seams_of
 from tiler.errors import ConfigError, InputError
 from tiler.io.las import reader
+from tiler.report.accuracy import seams_text
 
 
 def stepped(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -54,6 +55,21 @@ def test_edges_of_the_wrong_lattice_show_nothing(tmp_path: Path) -> None:
         seam_steps(path, TileEdges(10 / 3 * 2))["excess"]
         < seam_steps(path, TileEdges(10))["excess"] / 2
     )
+
+
+def test_chance_at_few_pairs_is_no_seam(tmp_path: Path) -> None:
+    """White noise on an edge of 12 pixels: 60 rasters without a seam, and the same ones with a step of 0.3."""
+    told = {0.0: 0, 0.3: 0}
+    for seed in range(60):
+        noise = np.random.default_rng(seed).normal(0, 0.02, (12, 24))
+        for step in told:
+            heights = noise + step * (np.arange(24) >= 12)
+            path = write_heights(tmp_path / "d.tif", heights, west=-12, north=12.5)
+            facts = seam_steps(path, TileEdges(100))
+            told[step] += seams_text(facts).startswith("Seams")
+            assert facts["tiles"]["pairs"] == 12
+            assert 0 < facts["excess_error"] < 0.05
+    assert told == {0.0: 0, 0.3: 60}
 
 
 def test_rough_places_are_not_seams(tmp_path: Path) -> None:
