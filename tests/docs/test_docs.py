@@ -124,6 +124,13 @@ def test_the_table_of_products_has_all() -> None:
     assert [name for name in rows if name in PRODUCTS] == list(PRODUCTS)
 
 
+@pytest.mark.parametrize("name", ["CONTRIBUTING.md", "SECURITY.md"])
+def test_tests_that_hold_promises_exist(name: str) -> None:
+    paths = re.findall(r"`(tests/[\w/.]+)`", (ROOT / name).read_text("utf-8"))
+    assert len(paths) > 20
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
 @pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda p: p.name)
 def test_links_lead_somewhere(page: Path) -> None:
     for link in LINK.findall(page.read_text("utf-8")):

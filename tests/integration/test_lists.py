@@ -143,3 +143,15 @@ def test_half_of_a_character_names_no_cloud(
     assert_one_line(
         capsys.readouterr().err, "its feature 1 names", "which holds half of a character"
     )
+
+
+@pytest.mark.parametrize(
+    "href", ["/etc/a.laz", "../a.laz", "%2e%2e/a.laz", "file:///etc/a.laz"]
+)
+def test_list_on_a_server_names_no_file_of_this_machine(
+    href: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vpc(tmp_path / "town.vpc", href)
+    with http_server(tmp_path) as server:
+        assert main(["plan", f"{server}/town.vpc"]) == 3
+    assert_one_line(capsys.readouterr().err, "town.vpc", f"names {href!r}, which")
