@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -137,6 +138,19 @@ def test_a_name_that_is_too_long_is_missing(delivery: Path) -> None:
         lambda content: content["files"].append({"path": 3000 * "a", "bytes": 1, "sha256": ""}),
     )
     assert verify(delivery).missing == [3000 * "a"]
+
+
+def test_a_file_that_cannot_be_read_is_one_line(
+    delivery: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def damaged(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("hashlib.file_digest", damaged)
+    with pytest.raises(
+        InputError, match=r"cannot be read \(Input/output error\); copy it again"
+    ):
+        verify(delivery)
 
 
 def test_a_delivery_that_was_killed_goes_on(out: Path, tmp_path: Path) -> None:
