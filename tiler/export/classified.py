@@ -234,7 +234,9 @@ def _write_points(
     pairs = np.zeros(table.size, dtype=np.int64)
     channels: set[int] = set()
     statistics = CloudStatistics(form)
-    at_once = _STEP if cloud.threads == 1 else _STEP * _CHUNKS_A_THREAD * cloud.threads
+    at_once = _STEP
+    if cloud.threads > 1 and not isinstance(writer, ClassWriter):
+        at_once *= _CHUNKS_A_THREAD * cloud.threads
     step = rows_at_once(max(header.record_length, form.record_length), at_once)
     layers = STATISTICS if isinstance(writer, ClassWriter) else EVERYTHING
     with _reader(store, header, cloud, layers) as reader:
