@@ -93,7 +93,7 @@ def warm_filters(method: str, notify: Callable[[], None], kind: str | None = Non
     if has_kinds(method):
         kinds = (kind,) if kind else KINDS
     for cloud_kind in kinds:
-        _once(
+        compile_once(
             filters_name(method, cloud_kind), notify, functools.partial(run_passes, cloud_kind)
         )
 
@@ -152,10 +152,12 @@ def warm_gridding(
         ground_cells.plane_variance(xyz, cells, (2, 5))
         ground_cells.cell_counts(xyz, cells)
 
-    _once(gridding_name(interpolation), notify, make_rasters)
+    compile_once(gridding_name(interpolation), notify, make_rasters)
 
 
-def _once(name: str, notify: Callable[[], None], run_kernels: Callable[[], None]) -> None:
+def compile_once(
+    name: str, notify: Callable[[], None], run_kernels: Callable[[], None]
+) -> None:
     """Compile kernels by running them, unless the mark ``name`` next to the machine code exists."""
     folder = cache_folder()
     if folder is None:

@@ -65,7 +65,7 @@ def warm() -> None:
         importlib.import_module(f"tiler.{name}")
     preparation.import_stages()
     preparation.import_libraries()
-    with mock.patch.object(precompile, "_once", _always):
+    with mock.patch.object(precompile, "compile_once", _always):
         precompile.warm_filters("auto", _silent)
         precompile.warm_gridding("linear", _silent)
     run_in_process()

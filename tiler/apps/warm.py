@@ -11,6 +11,7 @@ from ptd.precompile import is_compiled
 from tiler.errors import ConfigError, ProcessingError
 from tiler.plan.memory import cores
 from tiler.runs.compiling import (
+    CLASS_KERNELS,
     SECONDS,
     filter_kernels,
     grid_kernels,
@@ -34,7 +35,7 @@ class WarmResult:
 
 
 def warm(methods: Sequence[str]) -> WarmResult:
-    """Compile the kernels of methods and rasters, in as many processes as there are cores.
+    """Compile the kernels of methods, rasters and classified clouds, in as many processes as there are cores.
 
     Raises
     ------
@@ -58,6 +59,7 @@ def warm(methods: Sequence[str]) -> WarmResult:
     for method in methods:
         needed_kernels += [filter_kernels(method, kind) for kind in kinds_of(method)]
     needed_kernels += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
+    needed_kernels.append(CLASS_KERNELS)
     todo = [kernels for kernels in needed_kernels if not is_compiled(kernels.name)]
     try:
         with ChildPool(max(min(cores(), len(todo)), 1), None) as guards:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,7 @@ from tiler.io.las.point_formats import (
 )
 from tiler.io.las.reader import (
     EVERYTHING,
+    STATISTICS,
     PointReader,
     Records,
     count_decodable,
@@ -62,8 +63,15 @@ from tiler.io.las.reader import (
     unchanged,
     validate_unchanged,
 )
-from tiler.io.las.writers import CopcWriter, PlainWriter, PointWriter
-from tiler.io.locations import as_path, staging_folder, state_of
+from tiler.io.las.writers import (
+    ClassWriter,
+    CopcWriter,
+    PlainWriter,
+    PointWriter,
+    has_class_layer,
+    laszip_vlr,
+)
+from tiler.io.locations import as_path, is_url, staging_folder, state_of
 from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore
 
 ROWS_PER_BATCH = 1 << 27
@@ -124,7 +132,7 @@ def write_classified(store: TileStore, *, cloud: CloudCopy) -> CloudRecord:
 
 def _write(store: TileStore, header: LasHeader, cloud: CloudCopy, out: Path) -> CloudRecord:
     """Write a cloud on this machine and return its record without ``fetched`` and ``state``."""
-    partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
+    partial = partial_path(out)
     form = upgraded_header(header) if cloud.copc else header
     crs = new_crs(header, cloud, store.meta.frame.crs_wkt)
     try:
@@ -141,12 +149,9 @@ def _write(store: TileStore, header: LasHeader, cloud: CloudCopy, out: Path) -> 
                     copc.close()
                 write_copc_back(header, source, target, crs, copc, statistics)
             else:
-                notes = write_front(header, source, target, compressed, crs)
-                writer = (
-                    PointWriter(target, header, cloud.threads)
-                    if compressed
-                    else PlainWriter(target)
-                )
+                laszip = _laszip_record(header, cloud)
+                notes = write_front(header, source, target, laszip, crs)
+                writer = _writer(header, cloud, source, target)
                 counts, statistics = _write_points(header, form, writer, store, cloud)
                 writer.close()
                 if cloud.ranges:
@@ -177,10 +182,49 @@ def _write(store: TileStore, header: LasHeader, cloud: CloudCopy, out: Path) -> 
     )
 
 
+def _is_compressed(cloud: CloudCopy) -> bool:
+    """Return whether a cloud is written as LAZ, by its suffix."""
+    return os.path.splitext(cloud.out)[1].lower() == ".laz"
+
+
+def _copies_layers(header: LasHeader, cloud: CloudCopy) -> bool:
+    """Return whether only the classes of a cloud are encoded, and the other layers copied as bytes.
+
+    From a URL, all bytes would be fetched a second time.
+    """
+    return (
+        _is_compressed(cloud)
+        and not cloud.copc
+        and not cloud.ranges
+        and not is_url(as_path(cloud.path))
+        and has_class_layer(header)
+    )
+
+
+def _laszip_record(header: LasHeader, cloud: CloudCopy) -> bytes | None:
+    """Return the laszip record of a cloud, or None if it is written as LAS."""
+    if not _is_compressed(cloud):
+        return None
+    if header.laz is not None and _copies_layers(header, cloud):
+        return laszip_vlr(header, chunk_points=header.laz.chunk_size)
+    return laszip_vlr(header)
+
+
+def _writer(
+    header: LasHeader, cloud: CloudCopy, source: BinaryIO, target: BinaryIO
+) -> PointWriter | PlainWriter | ClassWriter:
+    """Return the writer of the points of a LAZ or LAS file."""
+    if not _is_compressed(cloud):
+        return PlainWriter(target)
+    if _copies_layers(header, cloud):
+        return ClassWriter(target, source, header)
+    return PointWriter(target, header, cloud.threads)
+
+
 def _write_points(
     header: LasHeader,
     form: LasHeader,
-    writer: PointWriter | PlainWriter | CopcWriter,
+    writer: PointWriter | PlainWriter | CopcWriter | ClassWriter,
     store: TileStore,
     cloud: CloudCopy,
 ) -> tuple[_WrittenClasses, CloudStatistics]:
@@ -190,9 +234,12 @@ def _write_points(
     pairs = np.zeros(table.size, dtype=np.int64)
     channels: set[int] = set()
     statistics = CloudStatistics(form)
-    at_once = _STEP if cloud.threads == 1 else _STEP * _CHUNKS_A_THREAD * cloud.threads
+    at_once = _STEP
+    if cloud.threads > 1 and not isinstance(writer, ClassWriter):
+        at_once *= _CHUNKS_A_THREAD * cloud.threads
     step = rows_at_once(max(header.record_length, form.record_length), at_once)
-    with _reader(store, header, cloud) as reader:
+    layers = STATISTICS if isinstance(writer, ClassWriter) else EVERYTHING
+    with _reader(store, header, cloud, layers) as reader:
         for ranges in _spans(cloud.ranges or [(0, header.point_count)]):
             first, last = ranges[0][0], ranges[-1][1]
             span_labels = collect_labels(store, cloud, first, last)
@@ -265,15 +312,15 @@ def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:
 
 
 def _reader(
-    store: TileStore, header: LasHeader, cloud: CloudCopy
+    store: TileStore, header: LasHeader, cloud: CloudCopy, layers: int
 ) -> AbstractContextManager[KeptRecords | PointReader]:
-    """Return the decoded records that the store kept, or a reader of the source if it kept none."""
+    """Return the decoded records that the store kept, or a reader of ``layers`` of the source if it kept none."""
     if cloud.pieces and not cloud.ranges:
         dtype = record_dtype(header.point_format, header.record_length)
         kept = store.records(cloud.pieces, header.point_count, dtype)
         if kept is not None:
             return nullcontext(kept)
-    return PointReader(header, EVERYTHING, ranges=cloud.ranges or None)
+    return PointReader(header, layers, ranges=cloud.ranges or None)
 
 
 def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:

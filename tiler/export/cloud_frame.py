@@ -1,7 +1,7 @@
 """Header, records, CRS, file positions and statistics around the points of a classified cloud.
 
 laspy drops text after a NUL, reserved bytes, counts, dates and bytes between records. Here all
-of them are copied as bytes, and only the points pass through lazrs. CRS records are replaced only
+of them are copied as bytes, except the points. CRS records are replaced only
 if those of the source do not suffice.
 """
 
@@ -35,7 +35,13 @@ from tiler.io.las.point_formats import (
     upgraded_header,
 )
 from tiler.io.las.reader import Records
-from tiler.io.las.writers import HEADER_BYTES, INFO_BYTES, CopcWriter, laszip_vlr
+from tiler.io.las.writers import (
+    HEADER_BYTES,
+    INFO_BYTES,
+    CopcWriter,
+    copy_bytes,
+    laszip_vlr,
+)
 
 _WKT_BIT = 0x10
 """Bit of the global encoding that makes the WKT record the source of the CRS."""
@@ -52,7 +58,6 @@ _RETURNS = 15
 _NOTHING = [2**63, -(2**63), 0, 0]
 """Lowest, highest, sum and sum of squares of an empty set of values."""
 
-_COPY = 1 << 20
 _COMPRESSED = 0x80
 """Bit of the point format in the header of a LAZ file."""
 _OLDEST_HEADER_BYTES = 227
@@ -62,38 +67,45 @@ _WAVE_USER, _WAVE_RECORDS = "LASF_Spec", (*range(100, 355), 65535)
 
 
 def write_front(
-    header: LasHeader, source: BinaryIO, target: BinaryIO, compressed: bool, crs: NewCrs | None
+    header: LasHeader,
+    source: BinaryIO,
+    target: BinaryIO,
+    laszip: bytes | None,
+    crs: NewCrs | None,
 ) -> list[str]:
-    """Write the header, the VLRs and all bytes before the points, and return notes for the user."""
-    form = "LAZ" if compressed else "LAS"
+    """Write the header, the VLRs and all bytes before the points, and return notes for the user.
+
+    ``laszip`` is the laszip record of a LAZ file, or None for LAS.
+    """
+    form = "LAS" if laszip is None else "LAZ"
     notes = []
     if any(vlr.is_copc for vlr in header.vlrs):
         notes.append(f"COPC written as plain {form}, without its octree")
-    _copy(source, target, 0, header.header_size)
+    copy_bytes(source, target, 0, header.header_size)
     written = 0
-    laszip_done = not compressed
+    missing = laszip
     for vlr in _kept(header.vlrs, crs):
         if vlr.is_laszip:
-            if laszip_done:
+            if missing is None:
                 continue
-            target.write(laszip_vlr(header))
-            laszip_done = True
+            target.write(missing)
+            missing = None
         else:
-            _copy(source, target, vlr.start, vlr.end)
+            copy_bytes(source, target, vlr.start, vlr.end)
         written += 1
-    if not laszip_done:
-        target.write(laszip_vlr(header))
+    if missing is not None:
+        target.write(missing)
         written += 1
     if crs is not None:
         target.write(crs.record)
         written += 1
         if crs.note:
             notes.append(crs.note)
-    _copy(source, target, _end_of_records(header), header.points_offset)
+    copy_bytes(source, target, _end_of_records(header), header.points_offset)
     points = target.tell()
     _patch(target, 94, "<HII", header.header_size, points, written)
     form_byte = header.point_format
-    if compressed:
+    if laszip is not None:
         form_byte |= _COMPRESSED
     _patch(target, 104, "<B", form_byte)
     if crs is not None and crs.is_wkt and header.version >= (1, 4):
@@ -161,13 +173,13 @@ def write_back(
         for record in kept:
             if record.start == header.waveform_start:
                 waveform = target.tell()
-            _copy(source, target, record.start, record.end)
+            copy_bytes(source, target, record.start, record.end)
         _patch(target, 235, "<QI", begin if kept else 0, len(kept))
         if header.waveform_start:
             _patch(target, 227, "<Q", waveform)
     elif header.version[1] == 3 and header.points_offset < header.waveform_start < header.size:
         begin = target.tell()
-        _copy(source, target, header.waveform_start, header.size)
+        copy_bytes(source, target, header.waveform_start, header.size)
         _patch(target, 227, "<Q", begin)
     target.seek(0, os.SEEK_END)
 
@@ -186,7 +198,7 @@ def write_copc_front(
     target.write(laszip_vlr(form, own_sizes=True))
     records = [r for r in _kept_by_copc(header.vlrs, crs) if not r.is_laszip]
     for record in records:
-        _copy(source, target, record.start, record.end)
+        copy_bytes(source, target, record.start, record.end)
     if crs is not None:
         target.write(crs.record)
         notes.append(crs.note)
@@ -227,7 +239,7 @@ def write_copc_back(
     """Write the EVLRs of a COPC file after its hierarchy, and the counts and bounds in its header."""
     kept = _kept_by_copc(header.evlrs, crs)
     for record in kept:
-        _copy(source, target, record.start, record.end)
+        copy_bytes(source, target, record.start, record.end)
     patch_counts_and_bounds(target, statistics)
     _patch(target, 227, "<QQI", 0, copc.hierarchy_start, 1 + len(kept))
     target.seek(0, os.SEEK_END)
@@ -245,18 +257,6 @@ def _kept_by_copc(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
 def _kept(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
     """Return the records of the source without the octree and without a CRS that is replaced."""
     return [r for r in records if not (r.is_copc or (crs is not None and _is_crs(r)))]
-
-
-def _copy(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
-    """Copy bytes ``start`` to ``stop`` of the source, in bounded pieces."""
-    source.seek(start)
-    left = stop - start
-    while left > 0:
-        part = source.read(min(left, _COPY))
-        if not part:
-            raise OSError(f"the source ends at byte {stop - left}")
-        target.write(part)
-        left -= len(part)
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,7 @@ from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
 from tiler.observe.events import Detail
+from tiler.runs.compiling import class_kernels
 from tiler.runs.found import Gridded, Labelled, Source
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -306,7 +307,11 @@ def _files(tasks: list[Task]) -> dict[str, str]:
 
 def _file(task: Task) -> str:
     values = task.arguments
-    return str(values["cloud"].out if "cloud" in values else values["to"].location)
+    return str(values["cloud"].out if _is_cloud(task) else values["to"].location)
+
+
+def _is_cloud(task: Task) -> bool:
+    return "cloud" in task.arguments
 
 
 def _write(
@@ -318,7 +323,8 @@ def _write(
     """
     files = _files(tasks)
     invalidate_changed_outputs(job, stage, files)
-    written = run_stage(job, stage, tasks, writes_out=True)
+    kernels = class_kernels(job.plan) if any(_is_cloud(task) for task in tasks) else None
+    written = run_stage(job, stage, tasks, kernels, writes_out=True)
     sizes, digests = dict(job.results.outputs), dict(job.results.digests)
     notes: dict[str, None] = {}
     for key, (_, stored) in written.items():

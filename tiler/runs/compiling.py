@@ -9,9 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from ptd.kernel import compiled_count
 from ptd.matched.evidence import DIM, LIDAR, concluded
 from ptd.precompile import (
+    compile_once,
     filters_name,
     gridding_name,
     has_kinds,
@@ -21,6 +24,8 @@ from ptd.precompile import (
     why_not_compiled,
 )
 from tiler.errors import first_line
+from tiler.io.las.class_layer import ClassEncoder
+from tiler.io.las.point_formats import is_legacy
 from tiler.observe.events import Listener, StageFinished, StageStarted, TaskDone, Warned
 from tiler.plan import KEEP, MIN_MATCHED_M2, Plan
 from tiler.schedule import ChildDiedError, ChildProcess
@@ -30,7 +35,7 @@ Tell = Callable[[], None]
 
 STAGE = "compile"
 """Key of the stage in the progress while the run waits for kernels."""
-KERNELS = {"filters": 100, "gridding": 70}
+KERNELS = {"filters": 100, "gridding": 70, "classes": 4}
 """Approximate numbers of kernels, for progress only."""
 SECONDS = 1800
 """Time in seconds after which a process that compiles counts as hung."""
@@ -64,6 +69,30 @@ def grid_kernels(interpolation: str) -> Kernels:
     return Kernels(
         gridding_name(how), functools.partial(warm_gridding, how), KERNELS["gridding"]
     )
+
+
+def class_kernels(plan: Plan) -> Kernels | None:
+    """Return the kernels that encode classes, or None if no classified cloud of the run may need them."""
+    layered = any(
+        source.compressed and not source.copc and not is_legacy(source.point_format)
+        for source in plan.inputs.sources
+    )
+    if plan.writes_clouds and plan.config.classified == "laz" and layered:
+        return CLASS_KERNELS
+    return None
+
+
+def warm_classes(notify: Tell) -> None:
+    """Compile the kernels that encode classes if necessary, after a call of ``notify``."""
+    points = np.arange(8, dtype=np.uint8)
+
+    def encode() -> None:
+        ClassEncoder().encode(points, points, points)
+
+    compile_once("classes", notify, encode)
+
+
+CLASS_KERNELS = Kernels("classes", warm_classes, KERNELS["classes"])
 
 
 def likely_kind(plan: Plan) -> str:
@@ -109,6 +138,9 @@ class Compiler:
             wanted.append(filter_kernels(plan.config.method, likely_kind(plan)))
         if until in ("grid", "export"):
             wanted.append(grid_kernels(plan.config.interpolation))
+        classes = class_kernels(plan)
+        if until == "export" and classes is not None:
+            wanted.append(classes)
         for kernels in wanted:
             if not is_compiled(kernels.name):
                 self._start(kernels)

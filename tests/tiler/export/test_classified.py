@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import os
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,9 @@ from tiler.export.classified import write_classified
 from tiler.export.output_files import CloudCopy, CloudRecord
 from tiler.inputs import inspect
 from tiler.io.las.headers import LasHeader, read_header, read_payload
+from tiler.io.las.layout import checked_layers
 from tiler.io.las.reader import EVERYTHING, PointReader
+from tiler.io.las.writers import PointWriter
 
 ALL_FORMATS = [
     (f, v)
@@ -320,6 +323,41 @@ def test_two_threads_write_the_same_bytes(
     assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
 
 
+@pytest.mark.parametrize("point_format", [6, 7, 8, 9, 10])
+def test_copied_layers_give_the_bytes_of_compressing_all(
+    make_cloud: Any,
+    memory_store: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    point_format: int,
+) -> None:
+    def standard_times(cloud: laspy.LasData) -> None:
+        cloud.header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+
+    path = make_cloud(
+        "a.laz",
+        point_format=point_format,
+        version="1.4",
+        n=60_000,
+        extra=True,
+        evlr=b"more",
+        edit=standard_times,
+    )
+    cells = label(memory_store, {row: row // 7 % 4 for row in range(0, 60_000, 2)})
+
+    def refuse(*_: Any) -> None:
+        pytest.fail("all layers are compressed")
+
+    with monkeypatch.context() as context:
+        context.setattr(PointWriter, "write", refuse)
+        copied = export(memory_store, path, tmp_path / "1.laz", cells)
+    monkeypatch.setattr(classified, "has_class_layer", lambda header: False)
+    compressed = export(memory_store, path, tmp_path / "2.laz", cells)
+    assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
+    assert replace(copied, state=None) == replace(compressed, state=None)
+    assert copied.statistics["gps"] is not None
+
+
 def test_a_failure_leaves_no_file(
     make_cloud: Any, memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -352,3 +390,32 @@ def test_nodes_that_lie_together_share_what_is_read_of_the_store(
     ranges = [(0, 3), (4, 2), (9, 4), (30, 25)]
     spans = list(classified._spans(ranges))
     assert spans == [[(0, 3), (4, 6)], [(9, 13)], [(30, 40)], [(40, 50)], [(50, 55)]]
+
+
+@pytest.mark.parametrize("point_format", [9, 10])
+def test_wave_packets_of_several_channels_are_copied(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, point_format: int
+) -> None:
+    def two_channels(cloud: laspy.LasData) -> None:
+        cloud.points.array["classification_flags"][::2] |= 0x10
+
+    path = make_cloud("w.laz", point_format=point_format, version="1.4", edit=two_channels)
+    out = tmp_path / "out" / "w.laz"
+    export(memory_store, path, out, label(memory_store, dict.fromkeys(range(500), 2)))
+    (before, old), (after, new) = map(layers, (path, out))
+    assert before[:16] + before[17:] == after[:16] + after[17:]
+    assert [number for number, layer in enumerate(old) if layer != new[number]] == [2]
+    assert laspy.read(out).classification[:500].tolist() == [2] * 500
+
+
+def layers(path: Path) -> tuple[bytes, list[bytes]]:
+    """The first record and the layers of a cloud of one chunk."""
+    header = read_header(path)
+    assert header.laz is not None
+    start = header.points_offset + 8
+    with open(path, "rb") as file:
+        sizes = checked_layers(file, header.laz, 0, start)
+        file.seek(start)
+        record = file.read(header.record_length)
+        file.seek(start + header.laz.min_chunk)
+        return record, [file.read(size) for size in sizes]

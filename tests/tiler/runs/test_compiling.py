@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from ptd.matched.evidence import Evidence
+from ptd.precompile import is_compiled
 from tests.tiler.conftest import MakeCloud
 from tests.tiler.plans import changed
 from tests.tiler.schedule import calls
@@ -18,7 +19,7 @@ from tiler.config import RunConfig
 from tiler.observe.events import Event, Note, StageFinished, StageStarted, Warned
 from tiler.plan import make_plan
 from tiler.runs import compiling
-from tiler.runs.compiling import Compiler, Kernels, likely_kind
+from tiler.runs.compiling import CLASS_KERNELS, Compiler, Kernels, class_kernels, likely_kind
 
 
 def make_file(path: Path, tell: Callable[[], None]) -> None:
@@ -98,3 +99,27 @@ def test_the_kind_of_a_cloud_is_guessed(make_cloud: MakeCloud) -> None:
     )
     for evidence, kind in ((Evidence(), "dim"), (no_trace, "dim"), (measured, "lidar")):
         assert likely_kind(changed(plan, evidence=evidence)) == kind
+
+
+@pytest.mark.parametrize(
+    ("name", "point_format", "settings", "needed"),
+    [
+        ("a.laz", 7, {}, True),
+        ("a.laz", 7, {"classified": "las"}, False),
+        ("a.laz", 7, {"classified": "none"}, False),
+        ("a.laz", 3, {}, False),
+        ("a.las", 7, {}, False),
+    ],
+)
+def test_classes_of_layered_laz_need_kernels(
+    make_cloud: MakeCloud,
+    name: str,
+    point_format: int,
+    settings: dict[str, str],
+    needed: bool,
+) -> None:
+    path = str(make_cloud(name, point_format=point_format, version="1.4"))
+    plan = make_plan([path], RunConfig(in_process=True, **settings))
+    assert class_kernels(plan) == (CLASS_KERNELS if needed else None)
+    CLASS_KERNELS.compile(lambda: None)
+    assert is_compiled(CLASS_KERNELS.name)

@@ -188,8 +188,7 @@ def parse_laszip(record_data: bytes) -> LazLayout:
         chunk_size == 0
     ):  # Some writers of COPC mean chunks of different sizes, whose numbers of points the table has.
         chunk_size = _VARIABLE
-        start = _LASZIP.pack(*fields[:6], chunk_size, *fields[7:])
-        record_data = start + record_data[_LASZIP.size :]
+        record_data = with_chunk_size(record_data, chunk_size)
     items = [
         _ITEM.unpack_from(record_data, _LASZIP.size + i * _ITEM.size) for i in range(n_items)
     ]
@@ -214,6 +213,19 @@ def parse_laszip(record_data: bytes) -> LazLayout:
         counts=np.empty(0, dtype=np.int64),
         sizes=np.empty(0, dtype=np.int64),
     )
+
+
+def with_chunk_size(record_data: bytes, chunk_size: int) -> bytes:
+    """Return the content of a laszip record with another number of points in a chunk."""
+    fields = _LASZIP.unpack_from(record_data)
+    start = _LASZIP.pack(*fields[:6], chunk_size, *fields[7:])
+    return start + record_data[_LASZIP.size :]
+
+
+def coding_of(record_data: bytes) -> tuple[int, int, bytes]:
+    """Return what a laszip record says of the compression of points: compressor, coder, and all items."""
+    compressor, coder, *_, n_items = _LASZIP.unpack_from(record_data)
+    return compressor, coder, record_data[_LASZIP.size :][: n_items * _ITEM.size]
 
 
 def read_table(
@@ -319,12 +331,23 @@ def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int,
     The result is None at the end of the file. A chunk contains its first record uncompressed,
     its number of points, the sizes of the layers, and the layers.
     """
+    head = read_chunk_head(stream, layout, start)
+    if head is None:
+        return None
+    points, sizes = head
+    return points, layout.min_chunk + sum(sizes)
+
+
+def read_chunk_head(
+    stream: BinaryIO, layout: LazLayout, start: int
+) -> tuple[int, list[int]] | None:
+    """Return the number of points, and the sizes of the layers, of the layered chunk at byte ``start``, or None."""
     stream.seek(start + layout.item_size)
     head = stream.read(4 + 4 * layout.layers)
     if len(head) < 4 + 4 * layout.layers:
         return None
     points, *sizes = struct.unpack(f"<{1 + layout.layers}I", head)
-    return points, layout.item_size + len(head) + sum(sizes)
+    return points, sizes
 
 
 def check_layers(
@@ -336,23 +359,30 @@ def check_layers(
     """
     start = points_offset + 8 + int(layout.sizes[:first].sum())
     for chunk in range(first, stop):
-        size = int(layout.sizes[chunk])
         if layout.counts[chunk]:
-            claim = layered_chunk(stream, layout, start)
-            if claim is None:
-                raise CorruptLazError(
-                    f"chunk {chunk} says more bytes than the chunk table ({size}): damaged"
-                )
-            points, claimed = claim
-            if claimed > size:
-                raise CorruptLazError(
-                    f"chunk {chunk} says {claimed} bytes, the chunk table {size}: damaged"
-                )
-            if points != layout.counts[chunk]:
-                raise CorruptLazError(
-                    f"chunk {chunk} has {points} points, by the header {layout.counts[chunk]}"
-                )
-        start += size
+            checked_layers(stream, layout, chunk, start)
+        start += int(layout.sizes[chunk])
+
+
+def checked_layers(stream: BinaryIO, layout: LazLayout, chunk: int, start: int) -> list[int]:
+    """Return the sizes of the layers of a chunk at byte ``start``. Raise CorruptLazError if the table has others."""
+    size = int(layout.sizes[chunk])
+    head = read_chunk_head(stream, layout, start)
+    if head is None:
+        raise CorruptLazError(
+            f"chunk {chunk} says more bytes than the chunk table ({size}): damaged"
+        )
+    points, layer_sizes = head
+    claimed = layout.min_chunk + sum(layer_sizes)
+    if claimed > size:
+        raise CorruptLazError(
+            f"chunk {chunk} says {claimed} bytes, the chunk table {size}: damaged"
+        )
+    if points != layout.counts[chunk]:
+        raise CorruptLazError(
+            f"chunk {chunk} has {points} points, by the header {layout.counts[chunk]}"
+        )
+    return layer_sizes
 
 
 def walk_chunks(

@@ -40,6 +40,16 @@ TO_SELECT = (
 )
 """Layers that a store keeps, and layers by which `tiler.core.selection` selects points."""
 
+STATISTICS = (
+    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+    | lazrs.SELECTIVE_DECOMPRESS_Z
+    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
+    | lazrs.SELECTIVE_DECOMPRESS_INTENSITY
+    | lazrs.SELECTIVE_DECOMPRESS_GPS_TIME
+    | lazrs.SELECTIVE_DECOMPRESS_RGB
+)
+"""Layers with the classes and with the fields of `tiler.export.cloud_frame.CloudStatistics`."""
+
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 

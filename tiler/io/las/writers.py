@@ -1,6 +1,7 @@
 """Writers of points after the header, which the caller writes: as LAZ, LAS, or COPC 1.0. lazrs compresses points.
 
-COPC is LAZ whose chunks are the nodes of an octree (https://copc.io).
+If only the classes of a LAZ file change, its other layers are copied as bytes. COPC is LAZ whose chunks are nodes of
+an octree (https://copc.io).
 """
 
 from __future__ import annotations
@@ -17,8 +18,17 @@ import lazrs
 import numpy as np
 import numpy.typing as npt
 
+from tiler.io.las.class_layer import ClassEncoder
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.layout import COPC_USER, LASZIP_RECORD, LASZIP_USER, packed_record
+from tiler.io.las.layout import (
+    COPC_USER,
+    LASZIP_RECORD,
+    LASZIP_USER,
+    checked_layers,
+    coding_of,
+    packed_record,
+    with_chunk_size,
+)
 from tiler.io.las.octree import (
     CELLS_OF_NODE,
     DEPTH,
@@ -29,12 +39,27 @@ from tiler.io.las.octree import (
     octree_batches,
     runs,
 )
-from tiler.io.las.reader import Records, rows_at_once
+from tiler.io.las.reader import Records, decoding, rows_at_once
+
+_COPY = 1 << 20
+_CLASS_BYTE = 16
+"""Position of the class in a record of formats 6 to 10."""
+_CLASS_LAYER = 2
+"""Number of the layer of classes, after those of x and y and of z."""
+MAX_CHUNK_POINTS = 1 << 22
+"""Largest chunk whose layers are copied, since its classes are in memory. LASzip makes chunks of 50,000 points."""
 
 
-def laszip_vlr(header: LasHeader, own_sizes: bool = False) -> bytes:
-    """Return the laszip record for points like those of ``header``, in chunks of equal or different sizes."""
+def laszip_vlr(
+    header: LasHeader, own_sizes: bool = False, chunk_points: int | None = None
+) -> bytes:
+    """Return the laszip record for points like those of ``header``, in chunks of equal or different sizes.
+
+    Equal chunks have ``chunk_points`` points, by default as many as `PointWriter` writes.
+    """
     data = bytes(_layout_of(header, own_sizes).record_data())
+    if chunk_points is not None:
+        data = with_chunk_size(data, chunk_points)
     return packed_record(LASZIP_USER, LASZIP_RECORD, "lazrs", data)
 
 
@@ -82,6 +107,120 @@ class PointWriter:
             self._compressor.done()
         except lazrs.LazrsError as error:
             raise OSError(str(error)) from error
+
+
+def has_class_layer(header: LasHeader) -> bool:
+    """Return whether the layers of a file can be copied with other classes.
+
+    They can if the file is LAZ of formats 6 to 10, is not damaged, has chunks of equal size, and
+    its points are compressed as lazrs would. Chunks of different sizes, as in COPC, are
+    written again in equal ones, in which more programs find points.
+    """
+    layout = header.laz
+    return (
+        layout is not None
+        and layout.layers > 0
+        and not header.salvaged
+        and not layout.rebuilt
+        and layout.chunk_size is not None
+        and 0 < layout.counts.size == layout.sizes.size
+        and int(layout.counts.max()) <= MAX_CHUNK_POINTS
+        and coding_of(layout.record_data) == coding_of(bytes(_layout_of(header).record_data()))
+    )
+
+
+class ClassWriter:
+    """Writer of the chunks of a LAZ file with other classes, from the current position of ``target``.
+
+    Only the layer of classes is encoded. The chunk table is written by `close`.
+
+    Parameters
+    ----------
+    target : BinaryIO
+        Seekable file, whose position after `close` is undefined.
+    source : BinaryIO
+        File whose layers are copied.
+    header : LasHeader
+        Header of ``source``, for which `has_class_layer` is True.
+    """
+
+    def __init__(self, target: BinaryIO, source: BinaryIO, header: LasHeader) -> None:
+        if header.laz is None:
+            raise ValueError(f"{header.path} is not compressed")
+        self._target, self._source, self._path = target, source, header.path
+        self._layout = header.laz
+        self._begin = target.tell()
+        self._start = header.points_offset + 8
+        self._encoder = ClassEncoder()
+        # classes, bytes with the returns, and flags of the points of the current chunk
+        self._points = np.empty((3, int(self._layout.counts.max())), np.uint8)
+        self._filled = 0
+        self._chunks: list[tuple[int, int]] = []
+        target.write(bytes(8))
+
+    def write(self, records: Records) -> None:
+        """Append records in the order of the source. Only classes, returns and scanner channels are used.
+
+        Raise InputError if a chunk of the source is damaged.
+        """
+        rest = records
+        while len(rest):
+            wanted = int(self._layout.counts[len(self._chunks)])
+            part = rest[: wanted - self._filled]
+            end = self._filled + len(part)
+            names = ("classification", "bit_fields", "classification_flags")
+            for values, name in zip(self._points, names, strict=True):
+                values[self._filled : end] = part[name]
+            self._filled = end
+            if end == wanted:
+                self._write_chunk(wanted)
+            rest = rest[len(part) :]
+
+    def _write_chunk(self, count: int) -> None:
+        layout, start = self._layout, self._start
+        with decoding(self._path):
+            sizes = checked_layers(self._source, layout, len(self._chunks), start)
+        layer = self._encoder.encode(*self._points[:, :count])
+        new_sizes = [*sizes[:_CLASS_LAYER], len(layer), *sizes[_CLASS_LAYER + 1 :]]
+        head = struct.pack(f"<{1 + layout.layers}I", count, *new_sizes)
+        copy_bytes(self._source, self._target, start, start + _CLASS_BYTE)
+        self._target.write(self._points[0, :1].tobytes())
+        copy_bytes(
+            self._source, self._target, start + _CLASS_BYTE + 1, start + layout.item_size
+        )
+        self._target.write(head)
+        data = start + layout.min_chunk
+        before, after = sum(sizes[:_CLASS_LAYER]), sum(sizes[: _CLASS_LAYER + 1])
+        copy_bytes(self._source, self._target, data, data + before)
+        self._target.write(layer)
+        copy_bytes(self._source, self._target, data + after, data + sum(sizes))
+        self._start += int(layout.sizes[len(self._chunks)])
+        self._chunks.append((count, layout.min_chunk + sum(new_sizes)))
+        self._filled = 0
+
+    def close(self) -> None:
+        """Write the chunk table. Raise OSError if it cannot be written."""
+        table = self._begin + 8 + sum(size for _, size in self._chunks)
+        try:
+            lazrs.write_chunk_table(
+                self._target, self._chunks, lazrs.LazVlr(self._layout.record_data)
+            )
+        except lazrs.LazrsError as error:
+            raise OSError(str(error)) from error
+        self._target.seek(self._begin)
+        self._target.write(struct.pack("<q", table))
+
+
+def copy_bytes(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
+    """Copy bytes ``start`` to ``stop`` of the source, in bounded pieces. Raise OSError if the source ends before."""
+    source.seek(start)
+    left = stop - start
+    while left > 0:
+        part = source.read(min(left, _COPY))
+        if not part:
+            raise OSError(f"the source ends at byte {stop - left}")
+        target.write(part)
+        left -= len(part)
 
 
 class PlainWriter:
