@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from tiler.core.file_names import check_template, product_names
 from tiler.core.products import parse_nodata
 from tiler.core.selection import parse_angle, parse_numbers, parse_returns, parse_sources
-from tiler.core.units import FARTHEST, parse_area, parse_length
+from tiler.core.units import FARTHEST, Sides, parse_area, parse_length, parse_sides, sides_text
 from tiler.errors import ConfigError
 
 Value = TypeVar("Value")
@@ -125,6 +125,13 @@ def _positive_length(name: str, value: Any) -> Fraction:
     return length
 
 
+def _sheets(value: Any) -> Sides:
+    sides = _named("sheets", parse_sides, value)
+    if min(sides) <= 0:
+        raise ConfigError(f"sheets {value}: must be above 0")
+    return sides
+
+
 def _bounds(value: Any) -> tuple[float, float, float, float]:
     try:
         x0, y0, x1, y1 = (float(v) for v in value)
@@ -173,6 +180,7 @@ _PARSERS: dict[str, Parser] = {
     "surface": parse_surface,
     "pairs": parse_pairs,
     "bounds": _bounds,
+    "sheets": _sheets,
     "crs": _crs,
 }
 """Parsers by kind of setting whose errors name the setting."""
@@ -226,6 +234,8 @@ def plain_value(value: Any) -> Any:
         if "e" in decimal or Fraction(decimal) != value:
             return str(value)
         return decimal
+    if isinstance(value, Sides):
+        return sides_text(value, plain_value)
     if isinstance(value, tuple):
         return [plain_value(v) for v in value]
     if isinstance(value, float) and math.isnan(value):

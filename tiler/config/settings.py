@@ -18,6 +18,7 @@ from tiler.config.sources import load_preset, over_preset, preset_names
 from tiler.core.file_names import DEFAULT as SHEET_NAME
 from tiler.core.products import NODATA, PRODUCTS, PRODUCTS_HELP, VECTOR_PRODUCTS
 from tiler.core.selection import ALL, DROP_WITHHELD, KEEP_WITHHELD, ONLY_GROUND, Selection
+from tiler.core.units import Sides
 from tiler.errors import ConfigError
 
 # Values of `RunConfig.water` that are not names of files.
@@ -95,10 +96,13 @@ class RunConfig:
         kind="names",
         choices=(*PRODUCTS, *VECTOR_PRODUCTS),
     )
-    sheets: Fraction | None = length(
+    sheets: Sides | None = setting(
         None,
-        "side of the sheets into which each product is cut. The sheets are OUT/<product>/<sheet-name>.tif, with a VRT "
-        "OUT/<product>.vrt over them, and are listed in OUT/sheets.gpkg; default: one file",
+        "side of the sheets into which each product is cut, or width x height (1000x1250). The sheets are "
+        "OUT/<product>/<sheet-name>.tif, with a VRT OUT/<product>.vrt over them, and are listed in OUT/sheets.gpkg; "
+        "default: one file",
+        unit="m",
+        kind="sheets",
     )
     sheet_name: str = setting(
         SHEET_NAME,

@@ -38,7 +38,7 @@ class _Place(float):
         )
 
 
-def sheet_name(template: str, product: str, x: float, y: float, side: float) -> str:
+def sheet_name(template: str, product: str, edges: tuple[float, float, float, float]) -> str:
     """Return the file name of a sheet without its suffix.
 
     Parameters
@@ -46,14 +46,11 @@ def sheet_name(template: str, product: str, x: float, y: float, side: float) -> 
     template : str
         Template that `check_template` accepts.
     product : str
-    x, y : float
-        South-west corner of the sheet, in units of the CRS.
-    side : float
-        Side of the sheet, in units of the CRS.
+    edges : (west, south, east, north)
+        Edges of the sheet, in units of the CRS.
     """
-    edges = dict(zip(EDGES, (x, y, x + side, y + side), strict=True))
-    field_values = {name: _Place(edge) for name, edge in edges.items()}
-    field_values |= {f"{name}_km": _Place(edge / 1000) for name, edge in edges.items()}
+    field_values = {name: _Place(edge) for name, edge in zip(EDGES, edges, strict=True)}
+    field_values |= {f"{name}_km": _Place(edge / 1000) for name, edge in field_values.items()}
     return template.format(name=product, **field_values)
 
 
@@ -117,8 +114,8 @@ def check_template(template: str, product: str = "dtm") -> str:
                 f"sheet_name {template!r}: no field {{{unknown[0]}}}; use {known}"
             )
         names = [
-            sheet_name(template, product, *corner, 1000.0)
-            for corner in ((0, 0), (1000, 0), (0, 1000))
+            sheet_name(template, product, (x, y, x + 1000, y + 1000))
+            for x, y in ((0, 0), (1000, 0), (0, 1000))
         ]
     except (ValueError, KeyError, IndexError) as error:
         raise ConfigError(

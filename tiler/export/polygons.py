@@ -177,7 +177,8 @@ def find_sheets(
     rasters: tuple[str, ...],
     spec: RasterSpec,
     block: Block,
-    side: int,
+    width: int,
+    height: int,
     area: str | None,
 ) -> Mapping[str, Any]:
     """Find the sheets in which one block of the models has a height.
@@ -190,8 +191,8 @@ def find_sheets(
     spec : RasterSpec
         Pixels of these rasters.
     block : Block
-    side : int
-        Side of a sheet in pixels. Sheets are anchored at CRS 0, as pixels are.
+    width, height : int
+        Pixels of a sheet. Sheets are anchored at CRS 0, as pixels are.
     area : str or None
         Key in the store of the requested area.
 
@@ -205,8 +206,8 @@ def find_sheets(
         there |= store.read_block(raster, block) != np.float32(NODATA)
     there &= spec.inside(block, store.area(area))
     rows, cols = np.nonzero(there)
-    ix = (spec.west + block.col + cols) // side
-    iy = (spec.north - 1 - block.row - rows) // side
+    ix = (spec.west + block.col + cols) // width
+    iy = (spec.north - 1 - block.row - rows) // height
     return {"sheets": np.unique(np.stack((ix, iy)), axis=1).T.tolist()}
 
 
@@ -224,7 +225,7 @@ def write_sheet_index(
     with new_file(to) as new, geopackage(new.path, crs) as file:
         for product in dict.fromkeys(sheet.product for sheet in sheets):
             product_sheets = [sheet for sheet in sheets if sheet.product == product]
-            edges = np.array([_edges(sheet.spec) for sheet in product_sheets])
+            edges = np.array([sheet.spec.edges for sheet in product_sheets])
             # A height of None becomes NaN, which is NULL in the file.
             figures = np.array(
                 [(s.void_percent, s.low, s.high) for s in product_sheets], np.float64
@@ -236,15 +237,3 @@ def write_sheet_index(
             }
             file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
     return new.record
-
-
-def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:
-    """Return the west, south, east and north edge of a raster in units of the CRS."""
-    size = spec.lattice.size / COUNTS_PER_UNIT
-    west, north = spec.west * size, spec.north * size
-    return (
-        float(west),
-        float(north - spec.height * size),
-        float(west + spec.width * size),
-        float(north),
-    )

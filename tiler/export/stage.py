@@ -11,7 +11,7 @@ from pathlib import Path
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.core.records import digest_of
 from tiler.core.results import ContourResult, SpotCounts
-from tiler.core.units import short_unit
+from tiler.core.units import short_unit, sides_text
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
 from tiler.export.output_files import (
@@ -284,7 +284,12 @@ def _basis(gridding: Gridded) -> str:
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
     into = (
-        [str(config.sheets), config.sheet_name, config.product_name, config.empty_sheets]
+        [
+            sides_text(config.sheets, str),
+            config.sheet_name,
+            config.product_name,
+            config.empty_sheets,
+        ]
         if config.sheets
         else config.product_name
     )

@@ -225,11 +225,9 @@ def pixels_of(plan: Plan) -> Pixels:
     filled = min(in_squares_with_points(BLOCK_PIXELS * resolution) or whole, whole)
     if plan.config.sheets is None:
         return Pixels(filled, whole - filled, whole)
-    side = float(plan.config.sheets)
-    in_sheets = in_squares_with_points(side)
-    return Pixels(
-        min(filled, in_sheets), max(in_sheets - filled, 0.0), (side / resolution) ** 2
-    )
+    largest = float(math.prod(plan.config.sheets))
+    in_sheets = in_squares_with_points(math.sqrt(largest))
+    return Pixels(min(filled, in_sheets), max(in_sheets - filled, 0.0), largest / resolution**2)
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 from tiler.config import RunConfig
@@ -19,7 +20,7 @@ from tiler.core.file_names import (
 )
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS, VECTOR_PRODUCTS
-from tiler.core.units import in_unit_of_crs, length_option, whole_length
+from tiler.core.units import Sides, in_unit_of_crs, length_option, sides_text, whole_length
 from tiler.core.words import listed
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
@@ -274,14 +275,16 @@ def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
     _validate_memory(plan, replan)
     validate_resolution(plan)
     sheets = plan.config.sheets
-    if sheets is not None and (sheets / plan.grid.resolution).denominator != 1:
-        whole = max(round(sheets / plan.grid.resolution), 1) * plan.grid.resolution
-        raise _error(
-            plan,
-            f"--sheets {float(sheets):g} m is not a whole number of pixels of {float(plan.grid.resolution):g} m; "
-            f"use --sheets {_option(plan, whole)} or another --resolution",
-        )
     if sheets is not None:
+        pixel = plan.grid.resolution
+        whole = Sides(*(max(round(side / pixel), 1) * pixel for side in sheets))
+        for side in sheets if sheets != whole else ():
+            if (side / pixel).denominator != 1:
+                raise _error(
+                    plan,
+                    f"--sheets {float(side):g} m is not a whole number of pixels of {float(pixel):g} m; use --sheets "
+                    f"{sides_text(whole, partial(_option, plan))} or another --resolution",
+                )
         for name in plan.config.exported:
             check_template(
                 plan.config.sheet_name, product_names(plan.config.product_name)[name]

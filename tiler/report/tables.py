@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -15,6 +14,7 @@ from pyproj import CRS
 from tiler.core.crs import at_degrees, split, vertical_name
 from tiler.core.file_names import DEFAULT as SHEET_NAME
 from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.units import parse_sides
 from tiler.core.words import GRID, counted
 from tiler.io.result_folder import CLASSIFIED, REVIEW, written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
@@ -78,7 +78,8 @@ def _sheets(run: Run) -> str:
     names = f", with the names {renamed}" if renamed else ""
     if configuration.get("sheets") is None:
         return f"none, each product is one file{names}"
-    side = length(run, float(Fraction(configuration["sheets"])))
+    sides = [length(run, float(side)) for side in parse_sides(configuration["sheets"])]
+    side = " x ".join(dict.fromkeys(sides))
     number = counted(run["sheets"], "sheet") if "sheets" in run else "sheets"
     return f"{number} with sides of {side}, files named {configuration.get('sheet_name', SHEET_NAME)}{names}"
 

@@ -170,19 +170,16 @@ class Labelled:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Square into which the products are divided.
+    """Part of the products that has files of its own.
 
     Attributes
     ----------
-    corner : (float, float)
-        South-west corner in units of the CRS.
     spec : RasterSpec
-        Pixels of the square.
+        Pixels of the files.
     cells : list of Cell
-        Buckets with points of the square.
+        Buckets with points of the sheet.
     """
 
-    corner: tuple[float, float]
     spec: RasterSpec
     cells: list[Cell]
 
@@ -207,7 +204,7 @@ class Gridded:
         Key in the store of the edits.
     decks : tuple of DrawnDeck
     sheets : sequence of Sheet
-        Squares of the products, if they are divided.
+        Sheets, if the products are divided.
     """
 
     plan: Plan

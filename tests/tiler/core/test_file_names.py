@@ -25,7 +25,10 @@ from tiler.errors import ConfigError
     ],
 )
 def test_names_follow_the_template(template: str, name: str) -> None:
-    assert sheet_name(check_template(template), "dtm", 292000.0, 6832000.5, 1000.0) == name
+    assert (
+        sheet_name(check_template(template), "dtm", (292000.0, 6832000.5, 293000.0, 6833000.5))
+        == name
+    )
     assert name.startswith(name_prefix(template, "dtm"))
 
 

@@ -13,7 +13,7 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.export.tasks.files import Inputs, cog_tasks, inputs_of, mosaic_tasks, nodata_of
-from tiler.export.tasks.sheets import height_tasks, sheets
+from tiler.export.tasks.sheets import height_tasks, sheet_finder, sheets
 from tiler.grid.tasks.gridding import GridContext
 from tiler.plan import Plan, make_plan
 from tiler.runs.found import Gridded, IngestResult, Source
@@ -72,13 +72,23 @@ def test_sheets_lie_on_multiples_of_their_side_and_have_the_buckets_of_their_poi
     plan: Plan,
 ) -> None:
     found = gridding(plan).sheets
-    assert [(sheet.corner, sheet.cells) for sheet in found] == [
+    assert [(sheet.spec.edges[:2], sheet.cells) for sheet in found] == [
         ((499_000.0, 5_400_000.0), [WEST]),
         ((500_000.0, 5_400_000.0), [EAST]),
     ]
     assert {(sheet.spec.width, sheet.spec.height) for sheet in found} == {(1000, 1000)}
     across = gridding(plan, west=(-40, -5, 10, 40)).sheets
     assert [sheet.cells for sheet in across] == [[WEST], [WEST, EAST]]
+
+
+def test_a_position_on_a_shared_edge_is_in_one_sheet(plan: Plan) -> None:
+    west, east = gridding(plan).sheets
+    sheet_at = sheet_finder([west, east])
+    assert sheet_at(499_999.999, 5_400_000.0) is west
+    assert sheet_at(500_000.0, 5_400_999.999) is east
+    assert sheet_at(500_000.0, 5_401_000.0) is None
+    assert sheet_at(498_999.999, 5_400_500.0) is None
+    assert sheet_finder([])(500_000.0, 5_400_500.0) is None
 
 
 def test_heights_are_looked_for_in_the_models_that_were_made(plan: Plan) -> None:

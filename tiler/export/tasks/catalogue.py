@@ -255,7 +255,7 @@ class _Catalogue:
             name: (key_of(name, sheet), sheet_file(name, name_of(self._gridding, name, sheet)))
             for name in exported
         }
-        corner_name = "_".join(f"{edge:.10g}" for edge in sheet.corner)
+        corner_name = "_".join(f"{edge:.10g}" for edge in sheet.spec.edges[:2])
         rels = ("root", "parent", "collection")
         links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
         item = self._item(

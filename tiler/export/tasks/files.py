@@ -86,9 +86,7 @@ def cog_tasks(context: Gridded, inputs: Inputs, whole_inputs: str, out: str) -> 
             continue
         for sheet, inputs_digest in sheet_inputs:
             spec = sheet.spec
-            near = context.spec.blocks_within(
-                spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS
-            )
+            near = context.spec.blocks_within(spec.bounds, BLOCK_PIXELS)
             seen = context.checksums(raster, (block.name for block in near))
             to = OutFile(joined(out, name), f"{name_of(context, name, sheet)}.tif")
             info = _info(context.plan, name, inputs_digest)
