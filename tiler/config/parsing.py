@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any, TypeVar
@@ -125,8 +126,16 @@ def _positive_length(name: str, value: Any) -> Fraction:
     return length
 
 
-def _sheets(value: Any) -> Sides:
-    sides = _named("sheets", parse_sides, value)
+def _sheets(value: Any) -> Sides | str:
+    """Return the sides of sheets, or the name of a file: a text that is not a length and ends in a suffix."""
+    try:
+        sides = parse_sides(value)
+    except ConfigError as error:
+        if isinstance(value, str) and re.search(r"\.[a-zA-Z]\w*$", value):
+            return value
+        raise ConfigError(
+            f"sheets: {error}, width x height (1000x1250), or a file of polygons (sheets.gpkg)"
+        ) from error
     if min(sides) <= 0:
         raise ConfigError(f"sheets {value}: must be above 0")
     return sides

@@ -201,14 +201,54 @@ def find_sheets(
     dict
         ``sheets``: column and row on the lattice of sheets, ascending.
     """
-    there = np.zeros((block.height, block.width), np.bool_)
-    for raster in rasters:
-        there |= store.read_block(raster, block) != np.float32(NODATA)
-    there &= spec.inside(block, store.area(area))
+    there = _with_height(store, rasters, spec, block, area)
     rows, cols = np.nonzero(there)
     ix = (spec.west + block.col + cols) // width
     iy = (spec.north - 1 - block.row - rows) // height
     return {"sheets": np.unique(np.stack((ix, iy)), axis=1).T.tolist()}
+
+
+def find_drawn_sheets(
+    store: TileStore,
+    *,
+    rasters: tuple[str, ...],
+    spec: RasterSpec,
+    block: Block,
+    sheets: tuple[str, ...],
+    area: str | None,
+) -> Mapping[str, Any]:
+    """Find the sheets that the user drew in which one block of the models has a height.
+
+    Parameters
+    ----------
+    store, rasters, spec, block, area
+        See `find_sheets`.
+    sheets : tuple of str
+        Keys in the store of the areas of the sheets near the block, in the order of their file.
+
+    Returns
+    -------
+    dict
+        ``sheets``: keys of those with a height. ``outside``: number of pixels with a height in no sheet.
+    """
+    there = _with_height(store, rasters, spec, block, area)
+    found = []
+    for key in sheets:
+        inside = there & spec.inside(block, store.area(key))
+        if inside.any():
+            found.append(key)
+            there &= ~inside
+    return {"sheets": found, "outside": int(np.count_nonzero(there))}
+
+
+def _with_height(
+    store: TileStore, rasters: tuple[str, ...], spec: RasterSpec, block: Block, area: str | None
+) -> npt.NDArray[np.bool_]:
+    """Return the mask of the pixels of a block in the area in which one of the rasters has a height."""
+    there = np.zeros((block.height, block.width), np.bool_)
+    for raster in rasters:
+        there |= store.read_block(raster, block) != np.float32(NODATA)
+    return there & spec.inside(block, store.area(area))
 
 
 def write_sheet_index(

@@ -35,6 +35,7 @@ from tiler.io.result_folder import CLOUD_SUFFIXES, earlier_statistics
 from tiler.plan import sizes
 from tiler.plan.area import EptInputs, area_of, part_of, validate_distances
 from tiler.plan.drawings import with_user_features
+from tiler.plan.drawn_sheets import with_drawn_sheets
 from tiler.plan.estimates import sparse_raster_remedy
 from tiler.plan.inspection import (
     InspectedInputs,
@@ -160,13 +161,17 @@ def make_plan(
         )
         plan = _plan_for(inspected, config, params)
     validate_distances(plan, inputs)
-    plan = with_user_features(plan)
+    plan = with_drawn_sheets(with_user_features(plan))
 
     def replan(**values: Any) -> Plan:
         other = _plan_for(inspected, config.updated(**values), params)
         drawn = plan.inputs
         features = replace(
-            other.inputs, edits=drawn.edits, lines=drawn.lines, waters=drawn.waters
+            other.inputs,
+            edits=drawn.edits,
+            lines=drawn.lines,
+            waters=drawn.waters,
+            sheets=drawn.sheets,
         )
         return replace(other, inputs=features)
 
@@ -313,7 +318,9 @@ def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, F
     """Yield the name, the value and the unit in the CRS of each length in the settings."""
     for spec in fields(config):
         value = getattr(config, spec.name)
-        if spec.metadata["kind"] not in ("length", "sheets") or value is None:
+        if spec.metadata["kind"] not in ("length", "sheets") or not isinstance(
+            value, Fraction | Sides
+        ):
             continue
         unit = units.vertical if spec.name in VERTICAL_SETTINGS else units.horizontal
         for length in value if isinstance(value, Sides) else (value,):

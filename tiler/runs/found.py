@@ -11,6 +11,7 @@ from typing import Any
 
 from ptd.matched.survey import SurveyPass
 from tiler.config import RunConfig
+from tiler.core.drawn_sheets import DrawnSheet
 from tiler.core.edits import DrawnDeck
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import (
@@ -178,10 +179,13 @@ class Sheet:
         Pixels of the files.
     cells : list of Cell
         Buckets with points of the sheet.
+    drawn : DrawnSheet or None
+        Sheet that the user drew, or None for a rectangle.
     """
 
     spec: RasterSpec
     cells: list[Cell]
+    drawn: DrawnSheet | None = None
 
 
 @dataclass(frozen=True)
