@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from tiler.core.area import Area
+from tiler.core.records import NOT_IN_DIGEST
 
 
 @dataclass(frozen=True)
@@ -23,3 +24,19 @@ class DrawnSheet:
     name: str
     area: Area
     earlier: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StoredAreas:
+    """Some of the areas that the store keeps under one name.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Keys of the areas.
+    name : str
+        Name in the store. It changes with every sheet, so it is not in the digest of a task.
+    """
+
+    keys: tuple[str, ...]
+    name: str = field(metadata=NOT_IN_DIGEST)

@@ -13,6 +13,7 @@ import shapely
 from affine import Affine
 
 from tiler.core.breaklines import rings_of
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.edits import DrawnDeck
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import BARE, SURVEYED, VOID
@@ -214,7 +215,7 @@ def find_drawn_sheets(
     rasters: tuple[str, ...],
     spec: RasterSpec,
     block: Block,
-    sheets: tuple[str, ...],
+    sheets: StoredAreas,
     area: str | None,
 ) -> Mapping[str, Any]:
     """Find the sheets that the user drew in which one block of the models has a height.
@@ -223,8 +224,8 @@ def find_drawn_sheets(
     ----------
     store, rasters, spec, block, area
         See `find_sheets`.
-    sheets : tuple of str
-        Keys in the store of the areas of the sheets near the block, in the order of their file.
+    sheets : StoredAreas
+        Areas of the sheets near the block, in the order of their file.
 
     Returns
     -------
@@ -233,8 +234,8 @@ def find_drawn_sheets(
     """
     there = _with_height(store, rasters, spec, block, area)
     found = []
-    for key in sheets:
-        inside = there & spec.inside(block, store.area(key))
+    for key, shape in zip(sheets.keys, store.areas(sheets), strict=True):
+        inside = there & spec.inside(block, shape)
         if inside.any():
             found.append(key)
             there &= ~inside

@@ -27,6 +27,7 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from tiler.core.crs import raster_crs
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.lattice import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.products import HEIGHT, PRODUCTS, Product
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
@@ -98,12 +99,12 @@ def write_cog(
     info: ProductInfo,
     part: RasterPart,
     compress: str,
-    clip: tuple[str, ...] = (),
+    clip: StoredAreas | None = None,
 ) -> RasterFileRecord:
     """Write a raster of the store, or a sheet of it, as one file, compressed by ``deflate`` or ``zstd``.
 
-    ``clip`` has the keys in the store of the area of a drawn sheet and of the areas before it, whose pixels belong to
-    other sheets. It is empty for other files.
+    ``clip`` has the area of a drawn sheet and the areas before it, whose pixels belong to other sheets. It is None for
+    other files.
 
     The same content gives the same bytes, since the file does not contain time, path, workers
     or tiles.
@@ -136,7 +137,7 @@ def _write(
     info: ProductInfo,
     part: RasterPart,
     compress: str,
-    clip: tuple[str, ...],
+    clip: StoredAreas | None,
     target: Path,
 ) -> Statistics:
     """Write a raster to a file on this machine."""
@@ -158,12 +159,12 @@ def _write(
 
 
 def _inside(
-    store: TileStore, part: RasterPart, clip: tuple[str, ...], block: Block
+    store: TileStore, part: RasterPart, clip: StoredAreas | None, block: Block
 ) -> npt.NDArray[np.bool_]:
     """Return the mask of the pixels of a block in the requested area and in a drawn sheet."""
     inside = part.spec.inside(block, store.area(part.area))
-    for number, key in enumerate(clip):
-        in_sheet = part.spec.inside(block, store.area(key))
+    for number, area in enumerate(store.areas(clip) if clip is not None else ()):
+        in_sheet = part.spec.inside(block, area)
         inside &= in_sheet if number == 0 else ~in_sheet
     return inside
 
@@ -180,7 +181,7 @@ def _write_plain(
     store: TileStore,
     info: ProductInfo,
     part: RasterPart,
-    clip: tuple[str, ...],
+    clip: StoredAreas | None,
     path: Path,
 ) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
@@ -193,7 +194,7 @@ def _write_plain(
     ) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
             values = _read(store, part, block)
-            if part.area is not None or clip:
+            if part.area is not None or clip is not None:
                 inside = _inside(store, part, clip, block)
                 values = np.where(inside, values, np.float32(part.fill))
             statistics = statistics.merged(values, nodata)

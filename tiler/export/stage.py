@@ -95,6 +95,9 @@ def export(
 ) -> None:
     """Write the files for users: rasters, vector products, classified clouds, and the catalogue."""
     out = job.products
+    if drawn := gridding.plan.inputs.sheets:
+        name = job.store.put_areas([sheet.area for sheet in drawn])
+        gridding = replace(gridding, drawn=name)
     gridding = replace(gridding, sheets=cut(job, gridding))
     if job.plan.config.sheets is not None:
         job.results.sheets = len(gridding.sheets)

@@ -207,6 +207,8 @@ class Gridded:
     edits : str or None
         Key in the store of the edits.
     decks : tuple of DrawnDeck
+    drawn : str
+        Name in the store of the areas of drawn sheets, or an empty text.
     sheets : sequence of Sheet
         Sheets, if the products are divided.
     """
@@ -220,6 +222,7 @@ class Gridded:
     waters: Waters = field(default_factory=lambda: Waters(()))
     edits: str | None = None
     decks: tuple[DrawnDeck, ...] = ()
+    drawn: str = ""
     sheets: Sequence[Sheet] = ()
 
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:

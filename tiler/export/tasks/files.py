@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from tiler.config import LOW_AS_NOISE
 from tiler.core.crs import vertical_name
-from tiler.core.drawn_sheets import DrawnSheet
+from tiler.core.drawn_sheets import DrawnSheet, StoredAreas
 from tiler.core.file_names import product_names, validate_distinct_names
 from tiler.core.lattice import Cell
 from tiler.core.points import LABELS
@@ -112,7 +112,7 @@ def _cog_task(
     compress, pixels = context.plan.config.compress, part.spec.height * part.spec.width
     call = calling(write_cog, to=to, info=info, part=part, compress=compress)
     if drawn is not None:
-        clip = (drawn.area.key, *drawn.earlier)
+        clip = StoredAreas((drawn.area.key, *drawn.earlier), context.drawn)
         call = calling(write_cog, to=to, info=info, part=part, compress=compress, clip=clip)
     return Task.of("export", f"{key}.tif", call, blocks, pixels=pixels)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiler.core.area import Area, AreaIndex
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.file_names import DEFAULT, product_names, sheet_name
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell
 from tiler.core.products import MODELS
@@ -33,8 +34,6 @@ def cut(job: Job, context: Gridded) -> list[Sheet]:
     """Return the sheets of a run, or an empty list if its products are not divided."""
     if context.plan.config.sheets is None:
         return []
-    for sheet in context.plan.inputs.sheets:
-        job.store.put_area(sheet.area)
     tasks = list(height_tasks(context))
     made = run_stage(job, STAGE, tasks) if tasks else {}
     if len(made) < len(tasks):
@@ -122,8 +121,9 @@ def height_tasks(context: Gridded) -> Iterator[Task]:
             call = calling(find_sheets, **where, width=width, height=height)
         else:
             near = index.touching(context.spec.block_bounds(block))
-            drawn = tuple(context.plan.inputs.sheets[number].area.key for number in near)
-            call = calling(find_drawn_sheets, **where, sheets=drawn)
+            keys_near = tuple(context.plan.inputs.sheets[number].area.key for number in near)
+            stored_areas = StoredAreas(keys_near, context.drawn)
+            call = calling(find_drawn_sheets, **where, sheets=stored_areas)
         seen = [context.checksums(name, [key]) for name in rasters]
         pixels, bounds = block.height * block.width, context.spec.block_bounds(block)
         yield Task.of(STAGE, key, call, seen, pixels=pixels, bounds=bounds)
