@@ -14,9 +14,9 @@ from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import percent_text
 
 WITHOUT = (
-    "products", "sheets", "sheet_name", "product_name", "empty_sheets", "bounds", "aoi", "store", "scheduler",
-    "workers", "in_process", "task_seconds", "compress", "nodata", "on_error", "verify", "overwrite", "force",
-    "clean_store", "voids", "canopy",
+    "products", "sheets", "sheet_field", "sheet_name", "product_name", "empty_sheets", "bounds", "aoi", "store",
+    "scheduler", "workers", "in_process", "task_seconds", "compress", "nodata", "on_error", "verify", "overwrite",
+    "force", "clean_store", "voids", "canopy",
 )  # fmt: skip
 """Settings of a run that a preview does not have."""
 

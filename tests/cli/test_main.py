@@ -180,7 +180,7 @@ def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None
         (["plan", "a.laz", "--hallo"], "there is no option --hallo; did you mean --halo"),
         (
             ["plan", "a.laz", "--sheet", "1"],
-            "--sheet is the beginning of --sheets and --sheet-name; write",
+            "--sheet is the beginning of --sheets and --sheet-field and --sheet-name; write",
         ),
         (
             ["plan", "a.laz", "--co", "zstd"],

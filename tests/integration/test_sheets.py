@@ -109,3 +109,23 @@ def test_a_run_without_any_height_has_no_sheet(tmp_path: Path) -> None:
     assert any("the terrain model is empty" in note for note in result.summary["notes"])
     assert not list((tmp_path / "out").glob("dtm*"))
     assert (tmp_path / "out/report.html").exists()
+
+
+def test_rectangles_are_cut_by_width_and_height(six: list[Path], tmp_path: Path) -> None:
+    do(six, tmp_path / "whole", **KEEP)
+    result = do(six, tmp_path / "cut", sheets="50x20", **KEEP)
+    names = {
+        f"dtm_{500_000 + x}_{5_400_000 + y}.tif"
+        for x in (0, 50, 100)
+        for y in range(0, 100, 20)
+    }
+    assert {path.name for path in (tmp_path / "cut/dtm").iterdir()} == names
+    assert result.summary["sheets"] == 15
+    with rasterio.open(tmp_path / "whole/dtm.tif") as raster:
+        whole, left, top = raster.read(1), raster.bounds.left, raster.bounds.top
+    for name in names:
+        with rasterio.open(tmp_path / "cut/dtm" / name) as sheet:
+            assert sheet.shape == (20, 50)
+            col, row = round(sheet.bounds.left - left), round(top - sheet.bounds.top)
+            assert np.array_equal(sheet.read(1), whole[row : row + 20, col : col + 50])
+    assert do(six, tmp_path / "cut", sheets="50 x 20m", **KEEP).did_nothing

@@ -247,6 +247,7 @@ def _settings(plan: Plan) -> RunConfig:
         products=("dtm", "dsm"),
         resolution=plan.grid.resolution,
         sheets=None,
+        sheet_field=None,
         bounds=None,
         aoi=None,
         store=None,

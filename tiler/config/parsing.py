@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any, TypeVar
@@ -11,7 +12,7 @@ from typing import Any, TypeVar
 from tiler.core.file_names import check_template, product_names
 from tiler.core.products import parse_nodata
 from tiler.core.selection import parse_angle, parse_numbers, parse_returns, parse_sources
-from tiler.core.units import FARTHEST, parse_area, parse_length
+from tiler.core.units import FARTHEST, Sides, parse_area, parse_length, parse_sides, sides_text
 from tiler.errors import ConfigError
 
 Value = TypeVar("Value")
@@ -125,6 +126,21 @@ def _positive_length(name: str, value: Any) -> Fraction:
     return length
 
 
+def _sheets(value: Any) -> Sides | str:
+    """Return the sides of sheets, or the name of a file: a text that is not a length and ends in a suffix."""
+    try:
+        sides = parse_sides(value)
+    except ConfigError as error:
+        if isinstance(value, str) and re.search(r"\.[a-zA-Z]\w*$", value):
+            return value
+        raise ConfigError(
+            f"sheets: {error}, width x height (1000x1250), or a file of polygons (sheets.gpkg)"
+        ) from error
+    if min(sides) <= 0:
+        raise ConfigError(f"sheets {value}: must be above 0")
+    return sides
+
+
 def _bounds(value: Any) -> tuple[float, float, float, float]:
     try:
         x0, y0, x1, y1 = (float(v) for v in value)
@@ -173,6 +189,7 @@ _PARSERS: dict[str, Parser] = {
     "surface": parse_surface,
     "pairs": parse_pairs,
     "bounds": _bounds,
+    "sheets": _sheets,
     "crs": _crs,
 }
 """Parsers by kind of setting whose errors name the setting."""
@@ -226,6 +243,8 @@ def plain_value(value: Any) -> Any:
         if "e" in decimal or Fraction(decimal) != value:
             return str(value)
         return decimal
+    if isinstance(value, Sides):
+        return sides_text(value, plain_value)
     if isinstance(value, tuple):
         return [plain_value(v) for v in value]
     if isinstance(value, float) and math.isnan(value):

@@ -15,9 +15,10 @@ from typing import Any
 
 from tiler.config.parsing import parse_value, plain_value
 from tiler.config.sources import load_preset, over_preset, preset_names
-from tiler.core.file_names import DEFAULT as SHEET_NAME
+from tiler.core.file_names import DEFAULT, DRAWN
 from tiler.core.products import NODATA, PRODUCTS, PRODUCTS_HELP, VECTOR_PRODUCTS
 from tiler.core.selection import ALL, DROP_WITHHELD, KEEP_WITHHELD, ONLY_GROUND, Selection
+from tiler.core.units import Sides
 from tiler.errors import ConfigError
 
 # Values of `RunConfig.water` that are not names of files.
@@ -95,16 +96,23 @@ class RunConfig:
         kind="names",
         choices=(*PRODUCTS, *VECTOR_PRODUCTS),
     )
-    sheets: Fraction | None = length(
+    sheets: Sides | str | None = setting(
         None,
-        "side of the sheets into which each product is cut. The sheets are OUT/<product>/<sheet-name>.tif, with a VRT "
-        "OUT/<product>.vrt over them, and are listed in OUT/sheets.gpkg; default: one file",
+        "side of the sheets into which each product is cut, or width x height (1000x1250), or FILE with a polygon for "
+        "each sheet, in any CRS. The sheets are OUT/<product>/<sheet-name>.tif, with a VRT OUT/<product>.vrt over "
+        "them, and are listed in OUT/sheets.gpkg; default: one file",
+        unit="m",
+        kind="sheets",
     )
-    sheet_name: str = setting(
-        SHEET_NAME,
+    sheet_field: str | None = setting(
+        None,
+        "field with the names of the sheets in the file given by --sheets; needed with a file",
+    )
+    sheet_name: str | None = setting(
+        None,
         "file name of a sheet without its suffix. Fields are name (product), x and y (west and south edge), east and "
-        "north in units of the CRS, and x_km, y_km, east_km, north_km in thousands of units. A field may have a "
-        "format: {x_km:04.0f}",
+        "north in units of the CRS, x_km, y_km, east_km, north_km in thousands of units, and sheet (value of "
+        f"sheet-field). A field may have a format: {{x_km:04.0f}}; default: {DEFAULT}, or {DRAWN} for sheets of a file",
         kind="template",
     )
     product_name: str | None = setting(
@@ -368,6 +376,16 @@ class RunConfig:
     def water_file(self) -> str | None:
         """File of the setting `water`, or None if the setting has another value."""
         return None if self.water in (NO_WATER, AUTO_WATER) else self.water
+
+    @property
+    def sheet_file(self) -> str | None:
+        """File of the setting `sheets`, or None if the setting has another value."""
+        return self.sheets if isinstance(self.sheets, str) else None
+
+    @property
+    def sheet_template(self) -> str:
+        """Setting `sheet_name`, or its default for the kind of the sheets."""
+        return self.sheet_name or (DEFAULT if self.sheet_file is None else DRAWN)
 
     @property
     def source_kind(self) -> str | None:

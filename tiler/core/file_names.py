@@ -16,10 +16,12 @@ from tiler.core.products import PRODUCTS
 from tiler.errors import ConfigError
 
 DEFAULT = "{name}_{x}_{y}"
+DRAWN = "{name}_{sheet}"
+"""Template for sheets that the user drew."""
 EDGES = ("x", "y", "east", "north")
 """West, south, east and north edge of a sheet, in units of the CRS."""
-FIELDS = ("name", *EDGES, *(f"{edge}_km" for edge in EDGES))
-"""Fields of a template: the product, the edges, and the edges in thousands of units."""
+FIELDS = ("name", *EDGES, *(f"{edge}_km" for edge in EDGES), "sheet")
+"""Fields of a template: the product, the edges, the edges in thousands of units, and the name of a drawn sheet."""
 LONGEST = 200
 """Maximum length of a name without its suffix, in bytes."""
 FORBIDDEN = '/\\:*?"<>|'
@@ -38,7 +40,9 @@ class _Place(float):
         )
 
 
-def sheet_name(template: str, product: str, x: float, y: float, side: float) -> str:
+def sheet_name(
+    template: str, product: str, edges: tuple[float, float, float, float], sheet: str = ""
+) -> str:
     """Return the file name of a sheet without its suffix.
 
     Parameters
@@ -46,15 +50,19 @@ def sheet_name(template: str, product: str, x: float, y: float, side: float) -> 
     template : str
         Template that `check_template` accepts.
     product : str
-    x, y : float
-        South-west corner of the sheet, in units of the CRS.
-    side : float
-        Side of the sheet, in units of the CRS.
+    edges : (west, south, east, north)
+        Edges of the sheet, in units of the CRS.
+    sheet : str
+        Name of a sheet that the user drew.
     """
-    edges = dict(zip(EDGES, (x, y, x + side, y + side), strict=True))
-    field_values = {name: _Place(edge) for name, edge in edges.items()}
-    field_values |= {f"{name}_km": _Place(edge / 1000) for name, edge in edges.items()}
-    return template.format(name=product, **field_values)
+    field_values = {name: _Place(edge) for name, edge in zip(EDGES, edges, strict=True)}
+    field_values |= {f"{name}_km": _Place(edge / 1000) for name, edge in field_values.items()}
+    return template.format(name=product, sheet=sheet, **field_values)
+
+
+def fields_of(template: str) -> list[str]:
+    """Return the fields of a template. Raise ValueError if it is not a template."""
+    return [field for _, field, _, _ in Formatter().parse(template) if field is not None]
 
 
 def name_prefix(template: str, product: str) -> str:
@@ -91,7 +99,7 @@ def product_names(text: str | None) -> dict[str, str]:
             raise ConfigError(
                 f"product_name {text!r}: no product {product!r}; use {', '.join(PRODUCTS)}"
             )
-        wrong = _wrong_with(name) if name else "is empty"
+        wrong = fault_of_name(name) if name else "is empty"
         if len(name.encode()) > LONGEST:
             wrong = f"has more than {LONGEST} bytes"
         if wrong:
@@ -109,16 +117,15 @@ def product_names(text: str | None) -> dict[str, str]:
 def check_template(template: str, product: str = "dtm") -> str:
     """Return the template. Raise ConfigError if it does not give valid, different names to the sheets of a product."""
     try:
-        fields = [field for _, field, _, _ in Formatter().parse(template) if field is not None]
-        unknown = [field for field in fields if field not in FIELDS]
+        unknown = [field for field in fields_of(template) if field not in FIELDS]
         if unknown:
             known = ", ".join(FIELDS)
             raise ConfigError(
                 f"sheet_name {template!r}: no field {{{unknown[0]}}}; use {known}"
             )
         names = [
-            sheet_name(template, product, *corner, 1000.0)
-            for corner in ((0, 0), (1000, 0), (0, 1000))
+            sheet_name(template, product, (x, y, x + 1000, y + 1000), f"{x}-{y}")
+            for x, y in ((0, 0), (1000, 0), (0, 1000))
         ]
     except (ValueError, KeyError, IndexError) as error:
         raise ConfigError(
@@ -129,7 +136,7 @@ def check_template(template: str, product: str = "dtm") -> str:
             f"sheet_name {template!r}: adjacent sheets would have the same name; use a template like {DEFAULT}"
         )
     for name in names:
-        wrong = _wrong_with(name)
+        wrong = fault_of_name(name)
         if wrong:
             raise ConfigError(
                 f"sheet_name {template!r}: {name!r} {wrong}; use a template like {DEFAULT}"
@@ -149,7 +156,8 @@ def fault_on_windows(name: str) -> str:
     return "is the name of a device on Windows" if _DEVICE.match(name) else ""
 
 
-def _wrong_with(name: str) -> str:
+def fault_of_name(name: str) -> str:
+    """Return why a file may not have a name on some system, or an empty text."""
     fault = fault_on_windows(name)
     if not fault and (name.startswith(".") or name != name.strip() or not name.isprintable()):
         return "begins with a dot, begins or ends with a space, or is not printable"

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Area
-from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice, row_by_row
 
 # Modules that work with rasters import it from here.
 from tiler.core.products import NODATA as NODATA
@@ -162,6 +162,23 @@ class RasterSpec:
         rows = np.arange(north - 1, north - 1 - block.height, -1, dtype=np.int64)
         x, y = np.meshgrid(((2 * cols + 1) * p) // (2 * q), ((2 * rows + 1) * p) // (2 * q))
         return x, y
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of all pixels, in absolute counts."""
+        return self.block_bounds(Block(0, 0, self.height, self.width))
+
+    @property
+    def edges(self) -> tuple[float, float, float, float]:
+        """West, south, east and north edge in units of the CRS."""
+        size = self.lattice.size / COUNTS_PER_UNIT
+        west, north = self.west * size, self.north * size
+        return (
+            float(west),
+            float(north - self.height * size),
+            float(west + self.width * size),
+            float(north),
+        )
 
     def window(self, block: Block) -> RasterSpec:
         """Return the pixels of a block as a separate raster."""

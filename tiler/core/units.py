@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 from tiler.errors import ConfigError
 
@@ -51,6 +52,13 @@ class BareLength(Fraction):
 
 class FeetLength(Fraction):
     """Length in metres that was written in feet without the kind of foot."""
+
+
+class Sides(NamedTuple):
+    """Width and height of a rectangle in metres."""
+
+    width: Fraction
+    height: Fraction
 
 
 def unit_named(name: str) -> Fraction:
@@ -102,6 +110,31 @@ def parse_length(text: str | float | Fraction) -> Fraction:
         return BareLength(value)
     length = value * unit_named(unit)
     return FeetLength(length) if unit.lower() in FEET else length
+
+
+def parse_sides(text: str | float | Fraction) -> Sides:
+    """Return the sides of a square from a length, or those of a rectangle from text like ``1000x1250`` or ``2x3km``.
+
+    A number without a unit has the unit of the other number. Raise ConfigError if the text is not a length.
+    """
+    if isinstance(text, Fraction):
+        return Sides(text, text)
+    width, by, height = str(text).lower().partition("x")
+    if not by:
+        length = parse_length(text)
+        return Sides(length, length)
+    sides = Sides(parse_length(width), parse_length(height))
+    if isinstance(sides.width, BareLength) and not isinstance(sides.height, BareLength):
+        return Sides(
+            parse_length(f"{width.strip()}{height.strip().lstrip('0123456789./ ')}"),
+            sides.height,
+        )
+    return sides
+
+
+def sides_text(sides: Sides, text: Callable[[Fraction], str]) -> str:
+    """Return ``WIDTHxHEIGHT``, or one length for a square, where ``text`` writes a length."""
+    return "x".join(dict.fromkeys(map(text, sides)))
 
 
 def parse_area(text: str | float | Fraction) -> Fraction:

@@ -13,6 +13,7 @@ import shapely
 from affine import Affine
 
 from tiler.core.breaklines import rings_of
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.edits import DrawnDeck
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import BARE, SURVEYED, VOID
@@ -177,7 +178,8 @@ def find_sheets(
     rasters: tuple[str, ...],
     spec: RasterSpec,
     block: Block,
-    side: int,
+    width: int,
+    height: int,
     area: str | None,
 ) -> Mapping[str, Any]:
     """Find the sheets in which one block of the models has a height.
@@ -190,8 +192,8 @@ def find_sheets(
     spec : RasterSpec
         Pixels of these rasters.
     block : Block
-    side : int
-        Side of a sheet in pixels. Sheets are anchored at CRS 0, as pixels are.
+    width, height : int
+        Pixels of a sheet. Sheets are anchored at CRS 0, as pixels are.
     area : str or None
         Key in the store of the requested area.
 
@@ -200,14 +202,54 @@ def find_sheets(
     dict
         ``sheets``: column and row on the lattice of sheets, ascending.
     """
+    there = _with_height(store, rasters, spec, block, area)
+    rows, cols = np.nonzero(there)
+    ix = (spec.west + block.col + cols) // width
+    iy = (spec.north - 1 - block.row - rows) // height
+    return {"sheets": np.unique(np.stack((ix, iy)), axis=1).T.tolist()}
+
+
+def find_drawn_sheets(
+    store: TileStore,
+    *,
+    rasters: tuple[str, ...],
+    spec: RasterSpec,
+    block: Block,
+    sheets: StoredAreas,
+    area: str | None,
+) -> Mapping[str, Any]:
+    """Find the sheets that the user drew in which one block of the models has a height.
+
+    Parameters
+    ----------
+    store, rasters, spec, block, area
+        See `find_sheets`.
+    sheets : StoredAreas
+        Areas of the sheets near the block, in the order of their file.
+
+    Returns
+    -------
+    dict
+        ``sheets``: keys of those with a height. ``outside``: number of pixels with a height in no sheet.
+    """
+    there = _with_height(store, rasters, spec, block, area)
+    found = []
+    for key, shape in zip(sheets.keys, store.areas(sheets), strict=True):
+        inside = there & spec.inside(block, shape)
+        if inside.any():
+            found.append(key)
+            there &= ~inside
+    return {"sheets": found, "outside": int(np.count_nonzero(there))}
+
+
+def _with_height(
+    store: TileStore, rasters: tuple[str, ...], spec: RasterSpec, block: Block, area: str | None
+) -> npt.NDArray[np.bool_]:
+    """Return the mask of the pixels of a block in the area in which one of the rasters has a height."""
     there = np.zeros((block.height, block.width), np.bool_)
     for raster in rasters:
         there |= store.read_block(raster, block) != np.float32(NODATA)
-    there &= spec.inside(block, store.area(area))
-    rows, cols = np.nonzero(there)
-    ix = (spec.west + block.col + cols) // side
-    iy = (spec.north - 1 - block.row - rows) // side
-    return {"sheets": np.unique(np.stack((ix, iy)), axis=1).T.tolist()}
+    return there & spec.inside(block, store.area(area))
 
 
 def write_sheet_index(
@@ -224,7 +266,7 @@ def write_sheet_index(
     with new_file(to) as new, geopackage(new.path, crs) as file:
         for product in dict.fromkeys(sheet.product for sheet in sheets):
             product_sheets = [sheet for sheet in sheets if sheet.product == product]
-            edges = np.array([_edges(sheet.spec) for sheet in product_sheets])
+            edges = np.array([sheet.spec.edges for sheet in product_sheets])
             # A height of None becomes NaN, which is NULL in the file.
             figures = np.array(
                 [(s.void_percent, s.low, s.high) for s in product_sheets], np.float64
@@ -236,15 +278,3 @@ def write_sheet_index(
             }
             file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
     return new.record
-
-
-def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:
-    """Return the west, south, east and north edge of a raster in units of the CRS."""
-    size = spec.lattice.size / COUNTS_PER_UNIT
-    west, north = spec.west * size, spec.north * size
-    return (
-        float(west),
-        float(north - spec.height * size),
-        float(west + spec.width * size),
-        float(north),
-    )

@@ -27,6 +27,7 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from tiler.core.crs import raster_crs
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.lattice import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.products import HEIGHT, PRODUCTS, Product
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
@@ -92,9 +93,18 @@ class Statistics:
 
 
 def write_cog(
-    store: TileStore, *, to: OutFile, info: ProductInfo, part: RasterPart, compress: str
+    store: TileStore,
+    *,
+    to: OutFile,
+    info: ProductInfo,
+    part: RasterPart,
+    compress: str,
+    clip: StoredAreas | None = None,
 ) -> RasterFileRecord:
     """Write a raster of the store, or a sheet of it, as one file, compressed by ``deflate`` or ``zstd``.
+
+    ``clip`` has the area of a drawn sheet and the areas before it, whose pixels belong to other sheets. It is None for
+    other files.
 
     The same content gives the same bytes, since the file does not contain time, path, workers
     or tiles.
@@ -110,7 +120,7 @@ def write_cog(
         The disk is full or the file cannot be written.
     """
     with new_file(to) as file:
-        statistics = _write(store, info, part, compress, file.path)
+        statistics = _write(store, info, part, compress, clip, file.path)
     is_empty = statistics.n == 0
     return RasterFileRecord(
         **file.record.to_json(),
@@ -123,7 +133,12 @@ def write_cog(
 
 
 def _write(
-    store: TileStore, info: ProductInfo, part: RasterPart, compress: str, target: Path
+    store: TileStore,
+    info: ProductInfo,
+    part: RasterPart,
+    compress: str,
+    clip: StoredAreas | None,
+    target: Path,
 ) -> Statistics:
     """Write a raster to a file on this machine."""
     plain = partial_path(target, "plain")
@@ -132,7 +147,7 @@ def _write(
         clear_partial(plain)
         clear_partial(partial)
     try:
-        statistics = _write_plain(store, info, part, plain)
+        statistics = _write_plain(store, info, part, clip, plain)
         _copy_as_cog(plain, partial, compress, _product(info))
         _check(partial, part.spec)
         _publish(partial, target)
@@ -141,6 +156,17 @@ def _write(
         for scratch in (plain, partial, *target.parent.glob(f"{partial.name}.*")):
             with suppress(FileNotFoundError):
                 scratch.unlink()
+
+
+def _inside(
+    store: TileStore, part: RasterPart, clip: StoredAreas | None, block: Block
+) -> npt.NDArray[np.bool_]:
+    """Return the mask of the pixels of a block in the requested area and in a drawn sheet."""
+    inside = part.spec.inside(block, store.area(part.area))
+    for number, area in enumerate(store.areas(clip) if clip is not None else ()):
+        in_sheet = part.spec.inside(block, area)
+        inside &= in_sheet if number == 0 else ~in_sheet
+    return inside
 
 
 def _product(info: ProductInfo) -> Product:
@@ -152,21 +178,25 @@ def _product(info: ProductInfo) -> Product:
 
 
 def _write_plain(
-    store: TileStore, info: ProductInfo, part: RasterPart, path: Path
+    store: TileStore,
+    info: ProductInfo,
+    part: RasterPart,
+    clip: StoredAreas | None,
+    path: Path,
 ) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
     spec = part.spec
     statistics = Statistics()
     nodata = PRODUCTS[info.product].nodata
     look = _raster_metadata(store.meta.frame, info)
-    area = store.area(part.area)
     with plain_geotiff(
         path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look
     ) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
             values = _read(store, part, block)
-            if area is not None:
-                values = np.where(spec.inside(block, area), values, np.float32(part.fill))
+            if part.area is not None or clip is not None:
+                inside = _inside(store, part, clip, block)
+                values = np.where(inside, values, np.float32(part.fill))
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 if look.nodata != nodata:
@@ -261,10 +291,12 @@ def write_mosaic(
     to: OutFile,
     info: ProductInfo,
     sheets: tuple[tuple[str, RasterSpec], ...],
+    outside: float | None = None,
 ) -> FileRecord:
     """Write the VRT of a product over its sheets.
 
     ``sheets`` are at least one path relative to the folder of the file, and the pixels of each, on one lattice.
+    ``outside`` is the value of pixels that belong to other sheets, if the bounds of sheets overlap.
     Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
     frame, product = store.meta.frame, PRODUCTS[info.product]
@@ -285,7 +317,10 @@ def write_mosaic(
     )
     _describe_band(band, _raster_metadata(frame, info))
     for path, spec in sheets:
-        _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
+        source = _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
+        if outside is not None:
+            source.tag = "ComplexSource"
+            ElementTree.SubElement(source, "NODATA").text = f"{outside:.17g}"
     ElementTree.indent(root)
     return write_bytes(to, ElementTree.tostring(root, encoding="utf-8"))
 
@@ -349,7 +384,7 @@ def _category_names(names: Sequence[str]) -> ElementTree.Element:
 
 def _add_sheet(
     band: ElementTree.Element, path: str, spec: RasterSpec, whole: RasterSpec, kind: str
-) -> None:
+) -> ElementTree.Element:
     source = ElementTree.SubElement(band, "SimpleSource")
     ElementTree.SubElement(source, "SourceFilename", relativeToVRT="1").text = path
     ElementTree.SubElement(source, "SourceBand").text = "1"
@@ -364,6 +399,7 @@ def _add_sheet(
     offset = (str(spec.west - whole.west), str(whole.north - spec.north))
     for name, (x, y) in (("SrcRect", ("0", "0")), ("DstRect", offset)):
         ElementTree.SubElement(source, name, xOff=x, yOff=y, xSize=size[0], ySize=size[1])
+    return source
 
 
 def write_legend(_: TileStore, *, to: OutFile, product: str) -> FileRecord:

@@ -7,11 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.core.records import digest_of
 from tiler.core.results import ContourResult, SpotCounts
-from tiler.core.units import short_unit
+from tiler.core.units import Sides, short_unit, sides_text
 from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
 from tiler.export.output_files import (
@@ -95,6 +96,9 @@ def export(
 ) -> None:
     """Write the files for users: rasters, vector products, classified clouds, and the catalogue."""
     out = job.products
+    if drawn := gridding.plan.inputs.sheets:
+        name = job.store.put_areas([sheet.area for sheet in drawn])
+        gridding = replace(gridding, drawn=name)
     gridding = replace(gridding, sheets=cut(job, gridding))
     if job.plan.config.sheets is not None:
         job.results.sheets = len(gridding.sheets)
@@ -284,11 +288,11 @@ def _basis(gridding: Gridded) -> str:
     """
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
-    into = (
-        [str(config.sheets), config.sheet_name, config.product_name, config.empty_sheets]
-        if config.sheets
-        else config.product_name
-    )
+    into: Any = config.product_name
+    if config.sheets is not None:
+        drawn = [[sheet.name, sheet.area.key] for sheet in gridding.plan.inputs.sheets]
+        cut = sides_text(config.sheets, str) if isinstance(config.sheets, Sides) else drawn
+        into = [cut, config.sheet_template, config.product_name, config.empty_sheets]
     return digest_of(
         terrain,
         config.voids,

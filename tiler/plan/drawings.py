@@ -64,7 +64,7 @@ def with_user_features(plan: Plan) -> Plan:
     if config.breaklines and config.interpolation == "idw":
         raise ConfigError("--breaklines: idw does not follow lines; use --interpolation linear")
     for name in config.breaklines:
-        drawing = _read(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
+        drawing = read_drawn(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
         for feature in drawing.features:
             lines += [_counts(feature, line) for line in _lines(feature)]
     if lines:
@@ -73,7 +73,7 @@ def with_user_features(plan: Plan) -> Plan:
     if config.edits is not None:
         # The last places may have been removed, and the command stays the same.
         empty = Path(config.edits).name == REVIEW
-        drawing = _read(
+        drawing = read_drawn(
             plan, Path(config.edits), POLYGONS, False, notes, warnings, may_be_empty=empty
         )
         edits = tuple(
@@ -83,7 +83,7 @@ def with_user_features(plan: Plan) -> Plan:
         )
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:
-        drawing = _read(
+        drawing = read_drawn(
             plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, all_layers=True
         )
         waters = tuple(waters_of(drawing.features, plan.inputs.extent))
@@ -91,19 +91,20 @@ def with_user_features(plan: Plan) -> Plan:
     return replace(plan, inputs=inputs, notes=tuple(notes), warnings=tuple(warnings))
 
 
-def _read(
+def read_drawn(
     plan: Plan,
     path: Path,
     kind: Kind,
     needs_z: bool,
     notes: list[str],
-    warnings: list[str],
+    warnings: list[str] | None,
     all_layers: bool = False,
     may_be_empty: bool = False,
 ) -> Features:
     """Read the features of a file in the CRS of the run.
 
     All layers are read with ``all_layers``, or if the features need heights (``needs_z``).
+    Features outside the survey cause a warning, unless ``warnings`` is None.
     """
     all_layers |= needs_z
     wkt = plan.frame.crs_wkt
@@ -113,8 +114,9 @@ def _read(
         arguments = (path, kind, wkt, all_layers, needs_z, may_be_empty)
         features = call_isolated(read_in_crs, *arguments, paths=(path,), smaller=CUT)
     notes += features.notes
-    x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
-    warnings += warn_outside(path, features, (x0, y0, x1, y1))
+    if warnings is not None:
+        x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
+        warnings += warn_outside(path, features, (x0, y0, x1, y1))
     return features
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.results import StageResult
+from tiler.core.units import Sides
 from tiler.io.atomic_files import replace_file
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.las.point_formats import newer_bytes
@@ -223,13 +224,24 @@ def pixels_of(plan: Plan) -> Pixels:
         return squares * (side_m / resolution) ** 2
 
     filled = min(in_squares_with_points(BLOCK_PIXELS * resolution) or whole, whole)
-    if plan.config.sheets is None:
+    sheets = _sheets_m2(plan)
+    if not sheets:
         return Pixels(filled, whole - filled, whole)
-    side = float(plan.config.sheets)
-    in_sheets = in_squares_with_points(side)
+    in_sheets = in_squares_with_points(math.sqrt(sum(sheets) / len(sheets)))
     return Pixels(
-        min(filled, in_sheets), max(in_sheets - filled, 0.0), (side / resolution) ** 2
+        min(filled, in_sheets), max(in_sheets - filled, 0.0), max(sheets) / resolution**2
     )
+
+
+def _sheets_m2(plan: Plan) -> list[float]:
+    """Return the areas in m2 of the bounds of the drawn sheets, or the one of all sheets, or [] without sheets.
+
+    The list is empty as well before the file of the sheets is read.
+    """
+    if isinstance(plan.config.sheets, Sides):
+        return [float(math.prod(plan.config.sheets))]
+    metres = float(plan.frame.metres_xy)
+    return [sheet.area.bounds.area() * metres**2 for sheet in plan.inputs.sheets]
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:

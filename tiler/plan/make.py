@@ -19,6 +19,7 @@ from tiler.core.units import (
     US_SURVEY_FOOT,
     BareLength,
     FeetLength,
+    Sides,
     Units,
     in_unit_of_crs,
     length_text,
@@ -34,6 +35,7 @@ from tiler.io.result_folder import CLOUD_SUFFIXES, earlier_statistics
 from tiler.plan import sizes
 from tiler.plan.area import EptInputs, area_of, part_of, validate_distances
 from tiler.plan.drawings import with_user_features
+from tiler.plan.drawn_sheets import with_drawn_sheets
 from tiler.plan.estimates import sparse_raster_remedy
 from tiler.plan.inspection import (
     InspectedInputs,
@@ -159,13 +161,17 @@ def make_plan(
         )
         plan = _plan_for(inspected, config, params)
     validate_distances(plan, inputs)
-    plan = with_user_features(plan)
+    plan = with_drawn_sheets(with_user_features(plan))
 
     def replan(**values: Any) -> Plan:
         other = _plan_for(inspected, config.updated(**values), params)
         drawn = plan.inputs
         features = replace(
-            other.inputs, edits=drawn.edits, lines=drawn.lines, waters=drawn.waters
+            other.inputs,
+            edits=drawn.edits,
+            lines=drawn.lines,
+            waters=drawn.waters,
+            sheets=drawn.sheets,
         )
         return replace(other, inputs=features)
 
@@ -283,11 +289,16 @@ def with_survey_feet(config: RunConfig, units: Units) -> RunConfig:
     The US survey foot is 2 millionths longer than the international foot. With pixels of 3
     international feet, a sheet of 1500 units of the CRS would not be a whole number of pixels.
     """
-    lengths = {}
+    lengths: dict[str, list[Fraction]] = {}
     for name, value, unit in _lengths(config, units):
-        if isinstance(value, FeetLength) and unit == US_SURVEY_FOOT:
-            lengths[name] = value / FOOT * US_SURVEY_FOOT
-    return config.updated(**lengths) if lengths else config
+        in_feet = isinstance(value, FeetLength) and unit == US_SURVEY_FOOT
+        lengths.setdefault(name, []).append(value / FOOT * US_SURVEY_FOOT if in_feet else value)
+    return config.updated(
+        **{
+            name: Sides(*values) if name == "sheets" else values[0]
+            for name, values in lengths.items()
+        }
+    )
 
 
 def bare_lengths(config: RunConfig, units: Units) -> list[str]:
@@ -300,19 +311,20 @@ def bare_lengths(config: RunConfig, units: Units) -> list[str]:
             in_unit = f"{number_text(float(value / unit))} {short_unit(unit)}"
             remedy = f"; give {number}ft for feet" if unit in (FOOT, US_SURVEY_FOOT) else ""
             texts.append(f"{option} {number} is {number} m = {in_unit}{remedy}")
-    return texts
+    return list(dict.fromkeys(texts))
 
 
 def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, Fraction]]:
-    """Yield the name, the value and the unit in the CRS of each setting that is a length."""
+    """Yield the name, the value and the unit in the CRS of each length in the settings."""
     for spec in fields(config):
         value = getattr(config, spec.name)
-        if spec.metadata["kind"] == "length" and value is not None:
-            yield (
-                spec.name,
-                value,
-                units.vertical if spec.name in VERTICAL_SETTINGS else units.horizontal,
-            )
+        if spec.metadata["kind"] not in ("length", "sheets") or not isinstance(
+            value, Fraction | Sides
+        ):
+            continue
+        unit = units.vertical if spec.name in VERTICAL_SETTINGS else units.horizontal
+        for length in value if isinstance(value, Sides) else (value,):
+            yield spec.name, length, unit
 
 
 def settled(plan: Plan) -> dict[str, Any]:

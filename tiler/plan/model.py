@@ -13,6 +13,7 @@ from ptd.matched.evidence import Evidence, Finding, decided_by
 from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.breaklines import Counts
+from tiler.core.drawn_sheets import DrawnSheet
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS, MIN_PART
@@ -78,6 +79,8 @@ class Inputs:
         Vertices of breaklines, in absolute counts.
     waters : tuple of Water
         Bodies of water in the file given by ``--water``, with heights if it has them.
+    sheets : tuple of DrawnSheet
+        Sheets in the file given by ``--sheets`` near the points, in the order of their file.
     """
 
     sources: tuple[SourceInfo, ...]
@@ -92,6 +95,7 @@ class Inputs:
     edits: tuple[Edit, ...] = ()
     lines: tuple[Counts, ...] = ()
     waters: tuple[Water, ...] = ()
+    sheets: tuple[DrawnSheet, ...] = ()
 
     @property
     def filled(self) -> list[SourceInfo]:

@@ -7,19 +7,26 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 from tiler.config import RunConfig
 from tiler.core.file_names import (
+    LONGEST,
     check_template,
+    fault_of_name,
     fault_on_windows,
+    fields_of,
     link_error,
     name_prefix,
     product_names,
+    sheet_name,
+    validate_distinct_names,
 )
-from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT, Lattice
 from tiler.core.products import PRODUCTS, VECTOR_PRODUCTS
-from tiler.core.units import in_unit_of_crs, length_option, whole_length
+from tiler.core.raster import RasterSpec
+from tiler.core.units import Sides, in_unit_of_crs, length_option, sides_text, whole_length
 from tiler.core.words import listed
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
@@ -101,7 +108,7 @@ model."""
 
 def other_inputs(config: RunConfig) -> list[str]:
     """Return the files that a run reads in addition to its clouds."""
-    names = (config.aoi, config.edits, config.water_file)
+    names = (config.aoi, config.edits, config.water_file, config.sheet_file)
     return [*(name for name in names if name is not None), *config.breaklines]
 
 
@@ -162,7 +169,7 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     if plan.config.sheets is not None:
         names = {SHEET_ITEMS: SHEET_ITEMS, **product_names(plan.config.product_name)}
         sheet_prefixes = {
-            folder: name_prefix(plan.config.sheet_name, names[folder])
+            folder: name_prefix(plan.config.sheet_template, names[folder])
             for folder in (*plan.config.exported, SHEET_ITEMS)
         }
     foreign_paths = foreign_files(out, products, file_names, sheet_prefixes)
@@ -274,22 +281,50 @@ def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
     """
     _validate_memory(plan, replan)
     validate_resolution(plan)
-    sheets = plan.config.sheets
-    if sheets is not None and (sheets / plan.grid.resolution).denominator != 1:
-        whole = max(round(sheets / plan.grid.resolution), 1) * plan.grid.resolution
-        raise _error(
-            plan,
-            f"--sheets {float(sheets):g} m is not a whole number of pixels of {float(plan.grid.resolution):g} m; "
-            f"use --sheets {_option(plan, whole)} or another --resolution",
-        )
-    if sheets is not None:
-        for name in plan.config.exported:
-            check_template(
-                plan.config.sheet_name, product_names(plan.config.product_name)[name]
-            )
+    _validate_sheets(plan)
     _validate_cloud_names(plan)
     if out is not None:
         _validate_disk(plan, out)
+
+
+def _validate_sheets(plan: Plan) -> None:
+    """Raise ConfigError if a sheet would not have whole pixels, or files of sheets would have no valid names."""
+    config, pixel = plan.config, plan.grid.resolution
+    if config.sheets is None:
+        return
+    if isinstance(config.sheets, Sides):
+        whole = Sides(*(max(round(side / pixel), 1) * pixel for side in config.sheets))
+        for side in config.sheets:
+            if (side / pixel).denominator != 1:
+                raise _error(
+                    plan,
+                    f"--sheets {float(side):g} m is not a whole number of pixels of {float(pixel):g} m; use --sheets "
+                    f"{sides_text(whole, partial(_option, plan))} or another --resolution",
+                )
+        if "sheet" in fields_of(config.sheet_template):
+            raise ConfigError(
+                f"--sheet-name {config.sheet_template}: {{sheet}} is the name of a sheet in a file; use {{x}} and {{y}}"
+            )
+    names = product_names(config.product_name)
+    lattice = Lattice(plan.frame.counts(pixel))
+    edges = [
+        RasterSpec.enclosing(lattice, sheet.area.bounds).edges for sheet in plan.inputs.sheets
+    ]
+    for product in config.exported:
+        check_template(config.sheet_template, names[product])
+        files = [
+            sheet_name(config.sheet_template, names[product], of, sheet.name)
+            for sheet, of in zip(plan.inputs.sheets, edges, strict=True)
+        ]
+        validate_distinct_names(config.sheet_template, files)
+        for file in files:
+            fault = fault_of_name(file)
+            if len(file.encode()) > LONGEST:
+                fault = f"has more than {LONGEST} bytes"
+            if fault:
+                raise ConfigError(
+                    f"--sheet-name {config.sheet_template}: {file!r} {fault}; use another template"
+                )
 
 
 def _validate_cloud_names(plan: Plan) -> None:

@@ -12,7 +12,6 @@ from ptd.matched.survey import in_words
 from ptd.methods import METHODS
 from tiler.config import RunConfig
 from tiler.core.crs import crs_name, misplaced, point_scale_factor
-from tiler.core.file_names import DEFAULT as SHEET_NAME
 from tiler.core.units import (
     METRE,
     length_option,
@@ -135,10 +134,10 @@ def _without_use(plan: Plan) -> list[str]:
             f"the terrain has only {columns} x {rows} pixels of {length_text(resolution, unit)}; use a smaller "
             "--resolution"
         )
-    if plan.config.sheet_name != SHEET_NAME and plan.config.sheets is None:
+    if plan.config.sheet_name is not None and plan.config.sheets is None:
         warnings.append("--sheet-name has no effect without --sheets")
     cut = plan.config.sheets is not None
-    if plan.config.product_name and cut and "{name" not in plan.config.sheet_name:
+    if plan.config.product_name and cut and "{name" not in plan.config.sheet_template:
         warnings.append("--product-name has no effect if --sheet-name has no {name}")
     return warnings
 

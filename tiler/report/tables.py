@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from pyproj import CRS
 
+from tiler.config import RunConfig
 from tiler.core.crs import at_degrees, split, vertical_name
-from tiler.core.file_names import DEFAULT as SHEET_NAME
 from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.units import Sides
 from tiler.core.words import GRID, counted
 from tiler.io.result_folder import CLASSIFIED, REVIEW, written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
@@ -78,9 +78,16 @@ def _sheets(run: Run) -> str:
     names = f", with the names {renamed}" if renamed else ""
     if configuration.get("sheets") is None:
         return f"none, each product is one file{names}"
-    side = length(run, float(Fraction(configuration["sheets"])))
+    config = RunConfig.from_mapping(
+        {name: configuration.get(name) for name in ("sheets", "sheet_name")}
+    )
     number = counted(run["sheets"], "sheet") if "sheets" in run else "sheets"
-    return f"{number} with sides of {side}, files named {configuration.get('sheet_name', SHEET_NAME)}{names}"
+    if isinstance(config.sheets, Sides):
+        sides = [length(run, float(side)) for side in config.sheets]
+        kind = f"with sides of {' x '.join(dict.fromkeys(sides))}"
+    else:
+        kind = f"with the outlines in {config.sheets}"
+    return f"{number} {kind}, files named {config.sheet_template}{names}"
 
 
 def _products(run: Run) -> Iterator[str]:

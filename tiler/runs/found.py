@@ -10,6 +10,7 @@ from typing import Any
 
 from ptd.matched.survey import SurveyPass
 from tiler.config import RunConfig
+from tiler.core.drawn_sheets import DrawnSheet
 from tiler.core.edits import DrawnDeck
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import (
@@ -166,21 +167,21 @@ class Labelled:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Square into which the products are divided.
+    """Part of the products that has files of its own.
 
     Attributes
     ----------
-    corner : (float, float)
-        South-west corner in units of the CRS.
     spec : RasterSpec
-        Pixels of the square.
+        Pixels of the files.
     cells : list of Cell
-        Buckets with points of the square.
+        Buckets with points of the sheet.
+    drawn : DrawnSheet or None
+        Sheet that the user drew, or None for a rectangle.
     """
 
-    corner: tuple[float, float]
     spec: RasterSpec
     cells: list[Cell]
+    drawn: DrawnSheet | None = None
 
 
 @dataclass(frozen=True)
@@ -202,8 +203,10 @@ class Gridded:
     edits : str or None
         Key in the store of the edits.
     decks : tuple of DrawnDeck
+    drawn : str
+        Name in the store of the areas of drawn sheets, or an empty text.
     sheets : sequence of Sheet
-        Squares of the products, if they are divided.
+        Sheets, if the products are divided.
     """
 
     plan: Plan
@@ -215,6 +218,7 @@ class Gridded:
     waters: Waters = field(default_factory=lambda: Waters(()))
     edits: str | None = None
     decks: tuple[DrawnDeck, ...] = ()
+    drawn: str = ""
     sheets: Sequence[Sheet] = ()
 
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from tiler.core.area import Area
 from tiler.core.breaklines import Breaklines
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.edits import Edits
 from tiler.core.lattice import Bounds
 from tiler.core.records import digest_of
@@ -129,6 +130,11 @@ The cache belongs to the process and not to a `TileStore`, since each task opens
 again."""
 
 
+def _by_key(state: Sequence[Any]) -> dict[str, Area]:
+    areas = [Area.from_json(rings) for rings in state]
+    return {area.key: area for area in areas}
+
+
 class StateStore(StorePart):
     """Values that the coordinator keeps for the tasks and for later runs."""
 
@@ -152,6 +158,17 @@ class StateStore(StorePart):
         if key is None:
             return None
         return self._kept(f"area-{key}", Area.from_json)
+
+    def put_areas(self, areas: Sequence[Area]) -> str:
+        """Write many areas as one state, and return its name (*coordinator*)."""
+        name = f"areas-{digest_of([area.key for area in areas])}"
+        self.put_state(name, [area.to_json() for area in areas])
+        return name
+
+    def areas(self, stored: StoredAreas) -> list[Area]:
+        """Return areas that `put_areas` wrote. Raise StoreError if they are missing."""
+        by_key = self._kept(stored.name, _by_key)
+        return [by_key[key] for key in stored.keys]
 
     def put_edits(self, edits: Edits) -> None:
         """Write edits under their key."""

@@ -48,7 +48,7 @@ def test_the_specification_of_usgs() -> None:
 
 def test_sheets_of_a_kilometre_in_switzerland() -> None:
     config = RunConfig.from_mapping({"preset": "swiss"})
-    assert (config.resolution, config.sheets) == (Fraction(1, 2), 1000)
+    assert (config.resolution, config.sheets) == (Fraction(1, 2), (1000, 1000))
 
 
 def test_order_is_default_preset_file_option(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_order_is_default_preset_file_option(tmp_path: Path) -> None:
     assert found.keep_classes == (18,)  # the option's
     assert found.resolution == 1  # the preset's
     assert found.compress == RunConfig().compress
-    assert read_config({"config_file": file}).sheets == 1000  # a file can name a preset
+    assert read_config({"config_file": file}).sheets == (1000, 1000)  # a file can name a preset
 
 
 def test_parameters_of_a_preset_go_with_its_method(monkeypatch: pytest.MonkeyPatch) -> None:

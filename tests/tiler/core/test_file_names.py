@@ -25,7 +25,10 @@ from tiler.errors import ConfigError
     ],
 )
 def test_names_follow_the_template(template: str, name: str) -> None:
-    assert sheet_name(check_template(template), "dtm", 292000.0, 6832000.5, 1000.0) == name
+    assert (
+        sheet_name(check_template(template), "dtm", (292000.0, 6832000.5, 293000.0, 6833000.5))
+        == name
+    )
     assert name.startswith(name_prefix(template, "dtm"))
 
 
@@ -82,3 +85,9 @@ def test_no_two_sheets_have_one_name() -> None:
         ConfigError, match="two sheets would have the name A_1; use more digits"
     ):
         validate_distinct_names(DEFAULT, ["a_1", "A_1"])
+
+
+def test_the_name_of_a_drawn_sheet_is_a_field() -> None:
+    edges = (292000.0, 6832000.0, 293000.0, 6833000.0)
+    assert sheet_name(check_template("{sheet}"), "dtm", edges, "Köln") == "Köln"
+    assert sheet_name(check_template("{sheet:_>4}{x_km}"), "dtm", edges, "7") == "___7292"

@@ -15,6 +15,7 @@ from tiler.core.units import (
     in_unit_of_crs,
     length_text,
     parse_length,
+    parse_sides,
     short_unit,
     written_unit,
 )
@@ -43,6 +44,26 @@ def test_lengths_are_exact(text: str | float, metres: Fraction) -> None:
 def test_texts_that_are_no_length_are_refused(text: str) -> None:
     with pytest.raises(ConfigError):
         parse_length(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "sides"),
+    [
+        ("1000", (1000, 1000)),
+        ("1000x1250", (1000, 1250)),
+        ("1 X 1.25km", (1000, 1250)),
+        ("1000ft x 1/2m", (1000 * FOOT, Fraction(1, 2))),
+        ("5x10usft", (5 * US_SURVEY_FOOT, 10 * US_SURVEY_FOOT)),
+    ],
+)
+def test_sides_are_one_length_or_two(text: str, sides: tuple[Fraction, Fraction]) -> None:
+    assert parse_sides(text) == sides
+
+
+@pytest.mark.parametrize("text", ["1000x", "x1000", "1x2x3", "1000x-2", "wide"])
+def test_sides_that_are_no_lengths_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="is not a length"):
+        parse_sides(text)
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.invariants import clouds
 from tests.scenes.records import bucket_record, spool_record
 from tiler.config import RunConfig
+from tiler.core.area import Area
+from tiler.core.drawn_sheets import DrawnSheet
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.export.tasks.files import Inputs, cog_tasks, inputs_of, mosaic_tasks, nodata_of
-from tiler.export.tasks.sheets import height_tasks, sheets
+from tiler.export.tasks.sheets import height_tasks, sheet_finder, sheets
 from tiler.grid.tasks.gridding import GridContext
 from tiler.plan import Plan, make_plan
 from tiler.runs.found import Gridded, IngestResult, Source
@@ -72,13 +75,40 @@ def test_sheets_lie_on_multiples_of_their_side_and_have_the_buckets_of_their_poi
     plan: Plan,
 ) -> None:
     found = gridding(plan).sheets
-    assert [(sheet.corner, sheet.cells) for sheet in found] == [
+    assert [(sheet.spec.edges[:2], sheet.cells) for sheet in found] == [
         ((499_000.0, 5_400_000.0), [WEST]),
         ((500_000.0, 5_400_000.0), [EAST]),
     ]
     assert {(sheet.spec.width, sheet.spec.height) for sheet in found} == {(1000, 1000)}
     across = gridding(plan, west=(-40, -5, 10, 40)).sheets
     assert [sheet.cells for sheet in across] == [[WEST], [WEST, EAST]]
+
+
+def test_a_position_on_a_shared_edge_is_in_one_sheet(plan: Plan) -> None:
+    west, east = gridding(plan).sheets
+    sheet_at = sheet_finder([west, east])
+    assert sheet_at(499_999.999, 5_400_000.0) is west
+    assert sheet_at(500_000.0, 5_400_999.999) is east
+    assert sheet_at(500_000.0, 5_401_000.0) is None
+    assert sheet_at(498_999.999, 5_400_500.0) is None
+    assert sheet_finder([])(500_000.0, 5_400_500.0) is None
+
+
+def test_a_position_is_in_the_first_of_the_drawn_sheets_that_contain_it(plan: Plan) -> None:
+    west, east = gridding(plan).sheets
+    ring = np.array([[0, 0], [100_000, 0], [0, 100_000]], np.int64) + [
+        499_900_000,
+        5_400_000_000,
+    ]
+    triangle = Area(((ring,),))
+    drawn = [
+        replace(west, drawn=DrawnSheet("lot", triangle)),
+        replace(east, drawn=DrawnSheet("rest", Area.rectangle(west.spec.bounds))),
+    ]
+    sheet_at = sheet_finder(drawn)
+    assert sheet_at(499_910.0, 5_400_010.0) is drawn[0]
+    assert sheet_at(499_990.0, 5_400_090.0) is drawn[1]
+    assert sheet_at(500_000.0, 5_400_000.0) is None
 
 
 def test_heights_are_looked_for_in_the_models_that_were_made(plan: Plan) -> None:

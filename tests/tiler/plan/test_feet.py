@@ -7,7 +7,7 @@ from fractions import Fraction
 import pytest
 
 from tiler.config import RunConfig
-from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units, parse_sides
 from tiler.plan.make import bare_lengths, with_survey_feet
 
 SURVEY_FEET = Units(US_SURVEY_FOOT, US_SURVEY_FOOT)
@@ -46,10 +46,15 @@ def test_feet_are_those_of_the_crs() -> None:
     )
     of_survey = with_survey_feet(config, SURVEY_FEET)
     assert (of_survey.sheets, of_survey.resolution) == (
-        500 * US_SURVEY_FOOT,
+        (500 * US_SURVEY_FOOT, 500 * US_SURVEY_FOOT),
         2 * US_SURVEY_FOOT,
     )
     assert of_survey.contour_interval == 5 * US_SURVEY_FOOT
     assert of_survey.max_edge == 30
-    assert with_survey_feet(config, Units(FOOT, FOOT)).sheets == Fraction(1524, 10)
+    assert with_survey_feet(config, Units(FOOT, FOOT)).sheets == (
+        Fraction(1524, 10),
+        Fraction(1524, 10),
+    )
     assert with_survey_feet(config, Units()) == config
+    oblong = with_survey_feet(config.updated(sheets=parse_sides("500x1000ft")), SURVEY_FEET)
+    assert oblong.sheets == (500 * US_SURVEY_FOOT, 1000 * US_SURVEY_FOOT)

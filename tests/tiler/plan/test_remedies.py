@@ -97,6 +97,10 @@ def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(
             {"sheets": "500"},
             r"--sheets 1,640 ft \(500 m\) is not a whole number of pixels of .* ft; use --sheets (.*) or another",
         ),
+        (
+            {"sheets": "1000ftx500"},
+            r"--sheets 1,640 ft \(500 m\) is not a whole number .*; use --sheets (1000ftx1640ft) or another",
+        ),
     ],
 )
 def test_a_refusal_for_a_cloud_in_feet_has_feet_and_what_it_names_suffices(

@@ -255,11 +255,13 @@ class _Catalogue:
             name: (key_of(name, sheet), sheet_file(name, name_of(self._gridding, name, sheet)))
             for name in exported
         }
-        corner_name = "_".join(f"{edge:.10g}" for edge in sheet.corner)
+        own_name = "_".join(f"{edge:.10g}" for edge in sheet.spec.edges[:2])
+        if sheet.drawn is not None:
+            own_name = sheet.drawn.name
         rels = ("root", "parent", "collection")
         links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
         item = self._item(
-            f"{self._id}_{corner_name}", sheet.spec, self._rasters(rasters, ".."), links
+            f"{self._id}_{own_name}", sheet.spec, self._rasters(rasters, ".."), links
         )
         return {**item, "collection": self._id}
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from tiler.config import LOW_AS_NOISE
 from tiler.core.crs import vertical_name
+from tiler.core.drawn_sheets import DrawnSheet, StoredAreas
 from tiler.core.file_names import product_names, validate_distinct_names
 from tiler.core.lattice import Cell
 from tiler.core.points import LABELS
@@ -86,14 +87,12 @@ def cog_tasks(context: Gridded, inputs: Inputs, whole_inputs: str, out: str) -> 
             continue
         for sheet, inputs_digest in sheet_inputs:
             spec = sheet.spec
-            near = context.spec.blocks_within(
-                spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS
-            )
+            near = context.spec.blocks_within(spec.bounds, BLOCK_PIXELS)
             seen = context.checksums(raster, (block.name for block in near))
             to = OutFile(joined(out, name), f"{name_of(context, name, sheet)}.tif")
             info = _info(context.plan, name, inputs_digest)
             part = replace(whole, spec=spec, whole=context.spec)
-            yield _cog_task(context, key_of(name, sheet), to, info, part, seen)
+            yield _cog_task(context, key_of(name, sheet), to, info, part, seen, sheet.drawn)
 
 
 def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
@@ -108,9 +107,13 @@ def _cog_task(
     info: ProductInfo,
     part: RasterPart,
     blocks: list[list[str]],
+    drawn: DrawnSheet | None = None,
 ) -> Task:
     compress, pixels = context.plan.config.compress, part.spec.height * part.spec.width
     call = calling(write_cog, to=to, info=info, part=part, compress=compress)
+    if drawn is not None:
+        clip = StoredAreas((drawn.area.key, *drawn.earlier), context.drawn)
+        call = calling(write_cog, to=to, info=info, part=part, compress=compress, clip=clip)
     return Task.of("export", f"{key}.tif", call, blocks, pixels=pixels)
 
 
@@ -118,12 +121,18 @@ def mosaic_tasks(context: Gridded, whole_inputs: str, out: str) -> Iterator[Task
     """Yield one task per product that is divided into sheets, which writes its VRT."""
     for name in context.plan.config.exported if context.sheets else ():
         files = [(name_of(context, name, sheet), sheet.spec) for sheet in context.sheets]
-        validate_distinct_names(context.plan.config.sheet_name, (file for file, _ in files))
+        validate_distinct_names(context.plan.config.sheet_template, (file for file, _ in files))
+        info, outside = _info(context.plan, name, whole_inputs), None
+        if context.plan.inputs.sheets:
+            nodata = PRODUCTS[name].nodata if info.nodata is None else info.nodata
+            fill = context.fills[final_raster(name, context.plan.config)]
+            outside = fill if nodata is None else nodata
         call = calling(
             write_mosaic,
             to=OutFile(out, mosaic_file(name)),
-            info=_info(context.plan, name, whole_inputs),
+            info=info,
             sheets=tuple((sheet_file(name, file), spec) for file, spec in files),
+            **({} if outside is None else {"outside": outside}),
         )
         yield Task.of("mosaic", mosaic_file(name), call)
 

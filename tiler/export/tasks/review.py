@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import shapely
 
-from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.results import ReviewResult
 from tiler.core.review import (
     BARE,
@@ -26,7 +25,7 @@ from tiler.errors import InputError
 from tiler.export.output_files import OutFile, ReviewFileRecord
 from tiler.export.review import NUMBERS, TEXTS, DeliveredTerrain, write_review
 from tiler.export.tasks.outdated import archive
-from tiler.export.tasks.sheets import name_of
+from tiler.export.tasks.sheets import name_of, sheet_finder
 from tiler.io.locations import is_url, joined, state_at
 from tiler.io.overwrite_check import same_file
 from tiler.io.result_folder import REVIEW
@@ -45,7 +44,14 @@ LEAST_SIDE_M = 5.0
 
 def review_task(job: Job, gridding: Gridded, out: str) -> Task:
     """Return the task that writes the places to review."""
-    found = [_row(problem, gridding) for problem in job.problems() if problem.where is not None]
+    sheet_at = sheet_finder(gridding.sheets)
+    found = []
+    for problem in job.problems():
+        if problem.where is not None:
+            west, south, east, north = problem.where
+            sheet = sheet_at(*(problem.at or ((west + east) / 2, (south + north) / 2)))
+            name = "" if sheet is None else name_of(gridding, "dtm", sheet)
+            found.append(_row(problem, gridding, name))
     terrain, seen = None, []
     if any(row.pixels for row in found):
         raster, area = final_raster("dtm", gridding.plan.config), gridding.plan.inputs.area_key
@@ -69,8 +75,8 @@ def report_review(job: Job) -> None:
         job.results.review = ReviewResult(record.open, record.ok, record.fixed)
 
 
-def _row(problem: Problem, gridding: Gridded) -> ReviewRow:
-    """Return the row of a problem that has a position."""
+def _row(problem: Problem, gridding: Gridded, sheet: str) -> ReviewRow:
+    """Return the row of a problem that has a position. ``sheet`` is the terrain's sheet that its middle lies in."""
     side = LEAST_SIDE_M / float(gridding.plan.frame.units.horizontal)
     if problem.rings:
         rings = [np.reshape(ring, (-1, 2)) for ring in problem.rings]
@@ -88,20 +94,9 @@ def _row(problem: Problem, gridding: Gridded) -> ReviewRow:
         action=problem.action,
         stake_m=problem.stake_m,
         area_m2=problem.area_m2,
-        sheet=_sheet(problem, gridding),
+        sheet=sheet,
         pixels=PIXELS.get(problem.what, ""),
     )
-
-
-def _sheet(problem: Problem, gridding: Gridded) -> str:
-    """Return the name of the sheet of the terrain in which the middle of a problem lies, or an empty text."""
-    west, south, east, north = problem.where or (0.0, 0.0, 0.0, 0.0)
-    x, y = problem.at or ((west + east) / 2, (south + north) / 2)
-    for sheet in gridding.sheets:
-        side = float(sheet.spec.lattice.size * sheet.spec.width / COUNTS_PER_UNIT)
-        if 0 <= x - sheet.corner[0] < side and 0 <= y - sheet.corner[1] < side:
-            return name_of(gridding, "dtm", sheet)
-    return ""
 
 
 def _decided(job: Job) -> list[ReviewRow]:

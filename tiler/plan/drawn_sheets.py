@@ -1,0 +1,141 @@
+"""Sheets drawn by the user (``--sheets FILE``), read and checked before the first point is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tiler.core.drawn_sheets import DrawnSheet
+from tiler.core.file_names import LONGEST, fault_of_name
+from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.words import listed
+from tiler.errors import ConfigError, InputError
+from tiler.io.vector import POLYGONS, Feature
+from tiler.io.vector.reading import area_in_counts
+from tiler.plan.drawings import read_drawn
+from tiler.plan.model import Plan
+
+REACH = 1000 * COUNTS_PER_UNIT
+"""Distance in counts around the expected extent of the points within which sheets are kept. National grids have
+thousands of sheets elsewhere."""
+MAX_FIELDS = 20
+"""Number of fields that an error lists. Further fields are counted."""
+
+
+def with_drawn_sheets(plan: Plan) -> Plan:
+    """Return the plan with the sheets that the user drew, and with notes and warnings about them.
+
+    Raises
+    ------
+    ConfigError
+        A file is given without a field, or a field without a file.
+    InputError
+        The file cannot be used, or the values of the field are not names.
+    """
+    config = plan.config
+    file, field = config.sheet_file, config.sheet_field
+    if file is None:
+        if field is not None:
+            raise ConfigError(
+                f"--sheet-field {field}: names the sheets of a file; give --sheets FILE as well"
+            )
+        return plan
+    notes, warnings = list(plan.notes), list(plan.warnings)
+    drawing = read_drawn(plan, Path(file), POLYGONS, False, notes, None)
+    features = drawing.features
+    titles = list(dict.fromkeys(title for f in features for title in f.attributes))
+    there = f"its fields are {listed(titles, MAX_FIELDS)}" if titles else "it has no fields"
+    if field is None:
+        raise ConfigError(
+            f"--sheets {file}: needs the field with the names of the sheets, and {there}; give --sheet-field NAME"
+        )
+    if field.lower() not in titles:
+        raise InputError(
+            f"{file}: has no field {field!r}, {there}; give one of them with --sheet-field"
+        )
+    names = _names(features, field)
+    drawn = [
+        DrawnSheet(name, area_in_counts(feature.place, [feature]))
+        for name, feature in zip(names, features, strict=True)
+    ]
+    near = plan.inputs.extent.pad(REACH)
+    sheets = [sheet for sheet in drawn if sheet.area.touches(near)]
+    if not any(sheet.area.touches(plan.inputs.extent) for sheet in sheets):
+        west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
+        raise InputError(
+            f"{file}: no polygon contains a part of the clouds, which lie in ({west:.10g}, {south:.10g}) to "
+            f"({east:.10g}, {north:.10g}); give polygons there"
+        )
+    pixel = float(plan.frame.counts(plan.grid.resolution))
+    sheets, wide = in_order(sheets, pixel)
+    if wide:
+        pairs = listed([f"{a} and {b}" for a, b in wide], 2, "pairs")
+        warnings.append(
+            f"{file}: sheets overlap by more than a pixel ({pairs}); pixels of both are in the one that is first in "
+            "the file"
+        )
+    inputs = replace(plan.inputs, sheets=tuple(sheets))
+    return replace(plan, inputs=inputs, notes=tuple(notes), warnings=tuple(warnings))
+
+
+def _names(features: Sequence[Feature], field: str) -> list[str]:
+    """Return the names of the sheets. Raise InputError if they are missing, repeated or not valid file names."""
+    places: dict[str, str] = {}
+    names = []
+    for feature in features:
+        value = feature.attributes.get(field.lower())
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        name = "" if value is None else str(value)
+        fault = fault_of_name(name)
+        if not name.strip():
+            fault = "is empty"
+        elif len(name.encode()) > LONGEST:
+            fault = f"has more than {LONGEST} bytes"
+        elif not fault and name.lower() in places:
+            fault = f"is also that of {places[name.lower()]}"
+        if fault:
+            raise InputError(
+                f"{feature.place}: its {field} {name!r} {fault}; give each sheet a name of its own that files may have"
+            )
+        places[name.lower()] = feature.place.rpartition(", ")[2]
+        names.append(name)
+    return names
+
+
+def in_order(
+    sheets: Sequence[DrawnSheet], pixel: float
+) -> tuple[list[DrawnSheet], list[tuple[str, str]]]:
+    """Return the sheets with those before them that overlap them, and the names of pairs that share a pixel or more.
+
+    Sheets that only share an edge do not overlap. Grids whose coordinates were rounded overlap by slivers.
+    """
+    import shapely
+
+    shapes = np.array(
+        [
+            shapely.union_all(
+                [shapely.Polygon(rings[0], rings[1:]) for rings in s.area.polygons]
+            )
+            for s in sheets
+        ],
+        object,
+    )
+    later, earlier = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+    is_pair = earlier < later
+    later, earlier = later[is_pair], earlier[is_pair]
+    share = shapely.relate_pattern(shapes[later], shapes[earlier], "T********")
+    keys: dict[int, list[str]] = {}
+    wide = []
+    for second, first in sorted(
+        zip(later[share].tolist(), earlier[share].tolist(), strict=True)
+    ):
+        keys.setdefault(second, []).append(sheets[first].area.key)
+        common = shapely.intersection(shapes[first], shapes[second])
+        if not shapely.buffer(common, -pixel / 2).is_empty:
+            wide.append((sheets[first].name, sheets[second].name))
+    ordered = [replace(s, earlier=tuple(keys.get(i, ()))) for i, s in enumerate(sheets)]
+    return ordered, wide
