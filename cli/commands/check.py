@@ -225,6 +225,8 @@ def _print_changes(against: Mapping[str, Any]) -> None:
     write_line(changes_text(against))
     if against["places"]:
         print_table("largest places", CHANGE_HEADINGS, places_of(against, 5))
+    for note in against["notes"]:
+        write_line(f"note    {note}")
     if against["difference"]:
         write_line(f"wrote   {against['difference']}")
 

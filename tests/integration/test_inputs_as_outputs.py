@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 import rasterio
 from affine import Affine
 
+import tiler
 from cli.main import main
 from tests.invariants import clouds
 from tests.invariants.runs import do
+from tests.scenes.finished import Finished
 from tests.scenes.folders import content
 from tiler.errors import ConfigError
 
@@ -206,3 +209,16 @@ def test_a_difference_takes_no_file_beside_it_along(
     assert main([str(a) for a in arguments]) == 4
     assert capsys.readouterr().err.count("\n") == 1
     assert not list(tmp_path.glob(".tiler-*"))
+
+
+def test_a_result_of_the_run_is_no_target_of_check(
+    tmp_path: Path, finished_run: Finished
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(finished_run[0], out)
+    terrain = out / "dtm.tif"
+    for name in ("dtm.tif", "classified.vpc", "outline.gpkg"):
+        before = (out / name).read_bytes()
+        with pytest.raises(ConfigError, match="--difference"):
+            tiler.check(terrain, against=terrain, difference=out / name)
+        assert (out / name).read_bytes() == before

@@ -149,7 +149,8 @@ class ChangeFigures(Spread):
 class ChangePlace(TypedDict):
     """Changed pixels in connected cells: their bounds in units of the CRS, number and heights.
 
-    ``volume_m3`` is the sum of the absolute changes times the area of a pixel.
+    ``largest_m`` is the largest absolute change. ``volume_m3`` is the sum of the absolute changes times the area of a
+    pixel.
     """
 
     bounds: list[float]
@@ -165,7 +166,8 @@ class Against(TypedDict):
 
     ``only_new`` and ``only_old`` are numbers of pixels in which only one has a height. ``changed_pixels`` differ by
     ``change_m`` or more. ``by_source`` has a key per source of the new height (`mask.tif`), if it is known. ``places``
-    are the largest of ``number_of_places``. ``difference`` is the path of the raster of differences, or None.
+    are the largest of ``number_of_places``, and ``scattered_pixels`` changed outside them. ``difference`` is the path
+    of the raster of differences, or None. ``notes`` say what was assumed.
     """
 
     old: str
@@ -178,9 +180,11 @@ class Against(TypedDict):
     all: ChangeFigures
     by_slope: dict[str, ChangeFigures]
     by_source: dict[str, ChangeFigures]
+    scattered_pixels: int
     places: list[ChangePlace]
     number_of_places: int
     difference: str | None
+    notes: list[str]
 
 
 class Judgement(TypedDict):

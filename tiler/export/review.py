@@ -14,7 +14,7 @@ import shapely
 from tiler.core.edits import ACTIONS
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.products import SURVEYED, VOID
-from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.review import (
     FIXED,
     HOLES,
@@ -100,7 +100,11 @@ def _outlined(store: TileStore, row: ReviewRow, terrain: DeliveredTerrain) -> Re
     area = store.area(terrain.area)
     around = shapely.from_wkb(row.shape)
     edges = np.rint(np.array(around.bounds) * COUNTS_PER_UNIT).astype(int).tolist()
-    blocks = list(terrain.spec.blocks_within(Bounds(*edges), BLOCK_PIXELS))
+    blocks = [
+        block
+        for block in terrain.spec.blocks_within(Bounds(*edges), BLOCK_PIXELS)
+        if shapely.intersects(around, shapely.box(*_edges(terrain.spec, block)))
+    ]
     if len(blocks) > MOST_BLOCKS:
         return replace(row, action="", remedy="; ".join(filter(None, (row.remedy, COARSE))))
     pieces = [np.empty(0, object)]
@@ -120,6 +124,11 @@ def _outlined(store: TileStore, row: ReviewRow, terrain: DeliveredTerrain) -> Re
     polygons = [part for part in shapely.get_parts(exact) if part.geom_type == "Polygon"]
     shape = shapely.normalize(shapely.MultiPolygon(polygons)).simplify(0.0)
     return replace(row, shape=shapely.to_wkb(shape, hex=True))
+
+
+def _edges(spec: RasterSpec, block: Block) -> npt.NDArray[np.float64]:
+    """Return west, south, east and north of a block in units of the CRS."""
+    return np.array(spec.block_bounds(block).to_json()) / COUNTS_PER_UNIT
 
 
 def _style() -> dict[str, npt.NDArray[Any]]:

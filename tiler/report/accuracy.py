@@ -68,7 +68,7 @@ def read_measured(out: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any
         accuracy_content(*((measured, {}) if name == CHECK else ({}, measured)))
     except (OSError, ValueError) as error:
         return {"unreadable": f"{name}: {error}"}
-    except (KeyError, TypeError, AttributeError, OverflowError) as error:
+    except (KeyError, TypeError, AttributeError, ArithmeticError) as error:
         fault = f"was not written by this version of tiler ({type(error).__name__}: {error}); measure again"
         return {"unreadable": f"{name}: {fault}"}
     dtms = [p for p in (out / file for file in raster_places(run, "dtm")) if p.is_file()]
@@ -168,6 +168,8 @@ def changes_text(against: Mapping[str, Any]) -> str:
         f"{_percent(changed / pixels)} of {counted(pixels, 'pixel')} changed by {limit:g} m or more, "
         f"in {counted(against['number_of_places'], 'place')}"
     )
+    if against["scattered_pixels"]:
+        text += f", {counted(against['scattered_pixels'], 'pixel')} of them scattered between places"
     if against["only_new"]:
         text += f"; {counted(against['only_new'], 'pixel')} had no earlier height"
     if against["only_old"]:
@@ -296,7 +298,8 @@ def _changes(found: Mapping[str, Any]) -> Node:
     ]
     figures = table(("pixels of", "number", *SPREAD.values()), rows, range(1, len(SPREAD) + 2))
     places = table(CHANGE_HEADINGS, places_of(found, MAX_ROWS), range(len(CHANGE_HEADINGS)))
-    return el("div", heading, figures, el("p", changes_text(found)), places)
+    notes = (el("p", note, class_="quiet") for note in found["notes"])
+    return el("div", heading, figures, el("p", changes_text(found)), places, *notes)
 
 
 def _requirements(found: list[Mapping[str, Any]]) -> Node:

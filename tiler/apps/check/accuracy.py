@@ -261,33 +261,32 @@ def between_centres(raster: Any, columns: Floats, rows: Floats) -> Floats:
     more than `MAX_WINDOW` pixels are divided.
     """
     # An integer is meant if only rounding separates a place from it.
-    rows, cols = (
+    down, across = (
         np.where(np.abs(places - np.rint(places)) < 1e-6, np.rint(places), places)
         for places in (rows - 0.5, columns - 0.5)
     )
     heights = np.full(rows.shape, np.nan)
     # A failed transformation gives infinity.
-    inside = (rows > -1) & (rows < raster.height) & (cols > -1) & (cols < raster.width)
+    inside = (down > -1) & (down < raster.height) & (across > -1) & (across < raster.width)
     if not inside.any():
         return heights
-    corner = [int(np.floor(places[inside].min())) for places in (rows, cols)]
+    down, across = down[inside], across[inside]
+    corner = [math.floor(places.min()) for places in (down, across)]
     size = [
-        int(np.floor(places[inside].max())) + 2 - first
-        for places, first in zip((rows, cols), corner, strict=True)
+        math.floor(places.max()) + 2 - first
+        for places, first in zip((down, across), corner, strict=True)
     ]
     if size[0] * size[1] > MAX_WINDOW and heights.size > 1:
         axis = int(np.argmax(heights.shape))
         halves = zip(
-            np.array_split(cols + 0.5, 2, axis),
-            np.array_split(rows + 0.5, 2, axis),
-            strict=True,
+            np.array_split(columns, 2, axis), np.array_split(rows, 2, axis), strict=True
         )
         return np.concatenate([between_centres(raster, *half) for half in halves], axis)
     read = read_heights(raster, *corner, *size)
-    row, col = rows[inside] - corner[0], cols[inside] - corner[1]
-    top, left = np.floor(row).astype(int), np.floor(col).astype(int)
-    down, across = row - top, col - left
-    total = np.zeros(row.size)
+    top, left = np.floor(down).astype(int), np.floor(across).astype(int)
+    down, across = down - top, across - left
+    top, left = top - corner[0], left - corner[1]
+    total = np.zeros(top.size)
     for below, by_row in ((0, 1 - down), (1, down)):
         for right, by_col in ((0, 1 - across), (1, across)):
             weight = by_row * by_col

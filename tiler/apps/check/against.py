@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import pairwise
@@ -32,13 +33,17 @@ from tiler.apps.evaluate.rasters import (
     vertical_unit,
 )
 from tiler.apps.results import Against, ChangeFigures, ChangePlace
-from tiler.core.crs import same_horizontal, split, vertical_name
+from tiler.core.crs import same_horizontal, split
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError
+from tiler.io.locations import is_url, joined
+from tiler.io.result_folder import read_run
 
 CELL_PIXELS, MAX_CELLS = 4, 2048
 """Least side in pixels of the cells into which changes are collected, and largest number of cells along a side."""
+LEAST_SHARE = 16
+"""A cell belongs to a place if at least one of so many pixels changed. Otherwise noise would join places."""
 MAX_PLACES = 100
 """Number of places that are listed, those with the largest volume of change."""
 
@@ -51,6 +56,12 @@ class AgainstOptions(NamedTuple):
     old: Path
     change_m: float
     difference: Path | None
+
+
+def pixels_of(dtm: Path) -> int:
+    """Return the number of pixels of a raster, or raise InputError if it cannot be read."""
+    with open_raster(dtm) as raster:
+        return int(raster.width * raster.height)
 
 
 def compare(dtm: Path, options: AgainstOptions) -> Against:
@@ -70,30 +81,31 @@ def compare(dtm: Path, options: AgainstOptions) -> Against:
     InputError
         A raster cannot be read.
     ConfigError
-        The heights refer to different vertical datums, or the rasters do not overlap. Or the raster of differences
-        would replace one of them.
+        The new DTM has no square pixels along the axes of a projected CRS, the heights refer to different vertical
+        datums, or the rasters do not overlap.
     ProcessingError
         The raster of differences cannot be written.
     """
     old, change_m, difference = options
-    validate_targets(difference, None, (), (), (dtm, old))
     with ExitStack() as stack:
         new_raster = stack.enter_context(open_raster(dtm))
-        old_source = stack.enter_context(open_raster(old))
-        _check_datums(dtm, new_raster, old, old_source)
-        move = _transformer(dtm, new_raster, old, old_source)
-        beside = raster_beside(dtm, "mask")
-        mask = None if beside is None else stack.enter_context(open_raster(beside))
+        old_raster = stack.enter_context(open_raster(old))
+        _check_pixels(dtm, new_raster)
+        _check_datums(dtm, new_raster, old, old_raster)
+        move = _transformer(dtm, new_raster, old, old_raster)
+        mask = _mask_beside(dtm, new_raster, stack)
         write = stack.enter_context(
             difference_writer(difference, new_raster, "DTM minus earlier DTM")
         )
         unit = vertical_unit(new_raster)
         tally = _Tally(new_raster, change_m / float(unit))
-        factor = float(vertical_unit(old_source) / unit)
-        for row, col, height, width in blocks_with_files(new_raster):
+        factor = float(vertical_unit(old_raster) / unit)
+        for row, col, height, width in blocks_with_files(
+            new_raster, *([] if move else [old_raster])
+        ):
             window = row, col, height, width
             new_heights = read_heights(new_raster, *window)
-            old_heights = factor * _heights_on(new_raster, window, old_source, move)
+            old_heights = factor * _heights_on(new_raster, window, old_raster, move)
             lies_in = None if mask is None else np.nan_to_num(read_heights(mask, *window))
             tally.add(row, col, new_heights, old_heights, lies_in)
             if write is not None:
@@ -103,6 +115,7 @@ def compare(dtm: Path, options: AgainstOptions) -> Against:
                 f"{dtm} and {old} have no pixel with heights in common; give a DTM of the same area"
             )
         places = tally.places()
+        notes = _notes(dtm, new_raster, old, old_raster, move)
     return {
         "old": str(old),
         "unit": unit_label(unit),
@@ -118,21 +131,89 @@ def compare(dtm: Path, options: AgainstOptions) -> Against:
         "by_source": {
             name: tally.figures(found) for name, found in tally.by_source.items() if found.n
         },
+        "scattered_pixels": tally.changed - sum(place["pixels"] for place in places),
         "places": places[:MAX_PLACES],
         "number_of_places": len(places),
         "difference": None if difference is None else str(difference),
+        "notes": notes,
     }
+
+
+def validate_difference(dtm: Path, options: AgainstOptions) -> None:
+    """Raise ConfigError if the raster of differences would replace a file that is read, or a result of a run."""
+    old, change_m, difference = options
+    if not change_m > 0:
+        raise ConfigError(f"--change {change_m:g}: must be above 0")
+    if difference is None:
+        return
+    if is_url(difference):
+        raise ConfigError(f"--difference {difference}: is a URL; give a file on this machine")
+    results = [
+        joined(str(raster.parent), name)
+        for raster in (dtm, old)
+        for name in (read_run(str(raster.parent)) or {}).get("outputs", ())
+    ]
+    validate_targets(difference, None, (), results, (dtm, old))
+
+
+def _check_pixels(dtm: Path, raster: Any) -> None:
+    """Raise ConfigError if areas and slopes of a raster cannot be measured."""
+    t = raster.transform
+    if raster.crs and raster.crs.is_geographic:
+        raise ConfigError(f"{dtm} is in degrees; bring it into a projected CRS (gdalwarp)")
+    if t.b or t.d or not math.isclose(abs(t.a), abs(t.e), rel_tol=1e-6):
+        raise ConfigError(
+            f"{dtm} has pixels that are rotated or not square; give a DTM with square pixels along the axes"
+        )
+
+
+def _mask_beside(dtm: Path, raster: Any, stack: ExitStack) -> Any | None:
+    """Return the open mask of a run's DTM, or None if there is none on the same pixels."""
+    path = raster_beside(dtm, "mask")
+    mask = None if path is None else stack.enter_context(open_raster(path))
+    same = mask is not None and (mask.shape, mask.transform) == (raster.shape, raster.transform)
+    return mask if same else None
 
 
 def _check_datums(dtm: Path, new: Any, old_path: Path, old: Any) -> None:
     """Raise ConfigError if both rasters state a vertical datum and these differ."""
-    one, other = (
-        vertical_name(raster.crs.to_wkt()) if raster.crs else None for raster in (new, old)
-    )
-    if one is not None and other is not None and one != other:
+    one, other = (_vertical(raster) for raster in (new, old))
+    if one is not None and other is not None and _datum(one) != _datum(other):
         raise ConfigError(
-            f"{dtm} has heights of {one}, {old_path} of {other}; convert one of them (gdalwarp with both vertical CRS)"
+            f"{dtm} has heights of {one.name}, {old_path} of {other.name}; convert one of them "
+            "(gdalwarp with both vertical CRS)"
         )
+
+
+def _vertical(raster: Any) -> CRS | None:
+    return split(CRS.from_wkt(raster.crs.to_wkt()))[1] if raster.crs else None
+
+
+def _datum(crs: CRS) -> tuple[bool, str | None]:
+    """Return whether heights are above an ellipsoid, and the name of their datum. Units do not matter."""
+    return not crs.is_vertical, crs.datum.name if crs.datum else None
+
+
+def _notes(
+    dtm: Path, new: Any, old_path: Path, old: Any, move: Transformer | None
+) -> list[str]:
+    """Return what the comparison assumes."""
+    notes = []
+    without = [str(path) for path, raster in ((dtm, new), (old_path, old)) if not raster.crs]
+    if without:
+        notes.append(
+            f"{' and '.join(without)} without a CRS: assumed to be the same as that of the other DTM"
+        )
+    elif (_vertical(new) is None) != (_vertical(old) is None):
+        path = dtm if _vertical(new) is None else old_path
+        notes.append(
+            f"{path} has no vertical datum: assumed to be the same as that of the other DTM"
+        )
+    if move is not None:
+        notes.append(
+            "the earlier DTM is in another CRS: its positions were transformed, its heights are as they are"
+        )
+    return notes
 
 
 def _transformer(dtm: Path, new: Any, old_path: Path, old: Any) -> Transformer | None:
@@ -224,13 +305,16 @@ class _Tally:
         np.add.at(self._volumes, cells, np.abs(large))
         np.maximum.at(self._largest, cells, np.abs(large))
 
-    def figures(self, found: SpreadTally) -> ChangeFigures:
+    @staticmethod
+    def figures(found: SpreadTally) -> ChangeFigures:
         """Return the number of pixels and the statistics of their changes."""
         return {"pixels": found.n, **found.summary()}
 
     def places(self) -> list[ChangePlace]:
         """Return the places of change, connected cells with changed pixels, the largest volume first."""
-        labels, _ = scipy.ndimage.label(self._counts > 0, np.ones((3, 3)))
+        labels, _ = scipy.ndimage.label(
+            self._counts >= max(self._side**2 // LEAST_SHARE, 1), np.ones((3, 3))
+        )
         found = list(self._places(labels))
         return sorted(found, key=lambda place: (-place["volume_m3"], place["bounds"]))
 

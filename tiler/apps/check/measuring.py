@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.apps.check.accuracy import check_dtm
-from tiler.apps.check.against import AgainstOptions, compare
+from tiler.apps.check.against import AgainstOptions, compare, pixels_of, validate_difference
 from tiler.apps.check.consistency import seams_of, strip_differences
 from tiler.apps.check.figures import validate_figure_files, write_figures
 from tiler.apps.check.points import PointOptions, read_checkpoints
@@ -22,6 +22,9 @@ from tiler.errors import ConfigError, InputError
 from tiler.io.locations import joined, state_at
 from tiler.io.result_folder import raster_places, read_run
 from tiler.schedule import call_isolated, half_of_memory
+
+SECONDS, SECONDS_PER_PIXEL = 120.0, 1e-5
+"""Time that a comparison of rasters may take. It takes 0.2 to 0.6 s per million pixels."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +179,8 @@ def measure(
     ------
     TilerError
     """
+    if against is not None:
+        validate_difference(dtm, against)
     if figures is not None:
         if points is None:
             raise ConfigError("--figures draws checkpoints; give them with --points")
@@ -199,8 +204,15 @@ def measure(
         measured["strips"] = strip_differences(strips)
     if against is not None:
         rasters, memory_bytes = (dtm, against.old), half_of_memory()
+        pixels = call_isolated(pixels_of, dtm, paths=(dtm,), memory_bytes=memory_bytes)
         measured["against"] = call_isolated(
-            compare, dtm, against, paths=rasters, memory_bytes=memory_bytes
+            compare,
+            dtm,
+            against,
+            paths=rasters,
+            memory_bytes=memory_bytes,
+            seconds=SECONDS + pixels * SECONDS_PER_PIXEL,
+            remedy="give a part of the area, or copy the rasters to a faster disk",
         )
     if len(measured) == 1:
         raise ConfigError(

@@ -137,7 +137,7 @@ def validate_targets(
     clouds: Iterable[Path | str],
     rasters: Iterable[Path | str],
 ) -> None:
-    """Raise ConfigError if `tiler evaluate` would replace files that it reads, or foreign files.
+    """Raise ConfigError if a command would replace files that it reads, or foreign files.
 
     Parameters
     ----------

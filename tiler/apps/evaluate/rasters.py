@@ -71,6 +71,8 @@ def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[Non
 
 def raster_beside(dtm: Path | str, product: str) -> Path | None:
     """Return the raster of a product that a run wrote next to its DTM, or None."""
+    if is_url(dtm):
+        return None
     path = Path(dtm)
     run = read_run(str(path.parent))
     pairs = zip(raster_places(run, "dtm"), raster_places(run, product), strict=True)
@@ -161,6 +163,8 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
                 np.float64
             )
         heights[top - row : bottom - row, left - col : right - col] = part.filled(np.nan)
+        if (raster.scales[0], raster.offsets[0]) != (1.0, 0.0):
+            heights = heights * raster.scales[0] + raster.offsets[0]
     return heights
 
 

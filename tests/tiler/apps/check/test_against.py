@@ -144,6 +144,10 @@ def test_cells_of_large_rasters_are_larger(
     old = write_surface(tmp_path / "old.tif", tilted, side=160)
     new = write_surface(tmp_path / "new.tif", dug, side=160)
     found = compared(new, old)
+    # Cells of 40 pixels, in which the pit and the heap are few.
+    assert (found["places"], found["scattered_pixels"]) == ([], 76)
+    monkeypatch.setattr(against, "LEAST_SHARE", 1600)
+    found = compared(new, old)
     assert sum(place["pixels"] for place in found["places"]) == 76
 
 
@@ -172,9 +176,64 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="junk.tif"):
         compared(new, tmp_path / "junk.tif")
     with pytest.raises(ConfigError, match="--difference"):
-        compared(new, far, difference=new)
+        tiler.check(new, against=far, difference=new)
+    with pytest.raises(ConfigError, match="--change 0"):
+        tiler.check(new, against=far, change=0)
+    degrees = write_surface(tmp_path / "degrees.tif", tilted, size=1e-5, crs="EPSG:4326")
+    with pytest.raises(ConfigError, match="is in degrees"):
+        compared(degrees, new)
     with pytest.raises(ConfigError, match="give it with --against"):
         tiler.check(new, difference=tmp_path / "d.tif")
+
+
+def test_one_datum_in_two_units_is_compared_and_a_missing_one_noted(tmp_path: Path) -> None:
+    new = write_surface(tmp_path / "new.tif", tilted, crs="EPSG:6339+5703")
+    feet = write_surface(
+        tmp_path / "feet.tif",
+        lambda x, y: tilted(x, y) * 3937 / 1200,
+        crs="EPSG:6339+6360",
+        unit="US survey foot",
+    )
+    found = compared(new, feet)
+    assert found["all"]["max_abs"] < 1e-4
+    assert found["notes"] == []
+    plain = write_surface(tmp_path / "plain.tif", tilted, crs="EPSG:6339")
+    (note,) = compared(new, plain)["notes"]
+    assert note.startswith(f"{plain} has no vertical datum: assumed")
+    bare = write_surface(tmp_path / "bare.tif", tilted, crs=None)
+    (note,) = compared(new, bare)["notes"]
+    assert note.startswith(f"{bare} without a CRS: assumed")
+
+
+def test_heights_with_a_scale_are_read_as_heights(tmp_path: Path) -> None:
+    new = write_surface(tmp_path / "new.tif", tilted)
+    profile = {"driver": "GTiff", "width": 40, "height": 40, "count": 1, "dtype": "int32"}
+    with rasterio.open(new) as raster:
+        heights = raster.read(1)
+        profile |= {"crs": raster.crs, "transform": raster.transform, "nodata": -1}
+    old = tmp_path / "old.tif"
+    with rasterio.open(old, "w", **profile) as raster:
+        raster.write(np.rint(heights * 100 - 5000).astype(np.int32), 1)
+        raster.scales, raster.offsets = (0.01,), (50.0,)
+    assert compared(new, old)["all"]["max_abs"] < 0.0051
+
+
+def test_lost_sheets_count_as_lost(tmp_path: Path) -> None:
+    """Of a mosaic of 3,000 pixels only the first sheet was made again."""
+    old = write_surface(tmp_path / "old.tif", tilted, side=3000)
+    sheet = write_surface(tmp_path / "sheet.tif", tilted, side=100, south=2900)
+    vrt = tmp_path / "new.vrt"
+    vrt.write_text(
+        '<VRTDataset rasterXSize="3000" rasterYSize="3000"><SRS>EPSG:25832</SRS>'
+        "<GeoTransform>0, 1, 0, 3000, 0, -1</GeoTransform>"
+        '<VRTRasterBand dataType="Float32" band="1"><NoDataValue>-9999</NoDataValue><ComplexSource>'
+        f"<SourceFilename>{sheet}</SourceFilename><SourceBand>1</SourceBand>"
+        '<SrcRect xOff="0" yOff="0" xSize="100" ySize="100"/>'
+        '<DstRect xOff="0" yOff="0" xSize="100" ySize="100"/><NODATA>-9999</NODATA>'
+        "</ComplexSource></VRTRasterBand></VRTDataset>"
+    )
+    found = compared(vrt, old)
+    assert (found["all"]["pixels"], found["only_old"]) == (10_000, 3000 * 3000 - 10_000)
 
 
 def test_the_command_and_the_report_tell_the_changes(tmp_path: Path) -> None:
