@@ -124,11 +124,11 @@ def parse_sides(text: str | float | Fraction) -> Sides:
         length = parse_length(text)
         return Sides(length, length)
     sides = Sides(parse_length(width), parse_length(height))
-    if isinstance(sides.width, BareLength) and not isinstance(sides.height, BareLength):
-        return Sides(
-            parse_length(f"{width.strip()}{height.strip().lstrip('0123456789./ ')}"),
-            sides.height,
-        )
+    units = [side.strip().lstrip("0123456789./ ") for side in (width, height)]
+    if not units[0]:
+        return Sides(parse_length(width.strip() + units[1]), sides.height)
+    if not units[1]:
+        return Sides(sides.width, parse_length(height.strip() + units[0]))
     return sides
 
 

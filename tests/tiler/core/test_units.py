@@ -54,6 +54,8 @@ def test_texts_that_are_no_length_are_refused(text: str) -> None:
         ("1 X 1.25km", (1000, 1250)),
         ("1000ft x 1/2m", (1000 * FOOT, Fraction(1, 2))),
         ("5x10usft", (5 * US_SURVEY_FOOT, 10 * US_SURVEY_FOOT)),
+        ("1.5usft x 1/2", (Fraction(3, 2) * US_SURVEY_FOOT, US_SURVEY_FOOT / 2)),
+        ("1000ftx1250", (1000 * FOOT, 1250 * FOOT)),
     ],
 )
 def test_sides_are_one_length_or_two(text: str, sides: tuple[Fraction, Fraction]) -> None:

@@ -63,12 +63,25 @@ def assert_as_lazrs(records: np.ndarray, point_format: int) -> bytes:
     return layer
 
 
+def _of_one_class() -> bytes:
+    settings = bytes(lazrs.LazVlr.new_for_compression(6, 0).record_data())
+    return layers_of(compressed(records_of(6, 1), settings), settings, 1)[2]
+
+
+leaves_out_layers = pytest.mark.skipif(
+    _of_one_class() != b"",
+    reason="this lazrs writes layers of one class, which LASzip and newer ones leave out",
+)
+
+
+@leaves_out_layers
 @pytest.mark.parametrize("point_format", LAYERED)
 @pytest.mark.parametrize("n", [1, 2, 3, 50_000])
 def test_any_classes_and_returns(point_format: int, n: int) -> None:
     assert_as_lazrs(records_of(point_format, n), point_format)
 
 
+@leaves_out_layers
 @pytest.mark.parametrize("code", [0, 2, 255])
 def test_one_class_has_no_bytes(code: int) -> None:
     records = records_of(6, 1000)
@@ -106,6 +119,7 @@ def test_scanner_channels_have_their_own_models(run: int) -> None:
     assert assert_as_lazrs(records, 6) != separate
 
 
+@leaves_out_layers
 @given(
     points=st.lists(
         st.tuples(st.integers(0, 255), st.integers(0, 255), st.integers(0, 255)), min_size=1
@@ -160,6 +174,7 @@ def rewritten(header: LasHeader, classes: np.ndarray, step: int) -> tuple[bytes,
     return target.getvalue(), compressed(records, header.laz.record_data)
 
 
+@leaves_out_layers
 @pytest.mark.parametrize("point_format", LAYERED)
 @pytest.mark.parametrize(
     ("n", "chunk_points"), [(1, 50_000), (1000, 100), (1001, 100), (999, 100), (77, 1)]
@@ -189,6 +204,7 @@ def test_several_chunks_of_the_usual_size(make_cloud: Any) -> None:
         assert written == expected
 
 
+@leaves_out_layers
 def test_layers_of_one_class_get_classes(make_cloud: Any) -> None:
     def one_class(cloud: laspy.LasData) -> None:
         cloud.points.array["classification"] = 1
