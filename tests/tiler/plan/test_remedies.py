@@ -98,7 +98,7 @@ def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(
             r"--sheets 1,640 ft \(500 m\) is not a whole number of pixels of .* ft; use --sheets (.*) or another",
         ),
         (
-            {"sheets": "1000ftx500"},
+            {"sheets": "1000ftx500m"},
             r"--sheets 1,640 ft \(500 m\) is not a whole number .*; use --sheets (1000ftx1640ft) or another",
         ),
     ],
