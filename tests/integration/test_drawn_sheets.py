@@ -16,9 +16,10 @@ from shapely import affinity
 
 from tests.integration.test_sheets import plane
 from tests.invariants import clouds
-from tests.invariants.runs import do
+from tests.invariants.runs import do, settings
 from tests.tiler.io.vector.files import write
 from tiler.errors import ConfigError, InputError
+from tiler.plan import make_plan
 
 HOW = {"method": "keep", "ground_classes": "1", "water": "none", "products": "dtm,density"}
 EAST, NORTH, SIDE = 500_000.0, 5_400_000.0, 100.0
@@ -102,8 +103,21 @@ def test_rasters_are_cut_to_polygons(
         tmp_path / "out/sheets.gpkg", layer="dtm", columns=["location"]
     )
     assert set(columns[0]) == {f"dtm/dtm_{name}.tif" for name in SHEETS}
+    assert_voids_of_polygons(tmp_path / "out", SHEETS)
     assert file in (tmp_path / "out/report.html").read_text()
     assert do(cloud, tmp_path / "out", sheets=file, sheet_field="Blatt", **HOW).did_nothing
+
+
+def assert_voids_of_polygons(out: Path, sheets: dict[str, Any]) -> None:
+    """`void_percent` is the share of the pixels in the polygon, not in the bounds of the file, that have no value."""
+    fields = ["location", "void_percent"]
+    _, _, _, columns = pyogrio.raw.read(out / "sheets.gpkg", layer="dtm", columns=fields)
+    found = dict(zip(*columns, strict=True))
+    for name, shape in zip(sheets, polygons(*sheets.values()), strict=True):
+        with rasterio.open(out / f"dtm/dtm_{name}.tif") as sheet:
+            inside = shapely.contains_xy(shape, *centres(sheet))
+            void = 100 * (sheet.read(1)[inside] == sheet.nodata).mean()
+        assert found[f"dtm/dtm_{name}.tif"] == pytest.approx(void, abs=0.1)
 
 
 def test_another_polygon_makes_only_its_file_again(cloud: Path, tmp_path: Path) -> None:
@@ -158,6 +172,30 @@ def test_sheets_without_heights_are_not_written(cloud: Path, tmp_path: Path) -> 
     assert not result.warnings
 
 
+def test_names_far_from_the_survey_do_not_matter(cloud: Path, tmp_path: Path) -> None:
+    """National grids have thousands of sheets elsewhere: some without a name, some of a name that is also here."""
+    far = [(9000, 0), (9100, 0), (9100, 9)]
+    shapes = polygons(*SHEETS.values(), far, far)
+    columns = {"Blatt": np.array([*SHEETS, "A 1", ""], object)}
+    file = str(write(tmp_path / "s.gpkg", shapes, "Polygon", "EPSG:25832", columns))
+    result = do(cloud, tmp_path / "out", sheets=file, sheet_field="Blatt", **HOW)
+    assert {p.stem for p in (tmp_path / "out/dtm").iterdir()} == {f"dtm_{n}" for n in SHEETS}
+    assert not result.warnings
+
+
+def test_a_polygon_that_comes_twice_is_warned_of(cloud: Path, tmp_path: Path) -> None:
+    sheets = {**SHEETS, "again": SHEETS["3"]}
+    file = drawn(tmp_path / "sheets.gpkg", sheets)
+    result = do(cloud, tmp_path / "out", sheets=file, sheet_field="Blatt", **HOW)
+    assert {p.stem for p in (tmp_path / "out/dtm").iterdir()} == {f"dtm_{n}" for n in SHEETS}
+    assert "no file is written for again, which have the polygon" in result.warnings[-1]
+
+
+def test_a_grid_replaces_the_file_of_a_configuration(cloud: Path) -> None:
+    plan = make_plan([str(cloud)], settings(sheets="100", sheet_field="Blatt", **HOW))
+    assert "the sheets are a grid, so --sheet-field Blatt is not used" in plan.notes
+
+
 def test_sheets_in_another_crs_and_inside_an_area(
     cloud: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -200,12 +238,13 @@ def far_away(folder: Path) -> str:
         (given, {"sheet_field": "name"}, r"has no field 'name', its fields are blatt, year; give"),
         (given, {}, r"needs the field .* its fields are blatt, year; give --sheet-field"),
         (with_names("a", "b", "A"), {}, r"l0, feature 3: its Blatt 'A' is also that of feature 1"),
+        (with_names("\u00e9", "b", "E\u0301"), {}, "feature 3: its Blatt 'É' is also that of feature 1"),
         (with_names("a", "", "b"), {}, r"feature 2: its Blatt '' is empty"),
         (with_names("a", "b", "c/d"), {}, r"feature 3: its Blatt 'c/d' contains '/'"),
         (with_names("a", "b", "nul"), {}, r"feature 3: its Blatt 'nul' is the name of a device"),
         (with_names("a", "b", 201 * "c"), {}, r"feature 3: .* has more than 200 bytes"),
         (far_away, {}, r"no polygon contains a part of the clouds"),
-        (lambda folder: "100", {}, r"--sheet-field Blatt: names the sheets of a file; give"),
+        (lambda folder: None, {}, r"--sheet-field Blatt: names the sheets of a file; give"),
         (lambda folder: str(folder / "no.gpkg"), {}, r"no.gpkg: no such file"),
         (given, {"sheet_name": "{name}_{x_km:.1f}_{y_km:.1f}"}, "two sheets would have the name"),
     ],
@@ -213,7 +252,7 @@ def far_away(folder: Path) -> str:
 def test_what_cannot_be_sheets_is_refused_before_a_point_is_read(
     cloud: Path,
     tmp_path: Path,
-    make: Callable[[Path], str],
+    make: Callable[[Path], str | None],
     settings: dict[str, str],
     line: str,
 ) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from collections.abc import Iterable
 from pathlib import Path
 from string import Formatter
@@ -105,9 +106,9 @@ def product_names(text: str | None) -> dict[str, str]:
         if wrong:
             raise ConfigError(f"product_name {text!r}: {name!r} {wrong}; use another name")
         names[product] = name
-    folded = [name.lower() for name in names.values()]
+    every = [folded(name) for name in names.values()]
     for name in names.values():
-        if folded.count(name.lower()) > 1:
+        if every.count(folded(name)) > 1:
             raise ConfigError(
                 f"product_name {text!r}: several products have the name {name!r}; give each its own"
             )
@@ -131,7 +132,7 @@ def check_template(template: str, product: str = "dtm") -> str:
         raise ConfigError(
             f"sheet_name {template!r}: {error}; use a template like {DEFAULT}"
         ) from error
-    if len({name.lower() for name in names}) < len(names):
+    if len({folded(name) for name in names}) < len(names):
         raise ConfigError(
             f"sheet_name {template!r}: adjacent sheets would have the same name; use a template like {DEFAULT}"
         )
@@ -164,15 +165,20 @@ def fault_of_name(name: str) -> str:
     return fault
 
 
+def folded(name: str) -> str:
+    """Return a text that is equal for names that are the same on a disk that ignores case and the form of accents."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
 def validate_distinct_names(template: str, names: Iterable[str]) -> None:
-    """Raise ConfigError if two of the names are the same on a disk that ignores case."""
+    """Raise ConfigError if two of the names are the same on some disk."""
     seen: set[str] = set()
     for name in names:
-        if name.lower() in seen:
+        if folded(name) in seen:
             raise ConfigError(
                 f"--sheet-name {template}: two sheets would have the name {name}; use more digits"
             )
-        seen.add(name.lower())
+        seen.add(folded(name))
 
 
 def link_error(path: Path, option: str = "") -> ConfigError:

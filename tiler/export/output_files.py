@@ -181,12 +181,15 @@ class RasterFileRecord(FileRecord):
     ----------
     pixels, valid : int
         Number of all pixels, and of pixels with a value.
+    own : int
+        Number of pixels that belong to the file. Pixels beside the polygon of a drawn sheet do not.
     min, max, mean : float or None
         Statistics of the values. None if no pixel is valid.
     """
 
     pixels: int
     valid: int
+    own: int
     min: float | None
     max: float | None
     mean: float | None

@@ -120,12 +120,13 @@ def write_cog(
         The disk is full or the file cannot be written.
     """
     with new_file(to) as file:
-        statistics = _write(store, info, part, compress, clip, file.path)
+        statistics, own = _write(store, info, part, compress, clip, file.path)
     is_empty = statistics.n == 0
     return RasterFileRecord(
         **file.record.to_json(),
         pixels=part.spec.height * part.spec.width,
         valid=statistics.n,
+        own=own,
         min=None if is_empty else statistics.low,
         max=None if is_empty else statistics.high,
         mean=None if is_empty else statistics.mean,
@@ -139,34 +140,34 @@ def _write(
     compress: str,
     clip: StoredAreas | None,
     target: Path,
-) -> Statistics:
-    """Write a raster to a file on this machine."""
+) -> tuple[Statistics, int]:
+    """Write a raster to a file on this machine. Return its statistics and the number of pixels that belong to it."""
     plain = partial_path(target, "plain")
     partial = partial_path(target, "cog")
     with raster_errors(target):
         clear_partial(plain)
         clear_partial(partial)
     try:
-        statistics = _write_plain(store, info, part, clip, plain)
+        statistics, own = _write_plain(store, info, part, clip, plain)
         _copy_as_cog(plain, partial, compress, _product(info))
         _check(partial, part.spec)
         _publish(partial, target)
-        return statistics
+        return statistics, own
     finally:
         for scratch in (plain, partial, *target.parent.glob(f"{partial.name}.*")):
             with suppress(FileNotFoundError):
                 scratch.unlink()
 
 
-def _inside(
-    store: TileStore, part: RasterPart, clip: StoredAreas | None, block: Block
+def _in_sheet(
+    store: TileStore, spec: RasterSpec, clip: StoredAreas | None, block: Block
 ) -> npt.NDArray[np.bool_]:
-    """Return the mask of the pixels of a block in the requested area and in a drawn sheet."""
-    inside = part.spec.inside(block, store.area(part.area))
+    """Return the mask of the pixels of a block that belong to a drawn sheet, or of all pixels without one."""
+    mask = np.ones((block.height, block.width), np.bool_)
     for number, area in enumerate(store.areas(clip) if clip is not None else ()):
-        in_sheet = part.spec.inside(block, area)
-        inside &= in_sheet if number == 0 else ~in_sheet
-    return inside
+        inside = spec.inside(block, area)
+        mask &= inside if number == 0 else ~inside
+    return mask
 
 
 def _product(info: ProductInfo) -> Product:
@@ -183,10 +184,10 @@ def _write_plain(
     part: RasterPart,
     clip: StoredAreas | None,
     path: Path,
-) -> Statistics:
+) -> tuple[Statistics, int]:
     """Copy the raster block by block, row by row from the north-west."""
     spec = part.spec
-    statistics = Statistics()
+    statistics, own = Statistics(), 0
     nodata = PRODUCTS[info.product].nodata
     look = _raster_metadata(store.meta.frame, info)
     with plain_geotiff(
@@ -194,8 +195,10 @@ def _write_plain(
     ) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
             values = _read(store, part, block)
+            in_sheet = _in_sheet(store, spec, clip, block)
+            own += int(in_sheet.sum())
             if part.area is not None or clip is not None:
-                inside = _inside(store, part, clip, block)
+                inside = in_sheet & spec.inside(block, store.area(part.area))
                 values = np.where(inside, values, np.float32(part.fill))
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
@@ -205,7 +208,7 @@ def _write_plain(
                     )
                 raster.write(values, block.row, block.col)
         raster.tag_band({**look.meanings, **statistics.tags(spec.height * spec.width)})
-    return statistics
+    return statistics, own
 
 
 def _read(store: TileStore, part: RasterPart, block: Block) -> npt.NDArray[np.float32]:

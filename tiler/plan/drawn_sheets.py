@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import unicodedata
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tiler.core.drawn_sheets import DrawnSheet
-from tiler.core.file_names import LONGEST, fault_of_name
+from tiler.core.file_names import LONGEST, fault_of_name, folded
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.words import listed
 from tiler.errors import ConfigError, InputError
@@ -31,18 +32,14 @@ def with_drawn_sheets(plan: Plan) -> Plan:
     Raises
     ------
     ConfigError
-        A file is given without a field, or a field without a file.
+        A file is given without a field, or a field without sheets.
     InputError
         The file cannot be used, or the values of the field are not names.
     """
     config = plan.config
     file, field = config.sheet_file, config.sheet_field
     if file is None:
-        if field is not None:
-            raise ConfigError(
-                f"--sheet-field {field}: names the sheets of a file; give --sheets FILE as well"
-            )
-        return plan
+        return _without_file(plan)
     notes, warnings = list(plan.notes), list(plan.warnings)
     drawing = read_drawn(plan, Path(file), POLYGONS, False, notes, None)
     features = drawing.features
@@ -56,29 +53,53 @@ def with_drawn_sheets(plan: Plan) -> Plan:
         raise InputError(
             f"{file}: has no field {field!r}, {there}; give one of them with --sheet-field"
         )
-    names = _names(features, field)
-    drawn = [
-        DrawnSheet(name, area_in_counts(feature.place, [feature]))
-        for name, feature in zip(names, features, strict=True)
-    ]
+    areas = [area_in_counts(feature.place, [feature]) for feature in features]
     near = plan.inputs.extent.pad(REACH)
-    sheets = [sheet for sheet in drawn if sheet.area.touches(near)]
-    if not any(sheet.area.touches(plan.inputs.extent) for sheet in sheets):
+    here = [i for i, area in enumerate(areas) if area.touches(near)]
+    if not any(areas[i].touches(plan.inputs.extent) for i in here):
         west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
         raise InputError(
             f"{file}: no polygon contains a part of the clouds, which lie in ({west:.10g}, {south:.10g}) to "
             f"({east:.10g}, {north:.10g}); give polygons there"
         )
+    names = _names([features[i] for i in here], field)
+    sheets = [DrawnSheet(name, areas[i]) for name, i in zip(names, here, strict=True)]
     pixel = float(plan.frame.counts(plan.grid.resolution))
     sheets, wide = in_order(sheets, pixel)
+    warnings += _overlap_warnings(file, sheets, wide)
+    inputs = replace(plan.inputs, sheets=tuple(sheets))
+    return replace(plan, inputs=inputs, notes=tuple(notes), warnings=tuple(warnings))
+
+
+def _overlap_warnings(
+    file: str, sheets: Sequence[DrawnSheet], wide: Sequence[tuple[str, str]]
+) -> Iterator[str]:
+    """Yield warnings of pairs of sheets that overlap by more than a pixel, and of polygons that repeat."""
     if wide:
         pairs = listed([f"{a} and {b}" for a, b in wide], 2, "pairs")
-        warnings.append(
+        yield (
             f"{file}: sheets overlap by more than a pixel ({pairs}); pixels of both are in the one that is first in "
             "the file"
         )
-    inputs = replace(plan.inputs, sheets=tuple(sheets))
-    return replace(plan, inputs=inputs, notes=tuple(notes), warnings=tuple(warnings))
+    again = [sheet.name for sheet in sheets if sheet.area.key in sheet.earlier]
+    if again:
+        yield (
+            f"{file}: no file is written for {listed(again, 2, 'sheets')}, which have the polygon of an earlier sheet; "
+            "remove what is there twice"
+        )
+
+
+def _without_file(plan: Plan) -> Plan:
+    """Return the plan without drawn sheets, with a note if the field is not used. Raise ConfigError without sheets."""
+    config = plan.config
+    if config.sheet_field is None:
+        return plan
+    if config.sheets is None:
+        raise ConfigError(
+            f"--sheet-field {config.sheet_field}: names the sheets of a file; give --sheets FILE as well"
+        )
+    note = f"the sheets are a grid, so --sheet-field {config.sheet_field} is not used"
+    return replace(plan, notes=(*plan.notes, note))
 
 
 def _names(features: Sequence[Feature], field: str) -> list[str]:
@@ -89,19 +110,19 @@ def _names(features: Sequence[Feature], field: str) -> list[str]:
         value = feature.attributes.get(field.lower())
         if isinstance(value, float) and value.is_integer():
             value = int(value)
-        name = "" if value is None else str(value)
+        name = "" if value is None else unicodedata.normalize("NFC", str(value))
         fault = fault_of_name(name)
         if not name.strip():
             fault = "is empty"
         elif len(name.encode()) > LONGEST:
             fault = f"has more than {LONGEST} bytes"
-        elif not fault and name.lower() in places:
-            fault = f"is also that of {places[name.lower()]}"
+        elif not fault and folded(name) in places:
+            fault = f"is also that of {places[folded(name)]}"
         if fault:
             raise InputError(
                 f"{feature.place}: its {field} {name!r} {fault}; give each sheet a name of its own that files may have"
             )
-        places[name.lower()] = feature.place.rpartition(", ")[2]
+        places[folded(name)] = feature.place.rpartition(", ")[2]
         names.append(name)
     return names
 

@@ -161,7 +161,7 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
         if part.whole is not None and task.key in written:
             record = RasterFileRecord.of(written[task.key][1])
             path = f"{product}/{values['to'].name}"
-            void = 100 * (1 - record.valid / record.pixels)
+            void = 100 * (1 - record.valid / max(record.own, 1))
             sheet_files.append(
                 SheetFile(product, path, part.spec, void, record.min, record.max)
             )
