@@ -44,6 +44,7 @@ COMMANDS = {
     "evaluate": "Score classes or a DTM against reference data.",
     "check": "Measure accuracy, seams, strip alignment and changes of a DTM.",
     "report": "Update OUT/report.html with the latest measurements.",
+    "review": "Write a page with a card for each of the first places to review.",
     "deliver": "Copy the results of a run into a folder with a manifest.",
     "verify": "Compare a delivered folder with its manifest.",
     "clean": "Delete temporary data that later runs do not need.",

@@ -83,6 +83,7 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
             str(out / "figures"),
         ],
         "report": ["report", str(done)],
+        "review": ["review", str(done), "--page", str(out / "review.html")],
         "deliver": ["deliver", str(done), "--to", str(out / "delivery")],
         "verify": ["verify", str(folder / "delivery")],
         "clean": ["clean", str(done)],

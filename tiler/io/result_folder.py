@@ -33,6 +33,8 @@ BRIDGES = "bridges.gpkg"
 """Bridge decks that were left out of the terrain."""
 REVIEW = "review.gpkg"
 """Places to review, with the status that a user gives them."""
+REVIEW_PAGE = "review.html"
+"""Page of `tiler review`."""
 SHEETS = "sheets.gpkg"
 """Outlines of the sheets, if products are cut into sheets."""
 LEGEND = ".aux.xml"
@@ -68,6 +70,7 @@ RESULTS = (
     WATER,
     BRIDGES,
     REVIEW,
+    REVIEW_PAGE,
     SHEETS,
     CLASSIFIED,
     STAC,

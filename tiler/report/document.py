@@ -100,7 +100,14 @@ def section(name: str, title: str, *children: Content, heading: str = "h2") -> N
     )
 
 
-def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, Any]) -> bytes:
+def page(
+    title: str,
+    header: Node,
+    sections: Sequence[Node],
+    data: Mapping[str, Any],
+    script_name: str = "page.js",
+    maker: str = "tiler",
+) -> bytes:
     """Return the whole file as bytes.
 
     Parameters
@@ -111,6 +118,10 @@ def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, 
         Sections of `section`.
     data : mapping
         Data for the script of the page, embedded as JSON.
+    script_name : str
+        File of the script.
+    maker : str
+        Name of the program, or of the command.
 
     Returns
     -------
@@ -119,12 +130,16 @@ def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, 
     """
     assets = files("tiler.report")
     style = (assets / "page.css").read_text("utf-8")
-    script = (assets / "page.js").read_text("utf-8")
+    script = (assets / script_name).read_text("utf-8")
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "
         "base-uri 'none'; form-action 'none'"
     )
-    links = (el("a", part[0].text, href=f"#{part.get('id')}") for part in sections)
+    links = [
+        el("a", part[0].text, href=f"#{part.get('id')}")
+        for part in sections
+        if len(sections) > 1
+    ]
     contents = el("nav", *links, aria_label="Contents")
     # Browsers do not unescape the text of a script element, so it must not contain "<".
     embedded = Node("script", {"type": "application/json", "id": "data"})
@@ -140,10 +155,11 @@ def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, 
             el("meta", name="viewport", content="width=device-width, initial-scale=1"),
             el("meta", name="color-scheme", content="light dark"),
             el("meta", name="referrer", content="no-referrer"),
+            el("meta", name="generator", content=maker),
             el("title", title),
             look,
         ),
-        el("body", header, contents, el("main", *sections), embedded, code),
+        el("body", header, contents if links else None, el("main", *sections), embedded, code),
         lang="en",
     )
     markup: bytes = ElementTree.tostring(root, encoding="utf-8", method="html")

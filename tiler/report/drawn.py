@@ -163,7 +163,7 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
     ]
     # Banks may be cliffs, and land next to a raised canal lies below its water. So heights far
     # from the water are not drawn.
-    low, high = _span([s["level"] for s in stations], [z for _, z in banks])
+    low, high = height_range([s["level"] for s in stations], [z for _, z in banks])
     length = max(float(stations[-1]["along"]), 1e-9)
 
     def across(along: float) -> float:
@@ -184,7 +184,7 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
         if s["seen"]
     ]
     title = el("title", f"Level of {body['kind']} {body['number']} along its flow")
-    frame = [*_heights(low, high, down), *_lengths(length, across)]
+    frame = [*height_lines(low, high, down), *length_marks(length, across)]
     box = f"0 0 {WIDTH} {HEIGHT}"
     picture = el(
         "svg",
@@ -220,7 +220,7 @@ def _caption(body: Mapping[str, Any], stations: Sequence[Station], unit: str) ->
     )
 
 
-def _span(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float]:
+def height_range(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float]:
     """Return the lowest and highest height of a picture."""
     low, high = min(levels), max(levels)
     margin = max(high - low, MIN_RANGE)
@@ -230,7 +230,7 @@ def _span(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float
     return low - pad, high + pad
 
 
-def _heights(low: float, high: float, down: Scale) -> list[Node]:
+def height_lines(low: float, high: float, down: Scale) -> list[Node]:
     """Draw lines across the picture at round heights."""
     nodes, digits = [], 2 if high - low < LINES_ACROSS else 0
     for z in round_steps(low, high, LINES_ACROSS):
@@ -240,7 +240,7 @@ def _heights(low: float, high: float, down: Scale) -> list[Node]:
     return nodes
 
 
-def _lengths(length: float, across: Scale) -> list[Node]:
+def length_marks(length: float, across: Scale) -> list[Node]:
     """Draw short lines below the picture at round lengths."""
     nodes = []
     for along in round_steps(0.0, length, LINES_ALONG):

@@ -144,7 +144,7 @@ def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
     """
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         heights = _read(dtm, longer, Resampling.average)
-        return _hillshade(heights, _extent(dtm), run)
+        return hillshade(heights, _extent(dtm), run)
 
 
 def _each(
@@ -152,7 +152,7 @@ def _each(
 ) -> Iterator[Picture]:
     """Yield the pictures one after another, so that only one is in memory."""
     heights = _read(rasters["dtm"], longer, Resampling.average)
-    yield _hillshade(heights, extent, run)
+    yield hillshade(heights, extent, run)
     yield _heights(heights, run)
     del heights
     if "density" in rasters:
@@ -234,7 +234,7 @@ def _strips(rows: int) -> Iterator[slice]:
         yield slice(first, min(first + STRIP_ROWS, rows))
 
 
-def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Picture:
+def hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Picture:
     """Draw a hillshade of the decimated heights, as details smaller than a pixel of the picture are not visible."""
     west, south, east, north = extent
     metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -10,8 +11,12 @@ from typing import Any
 
 import pytest
 
+from tests.integration.test_review import cloud as cloud
+from tests.integration.test_review import reviewed as reviewed
+from tests.integration.test_review_page import decided
 from tests.tiler.report import results
 from tests.waiting import PATIENCE_SECONDS
+from tiler.apps.review import write_review_page
 from tiler.report.html import write_report
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -218,3 +223,42 @@ def test_a_run_without_rasters_has_a_map_too(opened: Any) -> None:
     page = opened({**run_of_many_tiles(), "outputs": {}})
     assert painted(page) > 0.1
     assert page.locator("#choose-picture").count() == 0
+
+
+def test_places_are_decided_by_keyboard_and_saved(
+    browser: Any, reviewed: Path, tmp_path: Path
+) -> None:
+    """What the page saves is what a run reads: outlines as they are, statuses, edits, heights and notes."""
+    written = Path(write_review_page(reviewed, page_path=tmp_path / "review.html").page)
+    page = browser.new_page(viewport={"width": 400, "height": 900}, accept_downloads=True)
+    page.set_default_timeout(PATIENCE_MS)
+    told: list[str] = []
+    page.on("console", lambda message: told.append(message.text))
+    page.on("pageerror", lambda error: told.append(str(error)))
+    page.goto(written.as_uri())
+    page.wait_for_selector(READY, state="attached")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.keyboard.press("s")
+    assert page.locator("#saved").inner_text() == "No place is decided."
+    for key in "nfno":
+        page.keyboard.press(key)
+    assert page.locator("#decided").inner_text() == "2 of 2 decided"
+    first = page.locator("#place-1")
+    first.locator("select").select_option("flat")
+    page.keyboard.press("Escape")
+    page.locator("#save").click()
+    assert first.locator("output").inner_text() == "Give the height."
+    first.locator("input[name=z]").fill("31.5")
+    first.locator("input[name=note]").fill("snof")  # letters of a note are no keys
+    with page.expect_download() as saved:
+        page.locator("#save").click()
+    saved.value.save_as(tmp_path / "saved.geojson")
+    content = json.loads((tmp_path / "saved.geojson").read_text())
+    expected = json.loads(decided(written, "fixed", "ok").read_text())
+    for feature, note, z, action in zip(
+        expected["features"], ("snof", ""), (31.5, None), ("flat", "void"), strict=True
+    ):
+        feature["properties"] |= {"note": note, "z": z, "action": action}
+    assert content == expected
+    page.close()
+    assert told == []

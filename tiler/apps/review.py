@@ -1,0 +1,200 @@
+"""Command `tiler review`: the first places to review of a run as cards of one page, on which the user decides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pyproj import CRS
+
+from tiler.apps.check import terrain_in
+from tiler.apps.evaluate.rasters import raster_named
+from tiler.core.crs import split
+from tiler.core.review import OPEN, is_place
+from tiler.core.words import counted
+from tiler.errors import ConfigError, InputError, write_error
+from tiler.io.atomic_files import write_atomic
+from tiler.io.locations import is_url, joined
+from tiler.io.overwrite_check import Target, check_links, check_targets
+from tiler.io.result_folder import REVIEW, REVIEW_PAGE, STORE, read_run
+from tiler.io.vector import CUT, POLYGONS, Feature
+from tiler.io.vector.reading import read_features
+from tiler.report.cards import Card, card, decisions
+from tiler.report.document import el, page, section
+from tiler.report.places import read_cards
+from tiler.schedule import call_isolated, half_of_memory
+
+SECONDS, SECONDS_PER_PLACE = 60.0, 20.0
+"""Time that reading may take. It takes 0.1 to 2 s per place."""
+IS_OURS = b'content="tiler review"'
+"""Text in the head of each page, by which it may be replaced."""
+HEAD_BYTES = 8192
+
+
+@dataclass(frozen=True)
+class ReviewPage:
+    """Page that was written: its path, or an empty text if no place is open, and numbers of places shown and open."""
+
+    page: str
+    shown: int
+    open: int
+
+
+def write_review_page(
+    out: str | Path,
+    places: int = 50,
+    page_path: str | Path | None = None,
+    store_url: str | None = None,
+) -> ReviewPage:
+    """Write a page with a card for each of the first open places of a run.
+
+    Parameters
+    ----------
+    out : path
+        Folder of the run.
+    places : int
+        Largest number of cards.
+    page_path : path, optional
+        File of the page. The default is ``review.html`` in ``out``.
+    store_url : str, optional
+        Location of the store, whose points the sections show. The default is the one in the ``run.json``, or
+        ``store.zarr`` in the folder.
+
+    Raises
+    ------
+    ConfigError
+        The folder or the page cannot be used.
+    InputError
+        The folder has no results with places to review, or a file cannot be read.
+    ProcessingError
+        The page cannot be written.
+    """
+    if is_url(str(out)):
+        raise ConfigError(f"{out}: is a URL; copy the folder to this machine and give the copy")
+    run = read_run(str(out))
+    if run is None:
+        raise InputError(f"{out}: has no results of a run; give the OUT of a run")
+    source, target = Path(out, REVIEW), Path(page_path or Path(out, REVIEW_PAGE))
+    _validate_page(target, source)
+    if not source.is_file():
+        raise InputError(f"{source}: no such file; run again, which lists the places to review")
+    dtm = terrain_in(str(out))
+    features, crs = call_isolated(_open_places, source, paths=(source,), smaller=CUT)
+    if not features:
+        return ReviewPage("", 0, 0)
+    first = features[:places]
+    with raster_named(dtm):
+        cards = call_isolated(
+            read_cards,
+            first,
+            dtm,
+            run,
+            _store_of(out, run, store_url),
+            paths=(Path(dtm),),
+            memory_bytes=half_of_memory(),
+            seconds=SECONDS + SECONDS_PER_PLACE * len(first),
+            remedy="give fewer places with --places",
+        )
+    content = _page(Path(out), run, cards, len(features), crs)
+    try:
+        write_atomic(target, content)
+    except OSError as error:
+        raise write_error(str(target), error, target.parent) from error
+    return ReviewPage(str(target), len(cards), len(features))
+
+
+def _validate_page(target: Path, source: Path) -> None:
+    """Raise ConfigError if the page would replace a file that is not an earlier page."""
+    check_targets([Target("--page", target, (".html",))], [source])
+    check_links("--page", target.parent, [target.name])
+    try:
+        with target.open("rb") as stream:
+            is_earlier = IS_OURS in stream.read(HEAD_BYTES)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise ConfigError(
+            f"--page {target}: cannot be read ({error.strerror}); give another file"
+        ) from error
+    if not is_earlier:
+        raise ConfigError(
+            f"--page {target}: exists and is not a page of this command; give another file"
+        )
+
+
+def _store_of(out: str | Path, run: Mapping[str, Any], store_url: str | None) -> str:
+    configured = run.get("configuration")
+    if not store_url and isinstance(configured, dict):
+        store_url = configured.get("store")
+    return str(store_url or joined(str(Path(out).resolve()), STORE))
+
+
+def _open_places(path: Path) -> tuple[list[Feature], str | None]:
+    """Return the open places of a file by their rank, and their CRS."""
+    found = read_features(path, POLYGONS, every_layer=True, may_be_empty=True)
+    rows = [
+        feature
+        for feature in found.features
+        if is_place(feature.layer, feature.attributes)
+        and str(feature.attributes.get("status") or "").strip().lower() == OPEN
+    ]
+    return sorted(rows, key=_rank), found.crs
+
+
+def _rank(feature: Feature) -> float:
+    rank = feature.attributes.get("rank")
+    return float(rank) if isinstance(rank, int | float) else math.inf
+
+
+def _page(
+    out: Path, run: Mapping[str, Any], cards: list[Card], number: int, crs: str | None
+) -> bytes:
+    title = f"Places to review of {out.resolve().name}"
+    text = (
+        f"{counted(number, 'place')} of the run written {run.get('written', 'at an unknown time')} (UTC) "
+        f"{'is' if number == 1 else 'are'} open, the most serious first. "
+        "Decide on each, save the decisions, and run again with --edits and the saved file."
+    )
+    keys = "Keys: n next, p previous, o right, f change it, u open, s save."
+    header = el(
+        "header",
+        el("h1", title),
+        el("p", text, class_="lead"),
+        el("p", keys, class_="quiet") if crs else None,
+    )
+    bar = el(
+        "div",
+        el("output", f"0 of {len(cards)} decided", id="decided"),
+        el("button", "Save decisions", id="save", type="button"),
+        el("output", "", id="saved"),
+        class_="saving",
+    )
+    if crs is None:
+        bar = el(
+            "p",
+            "The clouds have no CRS, without which this page cannot save polygons: decide in review.gpkg.",
+            class_="warning",
+        )
+    places = section("places", "Places", bar, *(card(place, run) for place in cards))
+    return page(
+        title,
+        header,
+        [places],
+        decisions(cards, crs_name_in_geojson(crs)),
+        "review.js",
+        "tiler review",
+    )
+
+
+def crs_name_in_geojson(crs: str | None) -> str | None:
+    """Return the name of a CRS for a GeoJSON file: its code if it has one, else its WKT."""
+    if crs is None:
+        return None
+    horizontal = split(CRS.from_user_input(crs))[0]
+    if horizontal is None:
+        return None
+    code = horizontal.to_authority(min_confidence=100)
+    return ":".join(code) if code else str(horizontal.to_wkt())

@@ -1,0 +1,316 @@
+"""Cards of places to review: what the terrain is there, what it would be after the suggested edit, a section of points.
+
+`tiler.apps.review` reads the values of a card. Pictures are PNGs in the page, sections and outlines are SVGs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.edits import ACTIONS, FLAT
+from tiler.core.review import FIXED, OK, OPEN
+from tiler.core.units import length_text, short_unit, small_area_text
+from tiler.report.document import Content, Node, el, facts
+from tiler.report.drawn import (
+    BOTTOM,
+    HEIGHT,
+    LEFT,
+    RIGHT,
+    TOP,
+    WIDTH,
+    height_lines,
+    height_range,
+    length_marks,
+)
+from tiler.report.pictures import Extent, hillshade
+
+GROUND_COLOUR, OTHER_COLOUR, AFTER_COLOUR = "#b0722a", "#2f7fd0", "#d1341f"
+TITLES = {OPEN: "open (u)", OK: "right as it is (o)", FIXED: "change it (f)"}
+"""Texts of the decisions, with their keys."""
+CLIPPED_PERCENT = 1.0
+"""Percentage of the points at either end of the heights that a section may leave out."""
+
+Floats = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section through a place, with positions along it in units of the CRS and heights in those of the terrain.
+
+    Attributes
+    ----------
+    length : float
+    at : float64, shape (n,)
+        Positions at which the terrain is known.
+    before, after : float64, shape (n,)
+        Heights of the terrain and those that the suggested edit changes, NaN where there is none. ``after`` is None if
+        it changes none.
+    inside : bool, shape (n,)
+        Whether the position lies in the place.
+    ground, others : float64, shape (2, m)
+        Position and height of the points near the section.
+    width : float
+        Width of the strip of these points, 0 if no points are known.
+    """
+
+    length: float
+    at: Float64s
+    before: Float64s
+    after: Float64s | None
+    inside: npt.NDArray[np.bool_]
+    ground: Float64s
+    others: Float64s
+    width: float
+
+
+@dataclass(frozen=True)
+class Card:
+    """Place to review, with what its card shows.
+
+    Attributes
+    ----------
+    columns : mapping
+        Columns of `review.gpkg`.
+    outline : tuple of float64, shape (n, 2)
+        Rings in units of the CRS.
+    ends : float64, shape (2, 2)
+        Both ends of the section in units of the CRS.
+    geometry : str or None
+        Polygons as GeoJSON, or None if they have too many corners for a page.
+    extent : tuple of float
+        West, south, east and north of the pictures.
+    before, after : float32, shape (rows, columns)
+        Heights, NaN where there is none. ``after`` is None without a suggested edit that can be shown.
+    section : Section
+    """
+
+    columns: Mapping[str, Any]
+    outline: tuple[Float64s, ...]
+    ends: Float64s
+    geometry: str | None
+    extent: Extent
+    before: Floats
+    after: Floats | None
+    section: Section
+
+
+def card(place: Card, run: Mapping[str, Any]) -> Node:
+    """Return the card of a place as an element of a page."""
+    columns, number = place.columns, int(place.columns["rank"])
+    metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
+    wide, high = metres["horizontal"], metres["vertical"]
+    stake, area = columns.get("stake_m"), columns.get("area_m2")
+    west, south, east, north = place.extent
+    known = facts(
+        {
+            "height at stake": None if stake is None else length_text(round(stake, 2), high),
+            "area": None if area is None else small_area_text(area, wide),
+            "middle": f"{(west + east) / 2:,.0f}, {(south + north) / 2:,.0f}",
+            "sheet": columns.get("sheet") or None,
+        }
+    )
+    figures = [_picture(place, place.before, run, "terrain")]
+    if place.after is not None:
+        figures.append(_picture(place, place.after, run, f"with the edit {columns['action']}"))
+    remedy = columns.get("remedy")
+    return el(
+        "article",
+        el("h3", f"{number}. {columns.get('reason') or 'place'}"),
+        el("p", columns.get("why") or ""),
+        el("p", remedy, class_="quiet") if remedy else None,
+        known,
+        el("div", *figures, _section(place.section, short_unit(high), wide), class_="views"),
+        _form(number, columns, place.geometry is not None, short_unit(high)),
+        class_="place",
+        id=f"place-{number}",
+        tabindex=-1,
+    )
+
+
+def _form(number: int, columns: Mapping[str, Any], can_be_fixed: bool, unit: str) -> Node:
+    """Return the controls with which the user decides."""
+    if not can_be_fixed:
+        text = "This outline has too many corners for a page: decide in review.gpkg."
+        return el("p", text, class_="warning")
+    choices: list[Content] = [
+        el(
+            "label",
+            el("input", type="radio", name=f"status-{number}", value=status),
+            f" {title}",
+        )
+        for status, title in TITLES.items()
+    ]
+    suggested = columns.get("action") or ""
+    options = [
+        el("option", action or "(none)", value=action, **_selected(action == suggested))
+        for action in ("", *ACTIONS)
+    ]
+    z = columns.get("z")
+    height = {} if z is None else {"value": f"{z:g}"}
+    return el(
+        "fieldset",
+        el("legend", "Decision"),
+        *choices,
+        el("label", "edit ", el("select", *options, name="action")),
+        el(
+            "label",
+            f"height for {FLAT}, {unit} ",
+            el("input", type="number", step="any", name="z", size=8, **height),
+        ),
+        el("label", "note ", el("input", type="text", name="note", maxlength=200)),
+        el("output", "", class_="bad"),
+    )
+
+
+def _selected(is_selected: bool) -> dict[str, str]:
+    return {"selected": "selected"} if is_selected else {}
+
+
+def _picture(place: Card, heights: Floats, run: Mapping[str, Any], title: str) -> Node:
+    """Return a hillshade with the outline of the place and the line of the section."""
+    rows, columns = heights.shape
+    west, south, east, north = place.extent
+    across, down = columns / (east - west), rows / (north - south)
+    shade = hillshade(heights, place.extent, run)
+
+    def text(corners: Float64s) -> str:
+        at = np.stack(((corners[:, 0] - west) * across, (north - corners[:, 1]) * down), axis=1)
+        return " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
+
+    drawn = [
+        el("polygon", points=text(ring), fill="none", stroke=AFTER_COLOUR, stroke_width=1.5)
+        for ring in place.outline
+    ]
+    line = el(
+        "polyline",
+        points=text(place.ends),
+        fill="none",
+        stroke=OTHER_COLOUR,
+        stroke_dasharray="4 3",
+    )
+    picture = el(
+        "svg",
+        el("title", f"{title} around place {place.columns['rank']}"),
+        el("image", href=shade.uri, width=columns, height=rows),
+        *drawn,
+        line,
+        viewBox=f"0 0 {columns} {rows}",
+        role="img",
+        class_="view",
+    )
+    return el("figure", picture, el("figcaption", title))
+
+
+def _section(section: Section, unit: str, metres: float) -> Node:
+    """Return the section: points of a strip, the terrain, and the terrain after the suggested edit."""
+    low, high = _height_range(section)
+
+    def across(along: float) -> float:
+        return LEFT + (WIDTH - LEFT - RIGHT) * along / max(section.length, 1e-9)
+
+    def down(z: float) -> float:
+        return TOP + (HEIGHT - TOP - BOTTOM) * (high - z) / (high - low)
+
+    parts: list[Content] = [
+        *(
+            el(
+                "rect",
+                x=f"{across(first):.1f}",
+                y=TOP,
+                width=f"{across(last) - across(first):.1f}",
+                height=HEIGHT - TOP - BOTTOM,
+                class_="inside",
+            )
+            for first, last in _runs(section)
+        ),
+        *height_lines(low, high, down),
+        *length_marks(section.length, across),
+    ]
+    for points, colour in ((section.others, OTHER_COLOUR), (section.ground, GROUND_COLOUR)):
+        seen = points[:, (points[1] >= low) & (points[1] <= high)]
+        dots = "".join(f"M{across(a):.1f} {down(z):.1f}h0" for a, z in seen.T.tolist())
+        if dots:
+            parts.append(el("path", d=dots, stroke=colour, stroke_width=2.2, class_="dots"))
+    if section.after is not None:
+        parts.append(_line(section.at, section.after, across, down, AFTER_COLOUR))
+    parts.append(_line(section.at, section.before, across, down, "currentColor"))
+    picture = el(
+        "svg",
+        el("title", "Section through the place"),
+        *parts,
+        viewBox=f"0 0 {WIDTH} {HEIGHT}",
+        role="img",
+        class_="section",
+    )
+    caption = el("figcaption", _caption(section, unit, metres))
+    return el("figure", picture, caption, class_="across")
+
+
+def _height_range(section: Section) -> tuple[float, float]:
+    """Return the lowest and highest height of the picture, without the few highest and lowest points."""
+    lines = [section.before] if section.after is None else [section.before, section.after]
+    points = np.concatenate((section.ground[1], section.others[1]))
+    if points.size:
+        lines.append(np.percentile(points, (CLIPPED_PERCENT, 100 - CLIPPED_PERCENT)))
+    heights = np.concatenate(lines)
+    heights = heights[np.isfinite(heights)]
+    return height_range(heights.tolist() or [0.0], [])
+
+
+def _caption(section: Section, unit: str, metres: float) -> str:
+    text = f"Section along the dashed line, heights in {unit}: terrain (line)"
+    if section.after is not None:
+        text += ", terrain with the edit (red)"
+    if not section.width:
+        return f"{text}. Points are not shown, because the store of the run is not there."
+    width = length_text(round(section.width * metres, 2), metres)
+    return f"{text}, points of a strip of {width}: ground (brown), others (blue)."
+
+
+def _runs(section: Section) -> list[tuple[float, float]]:
+    """Return where the section enters and leaves the place."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], section.inside, [False]))))
+    ends = np.append(section.at, section.length)
+    return [(float(ends[a]), float(ends[b])) for a, b in edges.reshape(-1, 2).tolist()]
+
+
+def _line(at: Float64s, heights: Float64s, across: Any, down: Any, colour: str) -> Node:
+    """Return a line through the heights, with gaps where there is none."""
+    text, pen_is_down = [], False
+    for along, z in zip(at.tolist(), heights.tolist(), strict=True):
+        if np.isfinite(z):
+            text.append(f"{'L' if pen_is_down else 'M'}{across(along):.1f} {down(z):.1f}")
+        pen_is_down = bool(np.isfinite(z))
+    return el("path", d="".join(text), fill="none", stroke=colour, stroke_width=1.6)
+
+
+def decisions(places: Sequence[Card], crs: str | None) -> dict[str, Any]:
+    """Return the data with which the page writes the decisions as GeoJSON."""
+    return {
+        "crs": crs,
+        "places": [
+            {
+                "number": int(place.columns["rank"]),
+                "geometry": place.geometry,
+                "columns": {
+                    name: place.columns.get(name)
+                    for name in (
+                        "rank",
+                        "reason",
+                        "why",
+                        "stake_m",
+                        "area_m2",
+                        "sheet",
+                        "remedy",
+                    )
+                },
+            }
+            for place in places
+        ],
+    }

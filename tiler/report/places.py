@@ -1,0 +1,313 @@
+"""Reading of what the cards of places to review show: heights of the terrain, the suggested edit, and points."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+import shapely
+from rasterio.enums import Resampling
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.ndimage import binary_dilation
+
+from tiler.core.edits import FLAT, NOT_GROUND, VOID
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
+from tiler.core.points import GROUND, LABELS, UNCERTIFIED_BIT
+from tiler.errors import StoreError
+from tiler.io.vector import Feature
+from tiler.report.cards import Card, Section
+from tiler.report.pictures import CACHE_MB, Extent
+from tiler.store import TileStore, open_store
+
+MOST_PIXELS = 256
+"""Largest number of pixels of a side of a picture."""
+MARGIN = 0.75
+"""Width of the land around a place in a picture, as a share of the longer side of the place."""
+LEAST_MARGIN_M = 15.0
+LONGEST_SECTION_M = 400.0
+"""Length to which the section of a wide place is shortened."""
+STRIP_M = 1.0
+"""Width of the strip whose points a section shows. It is wider if the pixels of the terrain are."""
+PIECE_M = 20.0
+"""Length of the pieces in which the points of a section are read, so that a slanted section reads few others."""
+MOST_POINTS = 1500
+"""Largest number of points of a section, ground and others each. Of more, every n-th is shown."""
+SAMPLES = 400
+"""Number of positions of the terrain in a section."""
+CERTIFIED = np.uint8(~UNCERTIFIED_BIT & 0xFF)
+"""Bits of a label that are its class."""
+MOST_CORNERS = 20_000
+"""Largest number of corners of a place on which the user can decide in the page."""
+
+Floats = npt.NDArray[np.float32]
+Float64s = npt.NDArray[np.float64]
+
+
+def read_cards(
+    features: Sequence[Feature], dtm: str, run: Mapping[str, Any], store_url: str
+) -> list[Card]:
+    """Read what the cards of places show.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+        Places of `review.gpkg`, in the order of the cards.
+    dtm : str
+        Path of the terrain.
+    run : mapping
+        Content of run.json.
+    store_url : str
+        Location of the store. Without a store, sections have no points.
+
+    Raises
+    ------
+    rasterio.errors.RasterioError
+        The terrain cannot be read.
+    """
+    try:
+        store: TileStore | None = open_store(store_url)
+    except StoreError:
+        store = None
+    settings = run.get("configuration", {})
+    kept = settings.get("ground_classes") if settings.get("method") == "keep" else None
+    metres = run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0)
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB), rasterio.open(dtm) as raster:
+        survey = _Survey(raster, store, kept, metres)
+        return [
+            _card(number, feature, survey) for number, feature in enumerate(features, start=1)
+        ]
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """Open terrain of a run, its store, the classes that are ground if the run keeps them, and metres per unit."""
+
+    terrain: Any
+    store: TileStore | None
+    kept: Sequence[int] | None
+    metres: float
+
+
+def _card(number: int, feature: Feature, survey: _Survey) -> Card:
+    shape, columns = feature.geometry, {**feature.attributes, "rank": number}
+    extent, before = _heights_around(survey, shape.bounds)
+    west, south, east, north = extent
+    rows, cols = before.shape
+    x = west + (np.arange(cols) + 0.5) * (east - west) / cols
+    y = north - (np.arange(rows) + 0.5) * (north - south) / rows
+    inside = shapely.contains_xy(shape, *np.meshgrid(x, y))
+    after = _edited(before, inside, columns)
+    ends = _within(section_ends(shape, survey.metres), extent)
+    pixel = abs(survey.terrain.transform.a)
+    rings = [ring for part in shapely.get_parts(shape) for ring in shapely.get_rings(part)]
+    outline = tuple(
+        shapely.get_coordinates(ring) for ring in shapely.simplify(rings, pixel / 2)
+    )
+    is_small = shapely.get_num_coordinates(shape) <= MOST_CORNERS
+    return Card(
+        columns=columns,
+        outline=outline,
+        ends=ends,
+        geometry=shapely.to_geojson(shape) if is_small else None,
+        extent=extent,
+        before=before,
+        after=after,
+        section=_section(shape, ends, extent, before, after, survey),
+    )
+
+
+def _heights_around(
+    survey: _Survey, bounds: tuple[float, float, float, float]
+) -> tuple[Extent, Floats]:
+    """Return the extent of the picture of a place, and the heights in it, NaN where there is none."""
+    raster, (west, south, east, north) = survey.terrain, bounds
+    margin = max(MARGIN * max(east - west, north - south), LEAST_MARGIN_M / survey.metres)
+    transform, pixel_x, pixel_y = raster.transform, raster.transform.a, -raster.transform.e
+    left = max(math.floor((west - margin - transform.c) / pixel_x), 0)
+    left = min(left, raster.width - 1)
+    right = min(math.ceil((east + margin - transform.c) / pixel_x), raster.width)
+    top = max(math.floor((transform.f - north - margin) / pixel_y), 0)
+    top = min(top, raster.height - 1)
+    bottom = min(math.ceil((transform.f - south + margin) / pixel_y), raster.height)
+    right, bottom = max(right, left + 1), max(bottom, top + 1)
+    shrink = max((right - left) / MOST_PIXELS, (bottom - top) / MOST_PIXELS, 1.0)
+    shape = tuple(max(round(side / shrink), 1) for side in (bottom - top, right - left))
+    part = raster.read(
+        1,
+        window=((top, bottom), (left, right)),
+        out_shape=shape,
+        masked=True,
+        resampling=Resampling.average,
+    )
+    extent = (
+        transform.c + left * pixel_x,
+        transform.f - bottom * pixel_y,
+        transform.c + right * pixel_x,
+        transform.f - top * pixel_y,
+    )
+    return extent, part.astype(np.float32).filled(np.nan)
+
+
+def _edited(
+    before: Floats, inside: npt.NDArray[np.bool_], columns: Mapping[str, Any]
+) -> Floats | None:
+    """Return the heights after the suggested edit, or None if there is none, or the page cannot show it."""
+    action, z = columns.get("action"), columns.get("z")
+    if action == VOID:
+        return np.where(inside, np.float32(np.nan), before)
+    if action == FLAT and isinstance(z, int | float):
+        return np.where(inside, np.float32(z), before)
+    if action == NOT_GROUND:
+        return bridged(before, inside)
+    return None
+
+
+def bridged(heights: Floats, inside: npt.NDArray[np.bool_]) -> Floats | None:
+    """Return heights that are interpolated from the rim across the pixels ``inside``, or None without a rim.
+
+    A run interpolates from the ground points around, so its heights differ a little.
+    """
+    rim = binary_dilation(inside, iterations=2) & ~inside & np.isfinite(heights)
+    rows, cols = np.nonzero(rim)
+    if not rows.size:
+        return None
+    at, wanted = np.stack((rows, cols), axis=1), np.argwhere(inside)
+    filled = NearestNDInterpolator(at, heights[rim])(wanted)
+    if np.ptp(rows) and np.ptp(cols):
+        linear = LinearNDInterpolator(at, heights[rim])(wanted)
+        filled = np.where(np.isfinite(linear), linear, filled)
+    after = heights.copy()
+    after[inside] = filled
+    return after
+
+
+def section_ends(shape: Any, metres: float) -> Float64s:
+    """Return both ends of the section of a place: across its shorter side, with land on both sides.
+
+    Parameters
+    ----------
+    shape : shapely polygon or multipolygon
+    metres : float
+        Metres in a unit of the coordinates.
+
+    Returns
+    -------
+    float64, shape (2, 2)
+        x and y of each end.
+    """
+    corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(shape))[:4]
+    sides = np.diff(corners[:3], axis=0)
+    lengths = np.hypot(*sides.T)
+    short = int(np.argmin(lengths))
+    direction = sides[short] / lengths[short]
+    middle = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
+    margin = max(MARGIN * lengths[short], LEAST_MARGIN_M / metres)
+    length = min(lengths[short] + 2 * margin, LONGEST_SECTION_M / metres)
+    centre = shapely.get_coordinates(middle)[0]
+    return np.stack((centre - direction * length / 2, centre + direction * length / 2))
+
+
+def _within(ends: Float64s, extent: Extent) -> Float64s:
+    """Return the ends of the part of a section that lies in the picture."""
+    part = shapely.intersection(shapely.LineString(ends), shapely.box(*extent))
+    corners = shapely.get_coordinates(part)
+    return ends if len(corners) < 2 else corners[[0, -1]]
+
+
+def _section(
+    shape: Any,
+    ends: Float64s,
+    extent: Extent,
+    before: Floats,
+    after: Floats | None,
+    survey: _Survey,
+) -> Section:
+    length = float(np.hypot(*(ends[1] - ends[0])))
+    at = (np.arange(SAMPLES) + 0.5) * length / SAMPLES
+    positions = ends[0] + np.outer(at / length, ends[1] - ends[0])
+    width = max(STRIP_M / survey.metres, abs(survey.terrain.transform.a))
+    ground = others = np.empty((2, 0))
+    if survey.store is not None:
+        ground, others = points_near(survey.store, ends, width, survey.kept)
+    line, edited = _sampled(before, extent, positions), None
+    if after is not None:
+        edited = _sampled(after, extent, positions)
+        edited[edited == line] = np.nan
+    return Section(
+        length=length,
+        at=at,
+        before=line,
+        after=edited if edited is not None and np.isfinite(edited).any() else None,
+        inside=shapely.contains_xy(shape, *positions.T),
+        ground=ground,
+        others=others,
+        width=0.0 if survey.store is None else width,
+    )
+
+
+def _sampled(heights: Floats, extent: Extent, positions: Float64s) -> Float64s:
+    """Return the height of the pixel at each position, NaN beyond the picture."""
+    west, south, east, north = extent
+    rows, cols = heights.shape
+    col = np.floor((positions[:, 0] - west) / (east - west) * cols).astype(np.int64)
+    row = np.floor((north - positions[:, 1]) / (north - south) * rows).astype(np.int64)
+    is_there = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
+    found = np.full(len(positions), np.nan)
+    found[is_there] = heights[row[is_there], col[is_there]]
+    return found
+
+
+def points_near(
+    store: TileStore, ends: Float64s, width: float, kept: Sequence[int] | None = None
+) -> tuple[Float64s, Float64s]:
+    """Return positions and heights of the ground points and of the other points in a strip along a section.
+
+    Parameters
+    ----------
+    store : TileStore
+    ends : float64, shape (2, 2)
+        x and y of both ends of the section.
+    width : float
+        Width of the strip, in units of the CRS.
+    kept : sequence of int, optional
+        Classes of the input that are ground, for a run that keeps them. By default the labels of the filter say it.
+
+    Returns
+    -------
+    ground, others : float64, shape (2, n)
+        Distance from the first end and height, each point once.
+    """
+    frame = store.meta.frame
+    columns = ("xyz",) if kept is None else ("xyz", "classification")
+    labels, ground_classes = (LABELS, (GROUND,)) if kept is None else (None, kept)
+    whole = ends[1] - ends[0]
+    length = float(np.hypot(*whole))
+    along_x, along_y = whole / length
+    number = max(math.ceil(length * float(frame.units.horizontal) / PIECE_M), 1)
+    edges = np.linspace(0.0, length, number + 1)
+    found = []
+    for first, last in itertools.pairwise(edges.tolist()):
+        corners = ends[0] + np.outer((first, last), (along_x, along_y))
+        low = np.floor((corners.min(axis=0) - width) * COUNTS_PER_UNIT).astype(int).tolist()
+        high = np.ceil((corners.max(axis=0) + width) * COUNTS_PER_UNIT).astype(int).tolist()
+        block = store.window(Bounds(*low, *high), columns, labels=labels)
+        classes = block.classification if block.labels is None else block.labels & CERTIFIED
+        is_ground = np.isin(np.asarray(classes), ground_classes)
+        x, y, z = frame.coordinates(block.xyz).T
+        along = (x - ends[0, 0]) * along_x + (y - ends[0, 1]) * along_y
+        aside = (x - ends[0, 0]) * along_y - (y - ends[0, 1]) * along_x
+        near = (along >= first) & (along < last) & (np.abs(aside) <= width / 2)
+        found.append(np.stack((along, z, is_ground))[:, near])
+    points = np.concatenate(found, axis=1)
+    is_ground = points[2] > 0
+    return _thinned(points[:2, is_ground]), _thinned(points[:2, ~is_ground])
+
+
+def _thinned(points: Float64s) -> Float64s:
+    return points[:, :: max(math.ceil(points.shape[1] / MOST_POINTS), 1)]
