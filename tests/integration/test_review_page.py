@@ -27,6 +27,7 @@ from tiler.apps.review import crs_name_in_geojson, write_review_page
 from tiler.core.points import GROUND
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import POLYGONS, read_in_crs
+from tiler.report.html import write_report
 from tiler.report.places import bridged, points_near, section_ends
 from tiler.store import open_store
 
@@ -80,6 +81,26 @@ def test_the_cards_are_the_open_places_by_their_rank(out: Path) -> None:
     assert "with the edit void" in text
     assert text.count("ground (brown)") == 2
     assert write_review_page(out, 1).shown == 1
+
+
+def test_the_report_shows_the_open_places(out: Path) -> None:
+    text = (out / "report.html").read_text("utf-8")
+    reader = Reader()
+    reader.feed(text)
+    assert reader.tags.count("article") == 2
+    assert "2 places, the most serious first" in text
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'ok' WHERE rank = 1")
+    write_report(out)
+    assert "1 place, the most serious first" in (out / "report.html").read_text("utf-8")
+    (out / "review.gpkg").write_bytes(b"cut off")
+    write_report(out)
+    assert (
+        "review.gpkg: does not begin as a .gpkg file does" in (out / "report.html").read_text()
+    )
+    (out / "review.gpkg").unlink()
+    write_report(out)
+    assert "Places to look at" not in (out / "report.html").read_text("utf-8")
 
 
 def test_decisions_become_edits_and_are_remembered(cloud: Path, out: Path) -> None:

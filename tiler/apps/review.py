@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,18 +12,16 @@ from pyproj import CRS
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate.rasters import raster_named
 from tiler.core.crs import split
-from tiler.core.review import OPEN, is_place
 from tiler.core.words import counted
 from tiler.errors import ConfigError, InputError, write_error
 from tiler.io.atomic_files import write_atomic
-from tiler.io.locations import is_url, joined
+from tiler.io.locations import is_url
 from tiler.io.overwrite_check import Target, check_links, check_targets
-from tiler.io.result_folder import REVIEW, REVIEW_PAGE, STORE, read_run
-from tiler.io.vector import CUT, POLYGONS, Feature
-from tiler.io.vector.reading import read_features
-from tiler.report.cards import Card, card, decisions
+from tiler.io.result_folder import REVIEW, REVIEW_PAGE, read_run
+from tiler.io.vector import CUT
+from tiler.report.cards import card, decisions
 from tiler.report.document import el, page, section
-from tiler.report.places import read_cards
+from tiler.report.places import Detail, OpenPlaces, read_open_places, store_of
 from tiler.schedule import call_isolated, half_of_memory
 
 SECONDS, SECONDS_PER_PLACE = 60.0, 20.0
@@ -82,28 +79,28 @@ def write_review_page(
     if not source.is_file():
         raise InputError(f"{source}: no such file; run again, which lists the places to review")
     dtm = terrain_in(str(out))
-    features, crs = call_isolated(_open_places, source, paths=(source,), smaller=CUT)
-    if not features:
-        return ReviewPage("", 0, 0)
-    first = features[:places]
     with raster_named(dtm):
-        cards = call_isolated(
-            read_cards,
-            first,
+        found = call_isolated(
+            read_open_places,
+            source,
             dtm,
             run,
-            _store_of(out, run, store_url),
-            paths=(Path(dtm),),
+            store_of(out, run, store_url),
+            Detail(places),
+            paths=(source, Path(dtm)),
             memory_bytes=half_of_memory(),
-            seconds=SECONDS + SECONDS_PER_PLACE * len(first),
+            seconds=SECONDS + SECONDS_PER_PLACE * places,
             remedy="give fewer places with --places",
+            smaller=CUT,
         )
-    content = _page(Path(out), run, cards, len(features), crs)
+    if not found.number:
+        return ReviewPage("", 0, 0)
+    content = _page(Path(out), run, found)
     try:
         write_atomic(target, content)
     except OSError as error:
         raise write_error(str(target), error, target.parent) from error
-    return ReviewPage(str(target), len(cards), len(features))
+    return ReviewPage(str(target), len(found.cards), found.number)
 
 
 def _validate_page(target: Path, source: Path) -> None:
@@ -125,33 +122,8 @@ def _validate_page(target: Path, source: Path) -> None:
         )
 
 
-def _store_of(out: str | Path, run: Mapping[str, Any], store_url: str | None) -> str:
-    configured = run.get("configuration")
-    if not store_url and isinstance(configured, dict):
-        store_url = configured.get("store")
-    return str(store_url or joined(str(Path(out).resolve()), STORE))
-
-
-def _open_places(path: Path) -> tuple[list[Feature], str | None]:
-    """Return the open places of a file by their rank, and their CRS."""
-    found = read_features(path, POLYGONS, every_layer=True, may_be_empty=True)
-    rows = [
-        feature
-        for feature in found.features
-        if is_place(feature.layer, feature.attributes)
-        and str(feature.attributes.get("status") or "").strip().lower() == OPEN
-    ]
-    return sorted(rows, key=_rank), found.crs
-
-
-def _rank(feature: Feature) -> float:
-    rank = feature.attributes.get("rank")
-    return float(rank) if isinstance(rank, int | float) else math.inf
-
-
-def _page(
-    out: Path, run: Mapping[str, Any], cards: list[Card], number: int, crs: str | None
-) -> bytes:
+def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
+    cards, number, crs = found.cards, found.number, crs_name_in_geojson(found.crs)
     title = f"Places to review of {out.resolve().name}"
     text = (
         f"{counted(number, 'place')} of the run written {run.get('written', 'at an unknown time')} (UTC) "
@@ -183,7 +155,7 @@ def _page(
         title,
         header,
         [places],
-        decisions(cards, crs_name_in_geojson(crs)),
+        decisions(cards, crs),
         "review.js",
         "tiler review",
     )

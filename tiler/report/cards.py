@@ -133,6 +133,25 @@ def card(place: Card, run: Mapping[str, Any]) -> Node:
     )
 
 
+def small_card(place: Card, run: Mapping[str, Any]) -> Node:
+    """Return what a report shows of a place: a picture of the terrain and the section."""
+    columns = place.columns
+    metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
+    unit = short_unit(metres["vertical"])
+    return el(
+        "article",
+        el("h3", f"{int(columns['rank'])}. {columns.get('reason') or 'place'}"),
+        el("p", columns.get("why") or ""),
+        el(
+            "div",
+            _picture(place, place.before, run, "terrain"),
+            _section(place.section, unit, metres["horizontal"]),
+            class_="views",
+        ),
+        class_="place small",
+    )
+
+
 def _form(number: int, columns: Mapping[str, Any], can_be_fixed: bool, unit: str) -> Node:
     """Return the controls with which the user decides."""
     if not can_be_fixed:

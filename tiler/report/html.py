@@ -13,6 +13,7 @@ from typing import Any
 
 from rasterio.errors import RasterioError
 
+from tiler.core.words import counted
 from tiler.errors import InputError, ProcessingError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.foreign_content import parse_json_object
@@ -23,6 +24,7 @@ from tiler.io.result_folder import (
     EVALUATION,
     EVENTS,
     REPORT,
+    REVIEW,
     RUN,
     local_folder,
     read_run,
@@ -31,12 +33,15 @@ from tiler.io.result_folder import (
 from tiler.redaction import shown
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.accuracy import at_checkpoints, checkpoints_on_map, expected
-from tiler.report.document import el, section
+from tiler.report.cards import small_card
+from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn, shapes
 from tiler.report.pictures import VIRIDIS, Pictures, draw, ramp_colour
+from tiler.report.places import Detail, read_open_places, store_of
 from tiler.report.problems import marked_places, problems
 from tiler.report.runfile import run_file_errors, title_of, write_run_file
 from tiler.report.tables import specification
+from tiler.schedule import call_isolated, half_of_memory
 from tiler.store import locked_folder
 
 
@@ -145,6 +150,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     parts = [
         specification(run),
         problems(run),
+        *_places(out, run, rasters),
         sections.terrain_map(pictures),
         section(
             "accuracy",
@@ -173,6 +179,37 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     )
 
 
+def _places(out: Path, run: Mapping[str, Any], rasters: Mapping[str, str]) -> list[Node]:
+    """Return the section with pictures of the first open places, or an empty list if no place is open."""
+    path, dtm = out / REVIEW, rasters.get("dtm")
+    is_open = (run.get("review") or {}).get("open")
+    if not is_open or dtm is None or is_url(dtm) or not path.is_file():
+        return []
+    try:
+        found = call_isolated(
+            read_open_places,
+            path,
+            dtm,
+            run,
+            store_of(out, run),
+            SMALL,
+            paths=(path, Path(dtm)),
+            memory_bytes=half_of_memory(),
+        )
+    except InputError as error:  # Somebody else may have changed the file.
+        return [section("places", "Places to look at", el("p", str(error), class_="warning"))]
+    if not found.cards:
+        return []
+    rest = "" if found.number == len(found.cards) else f" of {found.number:,}"
+    text = (
+        f"{counted(len(found.cards), 'place')}{rest}, the most serious first; `tiler review` makes a page on which you "
+        "decide about them. Sections along the dashed lines show the terrain (line), the suggested edit (red), ground "
+        "points (brown) and other points (blue)."
+    )
+    views = el("div", *(small_card(place, run) for place in found.cards), class_="places")
+    return [section("places", "Places to look at", el("p", text), views)]
+
+
 def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
     """Return the path or URL of the raster of each product, or of the VRT over its sheets, if it exists."""
     named = {product: joined(place, name) for product, name in written_rasters(run).items()}
@@ -181,6 +218,8 @@ def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+SMALL = Detail(places=50, pixels=128, points=300)
+"""Places in a report: all together take up to 2 MB of the page."""
 MAX_TILES = 20_000
 """Maximum number of tiles on the map in all stages, so that the page stays below 5 MB.
 

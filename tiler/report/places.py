@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,14 +20,16 @@ from scipy.ndimage import binary_dilation
 from tiler.core.edits import FLAT, NOT_GROUND, VOID
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.points import GROUND, LABELS, UNCERTIFIED_BIT
+from tiler.core.review import OPEN, is_place
 from tiler.errors import StoreError
-from tiler.io.vector import Feature
+from tiler.io.locations import joined
+from tiler.io.result_folder import STORE
+from tiler.io.vector import POLYGONS, Feature
+from tiler.io.vector.reading import read_features
 from tiler.report.cards import Card, Section
 from tiler.report.pictures import CACHE_MB, Extent
 from tiler.store import TileStore, open_store
 
-MOST_PIXELS = 256
-"""Largest number of pixels of a side of a picture."""
 MARGIN = 0.75
 """Width of the land around a place in a picture, as a share of the longer side of the place."""
 LEAST_MARGIN_M = 15.0
@@ -36,8 +39,6 @@ STRIP_M = 1.0
 """Width of the strip whose points a section shows. It is wider if the pixels of the terrain are."""
 PIECE_M = 20.0
 """Length of the pieces in which the points of a section are read, so that a slanted section reads few others."""
-MOST_POINTS = 1500
-"""Largest number of points of a section, ground and others each. Of more, every n-th is shown."""
 SAMPLES = 400
 """Number of positions of the terrain in a section."""
 CERTIFIED = np.uint8(~UNCERTIFIED_BIT & 0xFF)
@@ -49,27 +50,52 @@ Floats = npt.NDArray[np.float32]
 Float64s = npt.NDArray[np.float64]
 
 
-def read_cards(
-    features: Sequence[Feature], dtm: str, run: Mapping[str, Any], store_url: str
-) -> list[Card]:
-    """Read what the cards of places show.
+@dataclass(frozen=True)
+class Detail:
+    """Largest numbers of places, of pixels of a side of a picture, and of points of a section (ground and others each).
+
+    Of more points, every n-th is shown.
+    """
+
+    places: int
+    pixels: int = 256
+    points: int = 1500
+
+
+@dataclass(frozen=True)
+class OpenPlaces:
+    """Cards of the first open places of a run, number of all open places, and CRS of the outlines."""
+
+    cards: list[Card]
+    number: int
+    crs: str | None
+
+
+def read_open_places(
+    path: Path, dtm: str, run: Mapping[str, Any], store_url: str, detail: Detail
+) -> OpenPlaces:
+    """Read what the cards of the first open places show.
 
     Parameters
     ----------
-    features : sequence of Feature
-        Places of `review.gpkg`, in the order of the cards.
+    path : Path
+        File of the places.
     dtm : str
         Path of the terrain.
     run : mapping
         Content of run.json.
     store_url : str
         Location of the store. Without a store, sections have no points.
+    detail : Detail
 
     Raises
     ------
+    InputError
+        The file of the places cannot be read.
     rasterio.errors.RasterioError
         The terrain cannot be read.
     """
+    features, crs = _open_places(path)
     try:
         store: TileStore | None = open_store(store_url)
     except StoreError:
@@ -78,20 +104,46 @@ def read_cards(
     kept = settings.get("ground_classes") if settings.get("method") == "keep" else None
     metres = run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0)
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB), rasterio.open(dtm) as raster:
-        survey = _Survey(raster, store, kept, metres)
-        return [
-            _card(number, feature, survey) for number, feature in enumerate(features, start=1)
-        ]
+        survey = _Survey(raster, store, kept, metres, detail)
+        first = enumerate(features[: detail.places], start=1)
+        cards = [_card(number, feature, survey) for number, feature in first]
+    return OpenPlaces(cards, len(features), crs)
+
+
+def store_of(out: str | Path, run: Mapping[str, Any], store_url: str | None = None) -> str:
+    """Return the location of the store of a run, whose default is `STORE` in its folder."""
+    configured = run.get("configuration")
+    if not store_url and isinstance(configured, dict):
+        store_url = configured.get("store")
+    return str(store_url or joined(str(Path(out).resolve()), STORE))
+
+
+def _open_places(path: Path) -> tuple[list[Feature], str | None]:
+    """Return the open places of a file by their rank, and their CRS."""
+    found = read_features(path, POLYGONS, every_layer=True, may_be_empty=True)
+    rows = [
+        feature
+        for feature in found.features
+        if is_place(feature.layer, feature.attributes)
+        and str(feature.attributes.get("status") or "").strip().lower() == OPEN
+    ]
+    return sorted(rows, key=_rank), found.crs
+
+
+def _rank(feature: Feature) -> float:
+    rank = feature.attributes.get("rank")
+    return float(rank) if isinstance(rank, int | float) else math.inf
 
 
 @dataclass(frozen=True)
 class _Survey:
-    """Open terrain of a run, its store, the classes that are ground if the run keeps them, and metres per unit."""
+    """Open terrain of a run, its store, the classes that are ground if the run keeps them, metres per unit, detail."""
 
     terrain: Any
     store: TileStore | None
     kept: Sequence[int] | None
     metres: float
+    detail: Detail
 
 
 def _card(number: int, feature: Feature, survey: _Survey) -> Card:
@@ -136,7 +188,9 @@ def _heights_around(
     top = min(top, raster.height - 1)
     bottom = min(math.ceil((transform.f - south + margin) / pixel_y), raster.height)
     right, bottom = max(right, left + 1), max(bottom, top + 1)
-    shrink = max((right - left) / MOST_PIXELS, (bottom - top) / MOST_PIXELS, 1.0)
+    shrink = max(
+        (right - left) / survey.detail.pixels, (bottom - top) / survey.detail.pixels, 1.0
+    )
     shape = tuple(max(round(side / shrink), 1) for side in (bottom - top, right - left))
     part = raster.read(
         1,
@@ -234,7 +288,10 @@ def _section(
     width = max(STRIP_M / survey.metres, abs(survey.terrain.transform.a))
     ground = others = np.empty((2, 0))
     if survey.store is not None:
-        ground, others = points_near(survey.store, ends, width, survey.kept)
+        ground, others = (
+            _thinned(points, survey.detail.points)
+            for points in points_near(survey.store, ends, width, survey.kept)
+        )
     line, edited = _sampled(before, extent, positions), None
     if after is not None:
         edited = _sampled(after, extent, positions)
@@ -306,8 +363,8 @@ def points_near(
         found.append(np.stack((along, z, is_ground))[:, near])
     points = np.concatenate(found, axis=1)
     is_ground = points[2] > 0
-    return _thinned(points[:2, is_ground]), _thinned(points[:2, ~is_ground])
+    return points[:2, is_ground], points[:2, ~is_ground]
 
 
-def _thinned(points: Float64s) -> Float64s:
-    return points[:, :: max(math.ceil(points.shape[1] / MOST_POINTS), 1)]
+def _thinned(points: Float64s, most: int) -> Float64s:
+    return points[:, :: max(math.ceil(points.shape[1] / most), 1)]
