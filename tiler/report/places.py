@@ -14,8 +14,6 @@ import numpy.typing as npt
 import rasterio
 import shapely
 from rasterio.enums import Resampling
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-from scipy.ndimage import binary_dilation
 
 from tiler.core.edits import FLAT, NOT_GROUND, VOID
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
@@ -227,6 +225,10 @@ def bridged(heights: Floats, inside: npt.NDArray[np.bool_]) -> Floats | None:
 
     A run interpolates from the ground points around, so its heights differ a little.
     """
+    # Every command that writes a report would import these, which takes a fifth of its start.
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+    from scipy.ndimage import binary_dilation
+
     rim = binary_dilation(inside, iterations=2) & ~inside & np.isfinite(heights)
     rows, cols = np.nonzero(rim)
     if not rows.size:
