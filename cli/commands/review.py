@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 
 import click
 
@@ -23,7 +22,6 @@ from tiler.core.words import counted
 )
 @click.option(
     "--page",
-    type=click.Path(path_type=Path),
     metavar="FILE.html",
     help="file of the page [default: OUT/review.html]",
 )
@@ -33,7 +31,7 @@ from tiler.core.words import counted
     help="location of the store, for the points of sections [default: that in OUT/run.json, else OUT/store.zarr]",
 )
 @json_option
-def command(out: str, places: int, page: Path | None, store: str | None, as_json: bool) -> None:
+def command(out: str, places: int, page: str | None, store: str | None, as_json: bool) -> None:
     """Write a page with a card for each of the first places to review.
 
     A card shows the terrain, the terrain after the suggested edit, and a section through the

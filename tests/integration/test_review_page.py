@@ -22,6 +22,7 @@ from tests.integration.test_review import cloud as cloud
 from tests.integration.test_review import out as out
 from tests.integration.test_review import reviewed as reviewed
 from tests.scenes.drawings import EAST, NORTH
+from tests.tiler.io.vector.files import write
 from tests.tiler.report.results import Reader
 from tiler.apps.review import crs_name_in_geojson, write_review_page
 from tiler.core.points import GROUND
@@ -44,20 +45,19 @@ def data_of(page: Path) -> dict[str, Any]:
 def decided(page: Path, *statuses: str) -> Path:
     """The file that the page saves (review.js) if its places get these statuses and the suggested edit is void."""
     data = data_of(page)
+    decision = {"action": "void", "z": None, "note": "seen"}
+    rows = data["kept"] + [
+        {**place, "columns": {**place["columns"], "status": status, **decision}}
+        for place, status in zip(data["places"], statuses, strict=True)
+        if status != "open"
+    ]
     features = [
         {
             "type": "Feature",
-            "properties": {
-                **place["columns"],
-                "status": status,
-                "action": "void",
-                "z": None,
-                "note": "seen",
-            },
-            "geometry": json.loads(place["geometry"]),
+            "properties": row["columns"],
+            "geometry": json.loads(row["geometry"]),
         }
-        for place, status in zip(data["places"], statuses, strict=True)
-        if status != "open"
+        for row in rows
     ]
     crs = {"type": "name", "properties": {"name": data["crs"]}}
     file = page.with_name("decisions.geojson")
@@ -70,7 +70,7 @@ def test_the_cards_are_the_open_places_by_their_rank(out: Path) -> None:
     written = write_review_page(out)
     assert (written.shown, written.open) == (2, 2)
     data, text = data_of(Path(written.page)), Path(written.page).read_text("utf-8")
-    assert [place["number"] for place in data["places"]] == [1, 2]
+    assert [place["columns"]["rank"] for place in data["places"]] == [1, 2]
     for place, row in zip(data["places"], rows(out), strict=True):
         shape = shapely.from_geojson(place["geometry"])
         assert shape.normalize().equals_exact(row["shape"].normalize())
@@ -124,6 +124,65 @@ def test_decisions_become_edits_and_are_remembered(cloud: Path, out: Path) -> No
     assert sorted(row["status"] for row in rows(out)) == ["fixed", "ok"]
     assert write_review_page(out).page == ""
     assert main(["review", str(out)]) == 0
+
+
+def voids(out: Path, shape: Any) -> float:
+    """Share of the pixels inside a shape, a little away from its outline, that have no height."""
+    with rasterio.open(out / "dtm.vrt") as raster:
+        heights, box = raster.read(1, masked=True), raster.bounds
+    y, x = np.indices(heights.shape) + 0.5
+    inside = shapely.contains_xy(shape.buffer(-0.01), box.left + x, box.top - y)
+    return float(np.ma.getmaskarray(heights)[inside].mean())
+
+
+def test_a_page_keeps_the_edits_and_decisions_before_it(cloud: Path, out: Path) -> None:
+    """Otherwise the first 50 places would be undone with the next 50, and the user's own edits with the first."""
+    own = shapely.box(EAST + 60, NORTH + 60, EAST + 70, NORTH + 70)
+    columns = {"action": np.array(["void"], object)}
+    file = write(out.parent / "own.gpkg", [own], "Polygon", "EPSG:25832", columns)
+    made(cloud, out, edits=str(file))
+    first, second = (row["shape"] for row in rows(out))
+    assert voids(out, own) == 1
+    page = Path(write_review_page(out, 1).page)
+    made(cloud, out, edits=str(decided(page, "fixed")))
+    assert (voids(out, own), voids(out, first), voids(out, second)) == (1, 1, 0)
+    page = Path(write_review_page(out, 1).page)
+    result = made(cloud, out, edits=str(decided(page, "fixed")))
+    assert (voids(out, own), voids(out, first), voids(out, second)) == (1, 1, 1)
+    assert not result.warnings
+    assert [row["status"] for row in rows(out)] == 3 * ["fixed"]
+    made(cloud, out, edits=str(file))
+    file.unlink()
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'open'")
+    with pytest.raises(InputError, match=r"own.gpkg: the edits of the run are not there"):
+        write_review_page(out)
+
+
+STRANGE = ("stake_m = 9e999", "z = 'high'", "area_m2 = 'wide'", "reason = 5", "rank = NULL")
+
+
+@pytest.mark.parametrize("change", STRANGE)
+def test_strange_values_do_not_break_the_page(change: str, out: Path) -> None:
+    with edited(out) as database:
+        database.execute(f"UPDATE review SET {change}")
+    for place in data_of(Path(write_review_page(out).page))["places"]:
+        columns = place["columns"]
+        numbers = [
+            columns[name] for name in ("stake_m", "area_m2") if columns[name] is not None
+        ]
+        assert np.isfinite(numbers).all()
+        assert isinstance(columns["reason"], str)
+
+
+def test_a_card_tells_the_rank_and_the_middle_of_its_place(out: Path) -> None:
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'ok' WHERE rank = 1")
+    (_, row) = rows(out)
+    west, south, east, north = row["shape"].bounds
+    text = Path(write_review_page(out).page).read_text("utf-8")
+    assert "2. place without returns" in text
+    assert f"{(west + east) / 2:.1f}, {(south + north) / 2:.1f}" in text
 
 
 @pytest.mark.parametrize("crs", [CRS(25832), CRS(2992), DATUM, CRS("EPSG:25832+5783")])
@@ -204,6 +263,8 @@ def test_a_plane_is_bridged_exactly() -> None:
 
 
 def test_sections_say_that_the_points_are_not_there(out: Path) -> None:
+    shutil.rmtree(out / "store.zarr/points")
+    assert "cannot be read" in Path(write_review_page(out).page).read_text("utf-8")
     shutil.rmtree(out / "store.zarr")
     text = Path(write_review_page(out).page).read_text("utf-8")
     assert text.count("the store of the run is not there") == len(GAPS)
@@ -221,6 +282,16 @@ def test_only_a_page_of_this_command_is_replaced(out: Path, tmp_path: Path) -> N
         write_review_page(out, page_path=tmp_path / "page.txt")
     with pytest.raises(ConfigError, match="report.html"):
         write_review_page(out, page_path=out / "report.html")
+    with pytest.raises(ConfigError, match="its folder does not exist"):
+        write_review_page(out, page_path=tmp_path / "no" / "page.html")
+    with pytest.raises(ConfigError, match="is a URL"):
+        write_review_page(out, page_path="https://example.org/page.html")
+    (tmp_path / "link.html").symlink_to(tmp_path / "elsewhere.html")
+    with pytest.raises(ConfigError, match="is a link"):
+        write_review_page(out, page_path=tmp_path / "link.html")
+    (tmp_path / "folder.html").mkdir()
+    with pytest.raises(ConfigError, match="is not a page of this command"):
+        write_review_page(out, page_path=tmp_path / "folder.html")
 
 
 def test_what_cannot_be_reviewed_is_one_line(out: Path, tmp_path: Path) -> None:

@@ -12,16 +12,17 @@ from pyproj import CRS
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate.rasters import raster_named
 from tiler.core.crs import split
+from tiler.core.file_names import link_error
 from tiler.core.words import counted
 from tiler.errors import ConfigError, InputError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.locations import is_url
-from tiler.io.overwrite_check import Target, check_links, check_targets
+from tiler.io.overwrite_check import Target, check_targets, same_file
 from tiler.io.result_folder import REVIEW, REVIEW_PAGE, read_run
 from tiler.io.vector import CUT
 from tiler.report.cards import card, decisions
 from tiler.report.document import el, page, section
-from tiler.report.places import Detail, OpenPlaces, read_open_places, store_of
+from tiler.report.places import Detail, OpenPlaces, read_open_places, store_of, units_of
 from tiler.schedule import call_isolated, half_of_memory
 
 SECONDS, SECONDS_PER_PLACE = 60.0, 20.0
@@ -69,16 +70,18 @@ def write_review_page(
     ProcessingError
         The page cannot be written.
     """
-    if is_url(str(out)):
-        raise ConfigError(f"{out}: is a URL; copy the folder to this machine and give the copy")
+    for option, place in (("", out), ("--page ", page_path or "")):
+        if is_url(str(place)):
+            raise ConfigError(f"{option}{place}: is a URL; give a copy on this machine")
     run = read_run(str(out))
-    if run is None:
+    if run is None or not isinstance(run.get("plan"), dict):
         raise InputError(f"{out}: has no results of a run; give the OUT of a run")
-    source, target = Path(out, REVIEW), Path(page_path or Path(out, REVIEW_PAGE))
+    source = Path(out, REVIEW)
+    target = Path(out, REVIEW_PAGE) if page_path is None else Path(page_path)
     _validate_page(target, source)
     if not source.is_file():
         raise InputError(f"{source}: no such file; run again, which lists the places to review")
-    dtm = terrain_in(str(out))
+    dtm, edits = terrain_in(str(out)), _other_edits(run, source)
     with raster_named(dtm):
         found = call_isolated(
             read_open_places,
@@ -87,7 +90,8 @@ def write_review_page(
             run,
             store_of(out, run, store_url),
             Detail(places),
-            paths=(source, Path(dtm)),
+            edits,
+            paths=(source, Path(dtm), *([edits] if edits else [])),
             memory_bytes=half_of_memory(),
             seconds=SECONDS + SECONDS_PER_PLACE * places,
             remedy="give fewer places with --places",
@@ -104,14 +108,21 @@ def write_review_page(
 
 
 def _validate_page(target: Path, source: Path) -> None:
-    """Raise ConfigError if the page would replace a file that is not an earlier page."""
+    """Raise ConfigError if the page cannot be written, or would replace a file that is not an earlier page."""
     check_targets([Target("--page", target, (".html",))], [source])
-    check_links("--page", target.parent, [target.name])
-    try:
-        with target.open("rb") as stream:
-            is_earlier = IS_OURS in stream.read(HEAD_BYTES)
-    except FileNotFoundError:
+    if target.is_symlink():
+        raise link_error(target, "--page")
+    if not target.parent.is_dir():
+        raise ConfigError(
+            f"--page {target}: its folder does not exist; make it, or give another file"
+        )
+    if not target.exists():
         return
+    try:
+        is_earlier = False
+        if target.is_file():
+            with target.open("rb") as stream:
+                is_earlier = IS_OURS in stream.read(HEAD_BYTES)
     except OSError as error:
         raise ConfigError(
             f"--page {target}: cannot be read ({error.strerror}); give another file"
@@ -122,6 +133,23 @@ def _validate_page(target: Path, source: Path) -> None:
         )
 
 
+def _other_edits(run: Mapping[str, Any], source: Path) -> Path | None:
+    """Return the file of edits that the run used, if it is another than that of the places.
+
+    Raise InputError if it is not there, since a saved file without its edits would undo them.
+    """
+    named = (run.get("configuration") or {}).get("edits")
+    if not isinstance(named, str):
+        return None
+    path = Path(named)
+    if not path.is_file():
+        raise InputError(
+            f"{named}: the edits of the run are not there, so a file of decisions would undo them; call from the "
+            "folder of the run, or run again with other edits"
+        )
+    return None if same_file(named, str(source)) else path
+
+
 def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
     cards, number, crs = found.cards, found.number, crs_name_in_geojson(found.crs)
     title = f"Places to review of {out.resolve().name}"
@@ -130,6 +158,8 @@ def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
         f"{'is' if number == 1 else 'are'} open, the most serious first. "
         "Decide on each, save the decisions, and run again with --edits and the saved file."
     )
+    if found.kept:
+        text += f" It also has the {counted(len(found.kept), 'earlier decision')}."
     keys = "Keys: n next, p previous, o right, f change it, u open, s save."
     header = el(
         "header",
@@ -150,12 +180,20 @@ def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
             "The clouds have no CRS, without which this page cannot save polygons: decide in review.gpkg.",
             class_="warning",
         )
-    places = section("places", "Places", bar, *(card(place, run) for place in cards))
+    places = section(
+        "places",
+        "Places",
+        bar,
+        *(
+            card(number, place, run, units_of(run), crs is not None)
+            for number, place in enumerate(cards, start=1)
+        ),
+    )
     return page(
         title,
         header,
         [places],
-        decisions(cards, crs),
+        decisions(cards, found.kept, crs),
         "review.js",
         "tiler review",
     )

@@ -12,6 +12,9 @@ LAYER = "review"
 """Layer of the places in their file."""
 OWN_COLUMNS = ("rank", "reason", "stake_m")
 """Columns by which places are known if their layer was renamed."""
+TEXTS = ("status", "reason", "why", "action", "sheet", "remedy", "note")
+NUMBERS = ("z", "stake_m", "area_m2")
+"""Columns of a place in its file, besides ``rank``."""
 OPEN, OK, FIXED = "open", "ok", "fixed"
 """Values of the column ``status``: not looked at, right as it is, and to be changed by the edit of the row."""
 STATUSES = (OPEN, OK, FIXED)

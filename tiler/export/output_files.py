@@ -179,12 +179,13 @@ class RasterFileRecord(FileRecord):
 
     Attributes
     ----------
-    pixels, valid : int
-        Number of all pixels, and of pixels with a value.
-    own : int
-        Number of pixels that belong to the file. Pixels beside the polygon of a drawn sheet do not.
+    pixels : int
+        Number of all pixels.
+    own, valid : int
+        Number of pixels that belong to the file, and of those with a value. Pixels beside the polygon of a drawn sheet
+        do not belong to it.
     min, max, mean : float or None
-        Statistics of the values. None if no pixel is valid.
+        Statistics of the values of these pixels. None if no pixel is valid.
     """
 
     pixels: int

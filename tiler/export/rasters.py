@@ -141,7 +141,7 @@ def _write(
     clip: StoredAreas | None,
     target: Path,
 ) -> tuple[Statistics, int]:
-    """Write a raster to a file on this machine. Return its statistics and the number of pixels that belong to it."""
+    """Write a raster to a file on this machine. Return statistics and number of the pixels that belong to it."""
     plain = partial_path(target, "plain")
     partial = partial_path(target, "cog")
     with raster_errors(target):
@@ -187,7 +187,7 @@ def _write_plain(
 ) -> tuple[Statistics, int]:
     """Copy the raster block by block, row by row from the north-west."""
     spec = part.spec
-    statistics, own = Statistics(), 0
+    statistics, of_sheet, own = Statistics(), Statistics(), 0
     nodata = PRODUCTS[info.product].nodata
     look = _raster_metadata(store.meta.frame, info)
     with plain_geotiff(
@@ -201,6 +201,8 @@ def _write_plain(
                 inside = in_sheet & spec.inside(block, store.area(part.area))
                 values = np.where(inside, values, np.float32(part.fill))
             statistics = statistics.merged(values, nodata)
+            if clip is not None:
+                of_sheet = of_sheet.merged(values[in_sheet], nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 if look.nodata != nodata:
                     values = np.where(
@@ -208,7 +210,7 @@ def _write_plain(
                     )
                 raster.write(values, block.row, block.col)
         raster.tag_band({**look.meanings, **statistics.tags(spec.height * spec.width)})
-    return statistics, own
+    return statistics if clip is None else of_sheet, own
 
 
 def _read(store: TileStore, part: RasterPart, block: Block) -> npt.NDArray[np.float32]:

@@ -19,9 +19,11 @@ from tiler.core.review import (
     FIXED,
     HOLES,
     LAYER,
+    NUMBERS,
     OK,
     OPEN,
     STATUSES,
+    TEXTS,
     ReviewRow,
     is_edit,
     ranked,
@@ -32,8 +34,6 @@ from tiler.io.vector import geopackage
 from tiler.io.vector.writing import WHEN
 from tiler.store import TileStore, coarse_values
 
-TEXTS = ("status", "reason", "why", "action", "sheet", "remedy", "note")
-NUMBERS = ("z", "stake_m", "area_m2")
 COLOURS = {OPEN: "209,73,91", OK: "91,140,90", FIXED: "42,111,151"}
 """Red, green and blue of the outlines by status."""
 STYLES = "layer_styles"

@@ -117,7 +117,7 @@ def _names(features: Sequence[Feature], field: str) -> list[str]:
         elif len(name.encode()) > LONGEST:
             fault = f"has more than {LONGEST} bytes"
         elif not fault and folded(name) in places:
-            fault = f"is also that of {places[folded(name)]}"
+            fault = f"is on some disks also that of {places[folded(name)]}"
         if fault:
             raise InputError(
                 f"{feature.place}: its {field} {name!r} {fault}; give each sheet a name of its own that files may have"

@@ -30,7 +30,7 @@ from tiler.report.drawn import (
 from tiler.report.pictures import Extent, hillshade
 
 GROUND_COLOUR, OTHER_COLOUR, AFTER_COLOUR = "#b0722a", "#2f7fd0", "#d1341f"
-TITLES = {OPEN: "open (u)", OK: "right as it is (o)", FIXED: "change it (f)"}
+TITLES = {OPEN: "open (u)", OK: "right as it is (o)", FIXED: "change it with the edit (f)"}
 """Texts of the decisions, with their keys."""
 CLIPPED_PERCENT = 1.0
 """Percentage of the points at either end of the heights that a section may leave out."""
@@ -77,6 +77,8 @@ class Card:
     ----------
     columns : mapping
         Columns of `review.gpkg`.
+    middle : (float, float)
+        x and y of the middle of its bounds.
     outline : tuple of float64, shape (n, 2)
         Rings in units of the CRS.
     ends : float64, shape (2, 2)
@@ -91,6 +93,7 @@ class Card:
     """
 
     columns: Mapping[str, Any]
+    middle: tuple[float, float]
     outline: tuple[Float64s, ...]
     ends: Float64s
     geometry: str | None
@@ -100,63 +103,75 @@ class Card:
     section: Section
 
 
-def card(place: Card, run: Mapping[str, Any]) -> Node:
-    """Return the card of a place as an element of a page."""
-    columns, number = place.columns, int(place.columns["rank"])
-    metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
-    wide, high = metres["horizontal"], metres["vertical"]
-    stake, area = columns.get("stake_m"), columns.get("area_m2")
-    west, south, east, north = place.extent
+def card(
+    number: int,
+    place: Card,
+    run: Mapping[str, Any],
+    units: tuple[float, float],
+    can_save: bool,
+) -> Node:
+    """Return the card of a place as an element of a page, without controls if the page cannot save decisions.
+
+    ``number`` distinguishes the elements of the page.
+    """
+    columns, (wide, high) = place.columns, units
+    stake, area = columns["stake_m"], columns["area_m2"]
     known = facts(
         {
-            "height at stake": None if stake is None else length_text(round(stake, 2), high),
+            "possible height error": None
+            if stake is None
+            else length_text(round(stake, 2), high),
             "area": None if area is None else small_area_text(area, wide),
-            "middle": f"{(west + east) / 2:,.0f}, {(south + north) / 2:,.0f}",
-            "sheet": columns.get("sheet") or None,
+            "middle": f"{place.middle[0]:.1f}, {place.middle[1]:.1f}",
+            "sheet": columns["sheet"] or None,
         }
     )
     figures = [_picture(place, place.before, run, "terrain")]
     if place.after is not None:
         figures.append(_picture(place, place.after, run, f"with the edit {columns['action']}"))
-    remedy = columns.get("remedy")
+    remedy = columns["remedy"]
     return el(
         "article",
-        el("h3", f"{number}. {columns.get('reason') or 'place'}"),
-        el("p", columns.get("why") or ""),
+        el("h3", _title(columns)),
+        el("p", columns["why"]),
         el("p", remedy, class_="quiet") if remedy else None,
         known,
         el("div", *figures, _section(place.section, short_unit(high), wide), class_="views"),
-        _form(number, columns, place.geometry is not None, short_unit(high)),
+        _form(number, place, short_unit(high)) if can_save else None,
         class_="place",
         id=f"place-{number}",
         tabindex=-1,
     )
 
 
-def small_card(place: Card, run: Mapping[str, Any]) -> Node:
+def _title(columns: Mapping[str, Any]) -> str:
+    reason = columns["reason"] or "place"
+    return reason if columns["rank"] is None else f"{columns['rank']}. {reason}"
+
+
+def small_card(place: Card, run: Mapping[str, Any], units: tuple[float, float]) -> Node:
     """Return what a report shows of a place: a picture of the terrain and the section."""
-    columns = place.columns
-    metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
-    unit = short_unit(metres["vertical"])
+    columns, (wide, high) = place.columns, units
     return el(
         "article",
-        el("h3", f"{int(columns['rank'])}. {columns.get('reason') or 'place'}"),
-        el("p", columns.get("why") or ""),
+        el("h3", _title(columns)),
+        el("p", columns["why"]),
         el(
             "div",
             _picture(place, place.before, run, "terrain"),
-            _section(place.section, unit, metres["horizontal"]),
+            _section(place.section, short_unit(high), wide),
             class_="views",
         ),
         class_="place small",
     )
 
 
-def _form(number: int, columns: Mapping[str, Any], can_be_fixed: bool, unit: str) -> Node:
+def _form(number: int, place: Card, unit: str) -> Node:
     """Return the controls with which the user decides."""
-    if not can_be_fixed:
+    if place.geometry is None:
         text = "This outline has too many corners for a page: decide in review.gpkg."
         return el("p", text, class_="warning")
+    columns = place.columns
     choices: list[Content] = [
         el(
             "label",
@@ -165,13 +180,11 @@ def _form(number: int, columns: Mapping[str, Any], can_be_fixed: bool, unit: str
         )
         for status, title in TITLES.items()
     ]
-    suggested = columns.get("action") or ""
     options = [
-        el("option", action or "(none)", value=action, **_selected(action == suggested))
+        el("option", action or "(none)", value=action, **_selected(action == columns["action"]))
         for action in ("", *ACTIONS)
     ]
-    z = columns.get("z")
-    height = {} if z is None else {"value": f"{z:g}"}
+    z = "" if columns["z"] is None else repr(columns["z"])
     return el(
         "fieldset",
         el("legend", "Decision"),
@@ -180,9 +193,9 @@ def _form(number: int, columns: Mapping[str, Any], can_be_fixed: bool, unit: str
         el(
             "label",
             f"height for {FLAT}, {unit} ",
-            el("input", type="number", step="any", name="z", size=8, **height),
+            el("input", type="text", inputmode="decimal", name="z", size=8, value=z),
         ),
-        el("label", "note ", el("input", type="text", name="note", maxlength=200)),
+        el("label", "note ", el("input", type="text", name="note", value=columns["note"])),
         el("output", "", class_="bad"),
     )
 
@@ -215,7 +228,7 @@ def _picture(place: Card, heights: Floats, run: Mapping[str, Any], title: str) -
     )
     picture = el(
         "svg",
-        el("title", f"{title} around place {place.columns['rank']}"),
+        el("title", f"{title} around the place"),
         el("image", href=shade.uri, width=columns, height=rows),
         *drawn,
         line,
@@ -287,7 +300,7 @@ def _caption(section: Section, unit: str, metres: float) -> str:
     if section.after is not None:
         text += ", terrain with the edit (red)"
     if not section.width:
-        return f"{text}. Points are not shown, because the store of the run is not there."
+        return f"{text}. Points are not shown, because the store of the run is not there or cannot be read."
     width = length_text(round(section.width * metres, 2), metres)
     return f"{text}, points of a strip of {width}: ground (brown), others (blue)."
 
@@ -309,27 +322,19 @@ def _line(at: Float64s, heights: Float64s, across: Any, down: Any, colour: str) 
     return el("path", d="".join(text), fill="none", stroke=colour, stroke_width=1.6)
 
 
-def decisions(places: Sequence[Card], crs: str | None) -> dict[str, Any]:
-    """Return the data with which the page writes the decisions as GeoJSON."""
+def decisions(
+    found: Sequence[Card], kept: Sequence[tuple[dict[str, Any], str]], crs: str | None
+) -> dict[str, Any]:
+    """Return the data with which the page writes a file of decisions: the places, and what was decided before."""
+    names = ("rank", "reason", "why", "stake_m", "area_m2", "sheet", "remedy")
     return {
         "crs": crs,
         "places": [
             {
-                "number": int(place.columns["rank"]),
                 "geometry": place.geometry,
-                "columns": {
-                    name: place.columns.get(name)
-                    for name in (
-                        "rank",
-                        "reason",
-                        "why",
-                        "stake_m",
-                        "area_m2",
-                        "sheet",
-                        "remedy",
-                    )
-                },
+                "columns": {name: place.columns[name] for name in names},
             }
-            for place in places
+            for place in found
         ],
+        "kept": [{"geometry": geometry, "columns": columns} for columns, geometry in kept],
     }

@@ -143,7 +143,9 @@ def page(
     contents = el("nav", *links, aria_label="Contents")
     # Browsers do not unescape the text of a script element, so it must not contain "<".
     embedded = Node("script", {"type": "application/json", "id": "data"})
-    embedded.text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    embedded.text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace(
+        "<", "\\u003c"
+    )
     code, look = Node("script"), Node("style")
     code.text, look.text = script, style
     root = el(

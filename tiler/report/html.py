@@ -37,7 +37,7 @@ from tiler.report.cards import small_card
 from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn, shapes
 from tiler.report.pictures import VIRIDIS, Pictures, draw, ramp_colour
-from tiler.report.places import Detail, read_open_places, store_of
+from tiler.report.places import Detail, read_open_places, store_of, units_of
 from tiler.report.problems import marked_places, problems
 from tiler.report.runfile import run_file_errors, title_of, write_run_file
 from tiler.report.tables import specification
@@ -206,7 +206,11 @@ def _places(out: Path, run: Mapping[str, Any], rasters: Mapping[str, str]) -> li
         "decide about them. Sections along the dashed lines show the terrain (line), the suggested edit (red), ground "
         "points (brown) and other points (blue)."
     )
-    views = el("div", *(small_card(place, run) for place in found.cards), class_="places")
+    views = el(
+        "div",
+        *(small_card(place, run, units_of(run)) for place in found.cards),
+        class_="places",
+    )
     return [section("places", "Places to look at", el("p", text), views)]
 
 

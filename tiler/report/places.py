@@ -15,14 +15,15 @@ import rasterio
 import shapely
 from rasterio.enums import Resampling
 
+from tiler.core.crs import crs_in_file
 from tiler.core.edits import FLAT, NOT_GROUND, VOID
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.points import GROUND, LABELS, UNCERTIFIED_BIT
-from tiler.core.review import OPEN, is_place
+from tiler.core.review import FIXED, NUMBERS, OPEN, TEXTS, is_place
 from tiler.errors import StoreError
-from tiler.io.locations import joined
+from tiler.io.locations import joined, storage_errors
 from tiler.io.result_folder import STORE
-from tiler.io.vector import POLYGONS, Feature
+from tiler.io.vector import POLYGONS, Feature, read_in_crs
 from tiler.io.vector.reading import read_features
 from tiler.report.cards import Card, Section
 from tiler.report.pictures import CACHE_MB, Extent
@@ -62,15 +63,25 @@ class Detail:
 
 @dataclass(frozen=True)
 class OpenPlaces:
-    """Cards of the first open places of a run, number of all open places, and CRS of the outlines."""
+    """Cards of the first open places of a run, number of all open places, and CRS of the outlines.
+
+    ``kept`` has the columns and outlines, as GeoJSON, of what the user decided before: a later file of decisions has to
+    contain it.
+    """
 
     cards: list[Card]
     number: int
     crs: str | None
+    kept: list[tuple[dict[str, Any], str]]
 
 
 def read_open_places(
-    path: Path, dtm: str, run: Mapping[str, Any], store_url: str, detail: Detail
+    path: Path,
+    dtm: str,
+    run: Mapping[str, Any],
+    store_url: str,
+    detail: Detail,
+    edits: Path | None = None,
 ) -> OpenPlaces:
     """Read what the cards of the first open places show.
 
@@ -85,27 +96,38 @@ def read_open_places(
     store_url : str
         Location of the store. Without a store, sections have no points.
     detail : Detail
+    edits : Path, optional
+        Another file of edits that the run used.
 
     Raises
     ------
     InputError
-        The file of the places cannot be read.
+        A file of places or edits cannot be read.
     rasterio.errors.RasterioError
         The terrain cannot be read.
     """
-    features, crs = _open_places(path)
-    try:
-        store: TileStore | None = open_store(store_url)
-    except StoreError:
-        store = None
-    settings = run.get("configuration", {})
-    kept = settings.get("ground_classes") if settings.get("method") == "keep" else None
-    metres = run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0)
+    found = read_features(path, POLYGONS, every_layer=True, may_be_empty=True)
+    rows = [row for row in found.features if is_place(row.layer, row.attributes)]
+    features = sorted((row for row in rows if _status(row) == OPEN), key=_rank)
+    kept = [_kept_row(row) for row in rows if _status(row) != OPEN]
+    if edits is not None:
+        wkt = None if found.crs is None else crs_in_file(found.crs).to_wkt()
+        drawn = read_in_crs(edits, POLYGONS, wkt, may_be_empty=True).features
+        own = [row for row in drawn if not is_place(row.layer, row.attributes)]
+        # Of overlapping edits the last one counts.
+        kept = [*(_kept_edit(row) for row in own), *kept]
+    settings = run.get("configuration") or {}
+    classes = settings.get("ground_classes") if settings.get("method") == "keep" else None
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB), rasterio.open(dtm) as raster:
-        survey = _Survey(raster, store, kept, metres, detail)
-        first = enumerate(features[: detail.places], start=1)
-        cards = [_card(number, feature, survey) for number, feature in first]
-    return OpenPlaces(cards, len(features), crs)
+        survey = _Survey(raster, _opened(store_url), classes, units_of(run)[0], detail)
+        cards = [_card(feature, survey) for feature in features[: detail.places]]
+    return OpenPlaces(cards, len(features), found.crs, kept)
+
+
+def units_of(run: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the metres in a unit of the coordinates, and in one of the heights, of a run."""
+    metres = (run.get("plan") or {}).get("metres_per_unit") or {}
+    return metres.get("horizontal", 1.0), metres.get("vertical", 1.0)
 
 
 def store_of(out: str | Path, run: Mapping[str, Any], store_url: str | None = None) -> str:
@@ -116,21 +138,46 @@ def store_of(out: str | Path, run: Mapping[str, Any], store_url: str | None = No
     return str(store_url or joined(str(Path(out).resolve()), STORE))
 
 
-def _open_places(path: Path) -> tuple[list[Feature], str | None]:
-    """Return the open places of a file by their rank, and their CRS."""
-    found = read_features(path, POLYGONS, every_layer=True, may_be_empty=True)
-    rows = [
-        feature
-        for feature in found.features
-        if is_place(feature.layer, feature.attributes)
-        and str(feature.attributes.get("status") or "").strip().lower() == OPEN
-    ]
-    return sorted(rows, key=_rank), found.crs
+def _opened(store_url: str) -> TileStore | None:
+    """Return the store, or None if it is not there or cannot be read."""
+    try:
+        with storage_errors():
+            return open_store(store_url)
+    except (StoreError, OSError):
+        return None
 
 
-def _rank(feature: Feature) -> float:
-    rank = feature.attributes.get("rank")
-    return float(rank) if isinstance(rank, int | float) else math.inf
+def _status(row: Feature) -> str:
+    return str(row.attributes.get("status") or FIXED).strip().lower()
+
+
+def _rank(row: Feature) -> float:
+    rank = row.attributes.get("rank")
+    return float(rank) if isinstance(rank, int | float) and math.isfinite(rank) else math.inf
+
+
+def _columns(row: Feature) -> dict[str, Any]:
+    """Return the columns of a place. Values of another type, which a user may have given, are empty."""
+    columns: dict[str, Any] = {}
+    for name in TEXTS:
+        text = row.attributes.get(name)
+        columns[name] = text if isinstance(text, str) else ""
+    for name in NUMBERS:
+        number = row.attributes.get(name)
+        columns[name] = None
+        if isinstance(number, int | float) and math.isfinite(number):
+            columns[name] = float(number)
+    rank = _rank(row)
+    return {**columns, "rank": int(rank) if math.isfinite(rank) else None}
+
+
+def _kept_row(row: Feature) -> tuple[dict[str, Any], str]:
+    return {**_columns(row), "status": _status(row)}, str(shapely.to_geojson(row.geometry))
+
+
+def _kept_edit(row: Feature) -> tuple[dict[str, Any], str]:
+    columns = {**_columns(row), "status": FIXED, "z": row.height()}
+    return columns, str(shapely.to_geojson(row.geometry))
 
 
 @dataclass(frozen=True)
@@ -144,8 +191,8 @@ class _Survey:
     detail: Detail
 
 
-def _card(number: int, feature: Feature, survey: _Survey) -> Card:
-    shape, columns = feature.geometry, {**feature.attributes, "rank": number}
+def _card(feature: Feature, survey: _Survey) -> Card:
+    shape, columns = feature.geometry, _columns(feature)
     extent, before = _heights_around(survey, shape.bounds)
     west, south, east, north = extent
     rows, cols = before.shape
@@ -160,15 +207,17 @@ def _card(number: int, feature: Feature, survey: _Survey) -> Card:
         shapely.get_coordinates(ring) for ring in shapely.simplify(rings, pixel / 2)
     )
     is_small = shapely.get_num_coordinates(shape) <= MOST_CORNERS
+    west_of, south_of, east_of, north_of = shape.bounds
     return Card(
         columns=columns,
+        middle=((west_of + east_of) / 2, (south_of + north_of) / 2),
         outline=outline,
         ends=ends,
         geometry=shapely.to_geojson(shape) if is_small else None,
         extent=extent,
         before=before,
         after=after,
-        section=_section(shape, ends, extent, before, after, survey),
+        section=_section(shape, ends, extent, after, columns, survey),
     )
 
 
@@ -257,6 +306,8 @@ def section_ends(shape: Any, metres: float) -> Float64s:
     float64, shape (2, 2)
         x and y of each end.
     """
+    if not shape.area:
+        shape = shape.buffer(0.5 / metres)
     corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(shape))[:4]
     sides = np.diff(corners[:3], axis=0)
     lengths = np.hypot(*sides.T)
@@ -280,34 +331,45 @@ def _section(
     shape: Any,
     ends: Float64s,
     extent: Extent,
-    before: Floats,
     after: Floats | None,
+    columns: Mapping[str, Any],
     survey: _Survey,
 ) -> Section:
     length = float(np.hypot(*(ends[1] - ends[0])))
     at = (np.arange(SAMPLES) + 0.5) * length / SAMPLES
     positions = ends[0] + np.outer(at / length, ends[1] - ends[0])
+    inside = shapely.contains_xy(shape, *positions.T)
+    # Pictures of wide places have large pixels.
+    samples = survey.terrain.sample(positions, masked=True)
+    line = np.ma.filled(np.ma.stack(list(samples)).astype(np.float64), np.nan)[:, 0]
+    edited = None
+    if after is not None and columns["action"] != VOID:
+        edited = np.where(inside, _sampled(after, extent, positions), np.nan)
     width = max(STRIP_M / survey.metres, abs(survey.terrain.transform.a))
-    ground = others = np.empty((2, 0))
-    if survey.store is not None:
-        ground, others = (
-            _thinned(points, survey.detail.points)
-            for points in points_near(survey.store, ends, width, survey.kept)
-        )
-    line, edited = _sampled(before, extent, positions), None
-    if after is not None:
-        edited = _sampled(after, extent, positions)
-        edited[edited == line] = np.nan
+    points = _points(survey, ends, width)
     return Section(
         length=length,
         at=at,
         before=line,
         after=edited if edited is not None and np.isfinite(edited).any() else None,
-        inside=shapely.contains_xy(shape, *positions.T),
-        ground=ground,
-        others=others,
-        width=0.0 if survey.store is None else width,
+        inside=inside,
+        ground=points[0],
+        others=points[1],
+        width=width if survey.store is not None and points[0].size + points[1].size else 0.0,
     )
+
+
+def _points(survey: _Survey, ends: Float64s, width: float) -> tuple[Float64s, Float64s]:
+    """Return the points of a section, or none if the store is not there or is damaged."""
+    none = np.empty((2, 0))
+    if survey.store is None:
+        return none, none
+    try:
+        ground, others = points_near(survey.store, ends, width, survey.kept)
+    except StoreError:
+        return none, none
+    most = survey.detail.points
+    return _thinned(ground, most), _thinned(others, most)
 
 
 def _sampled(heights: Floats, extent: Extent, positions: Float64s) -> Float64s:

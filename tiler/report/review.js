@@ -9,6 +9,8 @@
 
   const field = (card, name) => card.querySelector(`[name="${name}"]`);
   const status = (card) => card.querySelector("input[type=radio]:checked")?.value ?? "open";
+  const height = (card) => Number(field(card, "z").value.trim().replace(",", ".") || NaN);
+  const note = (card) => field(card, "note").value;
 
   function choose(card, value) {
     const choice = card.querySelector(`input[value="${value}"]`);
@@ -21,21 +23,18 @@
     isSaved = false;
     saved.textContent = "";
     card.dataset.status = status(card);
-    fault(card);
+    card.querySelector("output").textContent = fault(card);
     const number = cards.filter((each) => status(each) !== "open").length;
     decided.textContent = `${number} of ${cards.length} decided`;
   }
 
-  // A change needs an edit, and a flat one a height.
   function fault(card) {
-    const told = card.querySelector("output");
-    if (!told) return "";
+    if (!field(card, "action")) return "";
+    if (status(card) === "open") return note(card) === field(card, "note").defaultValue ? "" : "Decide, or the note is lost.";
+    if (status(card) === "ok") return "";
     const action = field(card, "action").value;
-    told.textContent = status(card) !== "fixed" ? ""
-      : !action ? "Choose an edit."
-      : action === "flat" && field(card, "z").value === "" ? "Give the height."
-      : "";
-    return told.textContent;
+    if (!action) return "Choose an edit.";
+    return action === "flat" && !Number.isFinite(height(card)) ? "Give the height as a number." : "";
   }
 
   function go(number) {
@@ -46,34 +45,33 @@
     cards[at].scrollIntoView({ block: "start" });
   }
 
-  function feature(card, place) {
-    const z = field(card, "z").value;
-    return {
-      type: "Feature",
-      properties: {
-        ...place.columns, status: status(card), action: field(card, "action").value,
-        z: z === "" ? null : Number(z), note: field(card, "note").value,
-      },
-      geometry: JSON.parse(place.geometry),
-    };
+  function feature(columns, geometry) {
+    return { type: "Feature", properties: columns, geometry: JSON.parse(geometry) };
+  }
+
+  function decision(card, place) {
+    const z = height(card);
+    return feature({
+      ...place.columns, status: status(card), action: field(card, "action").value,
+      z: Number.isFinite(z) ? z : null, note: note(card),
+    }, place.geometry);
   }
 
   function save() {
     if (!data.crs) return;
     const wrong = cards.findIndex((card) => fault(card));
     if (wrong >= 0) {
-      saved.textContent = "A place needs an edit.";
+      saved.textContent = `${cards[wrong].querySelector("h3").textContent}: ${fault(cards[wrong])}`;
       go(wrong);
       return;
     }
-    const features = cards
-      .map((card, i) => [card, data.places[i]])
-      .filter(([card, place]) => place.geometry && status(card) !== "open")
-      .map(([card, place]) => feature(card, place));
-    if (!features.length) {
+    const decisions = cards.map((card, i) => [card, data.places[i]])
+      .filter(([card]) => status(card) !== "open").map(([card, place]) => decision(card, place));
+    if (!decisions.length) {
       saved.textContent = "No place is decided.";
       return;
     }
+    const features = [...data.kept.map((row) => feature(row.columns, row.geometry)), ...decisions];
     const collection = {
       type: "FeatureCollection", name: "review",
       crs: { type: "name", properties: { name: data.crs } }, features,
@@ -82,28 +80,33 @@
     link.href = URL.createObjectURL(new Blob([JSON.stringify(collection)], { type: "application/geo+json" }));
     link.download = "decisions.geojson";
     link.click();
-    URL.revokeObjectURL(link.href);
+    setTimeout(() => URL.revokeObjectURL(link.href), 60000);
     isSaved = true;
-    saved.textContent = `Saved ${features.length} as decisions.geojson in your downloads.`;
+    const number = decisions.length === 1 ? "1 decision" : `${decisions.length} decisions`;
+    saved.textContent = `Saved ${number} as decisions.geojson in your downloads.`;
   }
 
   cards.forEach((card, i) => {
-    choose(card, "open");
-    card.addEventListener("input", () => changed(card));
+    card.addEventListener("input", (event) => {
+      if (event.target.matches('[name="action"], [name="z"]') && status(card) === "open") choose(card, "fixed");
+      changed(card);
+    });
     card.addEventListener("focusin", () => {
       at = i;
       cards.forEach((each) => each.classList.toggle("current", each === card));
     });
+    choose(card, "open");
   });
   isSaved = true;
   document.getElementById("save")?.addEventListener("click", save);
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.matches("input[type=text], input[type=number], select")) return;
-    if (event.key === "n") go(at + 1);
-    else if (event.key === "p") go(at - 1);
-    else if (event.key === "s") save();
-    else if (WORDS[event.key] && at >= 0) choose(cards[at], WORDS[event.key]);
+    if (event.target.matches("input[type=text], select")) return;
+    const key = event.key.toLowerCase();
+    if (key === "n") go(at + 1);
+    else if (key === "p") go(at - 1);
+    else if (key === "s") { if (!event.repeat) save(); }
+    else if (WORDS[key] && at >= 0) choose(cards[at], WORDS[key]);
     else return;
     event.preventDefault();
   });

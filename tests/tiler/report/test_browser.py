@@ -240,15 +240,23 @@ def test_places_are_decided_by_keyboard_and_saved(
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     page.keyboard.press("s")
     assert page.locator("#saved").inner_text() == "No place is decided."
-    for key in "nfno":
-        page.keyboard.press(key)
-    assert page.locator("#decided").inner_text() == "2 of 2 decided"
     first = page.locator("#place-1")
     first.locator("select").select_option("flat")
-    page.keyboard.press("Escape")
+    assert page.locator("#decided").inner_text() == "1 of 2 decided"
+    first.locator("input[value=open]").check()
+    first.locator("input[name=note]").fill("why")
     page.locator("#save").click()
-    assert first.locator("output").inner_text() == "Give the height."
-    first.locator("input[name=z]").fill("31.5")
+    assert "Decide, or the note is lost." in page.locator("#saved").inner_text()
+    first.locator("input[name=note]").fill("")
+    first.locator("h3").click()
+    page.evaluate("document.activeElement.blur()")
+    for key in "pfNo":
+        page.keyboard.press(key)
+    assert page.locator("#decided").inner_text() == "2 of 2 decided"
+    first.locator("select").select_option("flat")
+    page.locator("#save").click()
+    assert first.locator("output").inner_text() == "Give the height as a number."
+    first.locator("input[name=z]").fill("31,5")
     first.locator("input[name=note]").fill("snof")  # letters of a note are no keys
     with page.expect_download() as saved:
         page.locator("#save").click()

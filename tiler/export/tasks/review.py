@@ -14,7 +14,9 @@ from tiler.core.review import (
     BARE,
     FIXED,
     HOLES,
+    NUMBERS,
     STATUSES,
+    TEXTS,
     ReviewRow,
     is_place,
     without_copies,
@@ -23,7 +25,7 @@ from tiler.core.review import (
 from tiler.core.words import counted
 from tiler.errors import InputError
 from tiler.export.output_files import OutFile, ReviewFileRecord
-from tiler.export.review import NUMBERS, TEXTS, DeliveredTerrain, write_review
+from tiler.export.review import DeliveredTerrain, write_review
 from tiler.export.tasks.outdated import archive
 from tiler.export.tasks.sheets import name_of, sheet_finder
 from tiler.io.locations import is_url, joined, state_at
