@@ -114,7 +114,9 @@ def command(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Measure accuracy, seams and changes of a DTM, or what a specification asks of clouds.
+    """Check a DTM by checkpoints, or clouds by a specification.
+
+    Of a DTM, accuracy, seams, strip alignment and changes are measured.
 
     A difference is the height of the DTM, interpolated bilinearly between pixel centres, minus
     the height of the checkpoint. In the ASPRS standards, Edition 2, accuracy is the RMSE of the

@@ -45,8 +45,8 @@ GAP_FACTORS = (1, 2, 4, 8, 16)
 _NO_SWATH = 65_535
 """Number of no swath, above those of all swaths."""
 
-BYTES_PER_CELL = 24
-"""Memory that the rasters of this module need per cell of the survey's extent."""
+BYTES_PER_CELL, BYTES_PER_KEY = 32, 48
+"""Memory that `examine_cells` needs per cell of the survey's extent, and per cell of a swath with points."""
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,11 @@ class _Raster:
         return Place(area.cells * self.area_m2, x, y)
 
 
-def extent_bytes(keys: Keys) -> int:
+def needed_bytes(keys: Keys) -> int:
     """Return the memory that `examine_cells` needs."""
     _, columns, rows = decoded(keys)
-    return int(np.ptp(columns) + 1) * int(np.ptp(rows) + 1) * BYTES_PER_CELL
+    extent = int(np.ptp(columns) + 1) * int(np.ptp(rows) + 1)
+    return extent * BYTES_PER_CELL + keys.size * BYTES_PER_KEY
 
 
 def examine_cells(

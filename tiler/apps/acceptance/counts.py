@@ -111,6 +111,8 @@ class CellCounter:
         """Count keys, each once or ``counts`` times."""
         if counts is None:
             keys, counts = np.unique(keys, return_counts=True)
+        if not keys.size:
+            return
         self._keys.append(keys)
         self._counts.append(counts)
         if len(self._keys) > 1:

@@ -16,7 +16,7 @@ from tiler.apps.acceptance.cells import (
     SPACINGS_PER_CELL,
     CellFindings,
     examine_cells,
-    extent_bytes,
+    needed_bytes,
 )
 from tiler.apps.acceptance.counts import CellCounter, Cells, DigestPlan, FileCounts, count_file
 from tiler.apps.acceptance.duplicates import (
@@ -74,13 +74,16 @@ def check_clouds(
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
-    with ChildPool(n_children, half_of_memory() // n_children) as children:
+    with (
+        TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
+        ChildPool(n_children, half_of_memory() // n_children) as children,
+    ):
         infos = [look() for look in children.each(inspect_in_child, paths)]
         if not any(info.points for info in infos):
             raise InputError(
                 f"{paths[0]}: no points in {counted(len(paths), 'file')}; give clouds with points"
             )
-        measured, cell_m = _measure(children, infos, specification)
+        measured, cell_m = _measure(children, infos, specification, Path(folder))
     limits = {} if specification is None else specification.limits
     rows = [_judged(row, row.find(measured), limits.get(row.name)) for row in ROWS]
     return {
@@ -133,9 +136,15 @@ def _notes(measured: Measurements) -> list[str]:
 
 
 def _measure(
-    children: ChildPool, infos: Sequence[SourceInfo], specification: Specification | None
+    children: ChildPool,
+    infos: Sequence[SourceInfo],
+    specification: Specification | None,
+    folder: Path,
 ) -> tuple[Measurements, float | None]:
-    """Return the measurements, and the side of the cells in metres, None without cells."""
+    """Return the measurements, and the side of the cells in metres, None without cells.
+
+    Temporary files are written to ``folder``.
+    """
     for info in infos:
         _validate_crs(info)
     crs_names = _different_crs(infos)
@@ -145,11 +154,10 @@ def _measure(
     asked = None if specification is None else specification.pulse_spacing_m
     spacing = asked or _spacing_by_headers(infos) * metres
     findings: CellFindings | str = DIFFERENT_CRS
-    with TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder:
-        plans = _digest_plans(Path(folder), infos)
-        cells = None if len(crs_names) > 1 else _cells(infos, spacing / metres)
-        files = _count(children, infos, cells, plans)
-        duplicates = _duplicates(plans, files)
+    plans = _digest_plans(folder, infos)
+    cells = None if len(crs_names) > 1 else _cells(infos, spacing / metres)
+    files = _count(children, infos, cells, plans)
+    duplicates = _duplicates(plans, files)
     limits = {} if specification is None else specification.limits
     if cells is not None:
         findings = _examined(files, cells, metres, limits.get("pulse_density"))
@@ -245,7 +253,7 @@ def _examined(
     keys, counts = counter.merge()
     if not keys.size:
         return "no first return that is not withheld"
-    needed = extent_bytes(keys)
+    needed = needed_bytes(keys)
     if needed > half_of_memory():
         return (
             f"the extent has too many cells of {cells.side * metres:.3g} m for this machine's memory "
