@@ -27,6 +27,8 @@ from tiler.io.las.reader import QUALITY, PointReader, Records
 WEEK_SECONDS = 604_800
 STANDARD_TIMES, WEEK_TIMES, NO_TIMES = "adjusted standard", "week seconds", "none"
 CONTRADICTED_TIMES = "week seconds, but some are outside a week"
+DOUBTFUL_TIMES = "adjusted standard, but all are those of a week"
+"""Times that would be of the week from 14 September 2011 on, and are more probably week seconds with the wrong bit."""
 _STANDARD_BIT = 0x01
 _USUAL_OFFSET = 1000
 """Offset in millions of seconds of adjusted standard times of LAS 1.4."""
@@ -337,7 +339,8 @@ def _kind_of_times(header: LasHeader, times: tuple[float, float] | None) -> str:
         return NO_TIMES
     if header.time_offset not in (None, _USUAL_OFFSET):
         return f"standard with an offset of {header.time_offset} million seconds"
-    if header.global_encoding & _STANDARD_BIT:
-        return STANDARD_TIMES
     low, high = times
-    return WEEK_TIMES if low >= 0 and high <= WEEK_SECONDS else CONTRADICTED_TIMES
+    is_week = low >= 0 and high <= WEEK_SECONDS
+    if header.global_encoding & _STANDARD_BIT:
+        return DOUBTFUL_TIMES if is_week else STANDARD_TIMES
+    return WEEK_TIMES if is_week else CONTRADICTED_TIMES

@@ -19,7 +19,7 @@ COORDINATE_STEP = 1e-5
 """Largest difference, in units of the CRS, of coordinates that are equal. Files store the same position with different
 rounding errors if their offsets differ."""
 
-DIGESTS_PER_PART = 4_000_000
+DIGESTS_PER_PART = 2_000_000
 """Mean number of digests in a temporary file, which is compared in memory."""
 
 _LANES = ((0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9), (0xD1B54A32D192ED03, 0x94D049BB133111EB))

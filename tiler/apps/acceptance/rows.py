@@ -189,13 +189,13 @@ def _number_of_places(
 
 def _swath_gaps(cells: CellFindings, measured: Measurements) -> Found:
     if _n_swaths(measured) < 2:
-        return Found(None, remark="the points have one point source id")
+        return Found(None, remark="the points have fewer than two swaths")
     return _number_of_places(lambda c: c.gaps)(measured)
 
 
 def _overlap(cells: CellFindings, measured: Measurements) -> Found:
     if cells.overlap_share is None or _n_swaths(measured) < 2:
-        return Found(None, remark="the points have one point source id")
+        return Found(None, remark="the points have fewer than two swaths")
     return Found(100 * cells.overlap_share)
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from tests.tiler.apps.acceptance.pulses import ALL, Pulses, lattice
 from tiler.apps.acceptance import Specification, check_clouds
+from tiler.apps.acceptance.counts import count_file
 from tiler.errors import InputError
 
 ASKED = Specification("made", {"pulse_spacing": 0.5, "pulse_density": 4})
@@ -237,6 +238,28 @@ def test_facts_of_headers_and_fields(tmp_path: Path) -> None:
     assert flags == [2, 3, 4, 0]
     assert found_rows["files_without_intensity"] == 1
     assert found_rows["points_outside_bounds"] == 0
+
+
+@pytest.mark.parametrize(
+    ("bit", "time", "kind"),
+    [
+        (1, 3e8, "adjusted standard"),
+        (1, -3e8, "adjusted standard"),
+        (1, 4e5, "adjusted standard, but all are those of a week"),
+        (0, 4e5, "week seconds"),
+        (0, 3e8, "week seconds, but some are outside a week"),
+    ],
+)
+def test_the_kind_of_times_is_that_of_the_header_if_they_fit(
+    tmp_path: Path, bit: int, time: float, kind: str
+) -> None:
+    def change(las: Any) -> None:
+        las.header.global_encoding.gps_time_type = laspy.header.GpsTimeType(bit)
+        las.gps_time[:] = time + np.arange(las.gps_time.size)
+        las.gps_time[0] = np.nan
+
+    counts = count_file(square(5).write(tmp_path / "a.laz", change=change), None, None)
+    assert counts.times_kind == kind
 
 
 def test_a_wrong_header_is_found(tmp_path: Path) -> None:

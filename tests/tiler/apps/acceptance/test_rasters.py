@@ -131,7 +131,7 @@ def test_parts_have_all_digests_and_leave_no_file(tmp_path: pytest.TempPathFacto
 
 
 def test_the_number_of_parts_is_a_power_of_two() -> None:
-    assert [number_of_parts(n) for n in (0, 1, 4_000_000, 4_000_001, 13_000_000)] == [
+    assert [number_of_parts(n) for n in (0, 1, 2_000_000, 2_000_001, 6_500_000)] == [
         1,
         1,
         1,
