@@ -290,3 +290,18 @@ def test_degrees_and_empty_clouds_are_refused(tmp_path: Path) -> None:
     nothing = square(20).take(np.arange(0))
     with pytest.raises(InputError, match="no points in 1 file"):
         found(nothing.write(tmp_path / "b.laz", crs=ALL))
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_few_points_at_one_place_next_to_an_empty_file_have_rows(
+    tmp_path: Path, n: int
+) -> None:
+    few = square(20).take(np.zeros(n, np.intp))
+    paths = [
+        few.take(np.arange(0)).write(tmp_path / "a.laz"),
+        few.write(tmp_path / "b.laz"),
+    ]
+    found_rows = found(paths, None)
+    assert found_rows["duplicates"] == n - 1
+    assert found_rows["pulse_density"] > 0
+    assert found_rows["swath_density_least"] is None
