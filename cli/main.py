@@ -42,7 +42,7 @@ COMMANDS = {
     "info": "Describe clouds, a store, a result folder or a raster.",
     "methods": "List the ground filters and their parameters.",
     "evaluate": "Score classes or a DTM against reference data.",
-    "check": "Measure accuracy, seams, strip alignment and changes of a DTM.",
+    "check": "Check a DTM by checkpoints, or clouds by a specification.",
     "report": "Update OUT/report.html with the latest measurements.",
     "review": "Write a page with a card for each of the first places to review.",
     "deliver": "Copy the results of a run into a folder with a manifest.",

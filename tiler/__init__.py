@@ -1,6 +1,6 @@
 """Terrain models from point clouds, for areas from a city to a country.
 
-The functions are `run`, `classify`, `check` and `open_store` (docs/python.md).
+The functions are `run`, `classify`, `check`, `check_clouds` and `open_store` (docs/python.md).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tiler.version import __version__
 
 if TYPE_CHECKING:
+    from tiler.api import AcceptanceResult as AcceptanceResult
     from tiler.api import CheckResult as CheckResult
     from tiler.api import ClassifyResult as ClassifyResult
     from tiler.api import ConfigError as ConfigError
@@ -20,11 +21,13 @@ if TYPE_CHECKING:
     from tiler.api import RunResult as RunResult
     from tiler.api import TilerError as TilerError
     from tiler.api import check as check
+    from tiler.api import check_clouds as check_clouds
     from tiler.api import classify as classify
     from tiler.api import open_store as open_store
     from tiler.api import run as run
 
 __all__ = [
+    "AcceptanceResult",
     "CheckResult",
     "ClassifyResult",
     "ConfigError",
@@ -36,6 +39,7 @@ __all__ = [
     "TilerError",
     "__version__",
     "check",
+    "check_clouds",
     "classify",
     "open_store",
     "run",

@@ -1,4 +1,4 @@
-"""Python interface: `run`, `classify`, `check` and `open_store`, equivalent to the commands.
+"""Python interface: `run`, `classify`, `check`, `check_clouds` and `open_store`, equivalent to the commands.
 
 Errors of a command are raised as `tiler.errors.TilerError` with the same line. Nothing is printed: notes and warnings
 are in the result, are passed to ``progress``, and are sent to the logger ``tiler``. A script does not need
@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from tiler.apps.acceptance import check_clouds as measure_clouds
+from tiler.apps.acceptance import read_specification
 from tiler.apps.check import (
     AgainstOptions,
     PointOptions,
@@ -24,7 +26,7 @@ from tiler.apps.check import (
     terrain_in,
 )
 from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
-from tiler.apps.results import CheckSummary
+from tiler.apps.results import AcceptanceSummary, CheckSummary
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
@@ -42,6 +44,7 @@ from tiler.store import TileStore
 from tiler.store import open_store as open_store_at
 
 __all__ = [
+    "AcceptanceResult",
     "CheckResult",
     "ClassifyResult",
     "ConfigError",
@@ -52,6 +55,7 @@ __all__ = [
     "RunResult",
     "TilerError",
     "check",
+    "check_clouds",
     "classify",
     "open_store",
     "run",
@@ -328,6 +332,61 @@ def check(
         report = write_report_at(place)
     met = all(requirement["met"] for requirement in summary["requirements"])
     return CheckResult(0 if met else 5, summary, report)
+
+
+@dataclass(frozen=True)
+class AcceptanceResult:
+    """Result of `check_clouds`.
+
+    Attributes
+    ----------
+    exit_code : int
+        0, or 5 if a row that the specification asks for is not met or could not be measured.
+    summary : mapping
+        Output of ``tiler check CLOUDS --json``: ``rows`` with what is asked and found, and more.
+    """
+
+    exit_code: int
+    summary: AcceptanceSummary = field(repr=False)
+
+    @property
+    def met(self) -> bool:
+        """Whether all rows that the specification asks for are met."""
+        return self.summary["met"]
+
+
+def check_clouds(
+    clouds: PathLike | Iterable[PathLike], spec: PathLike | None = None
+) -> AcceptanceResult:
+    """Measure density, distribution, swaths and records of clouds, and compare them, like ``tiler check CLOUDS``.
+
+    Parameters
+    ----------
+    clouds : path or sequence of paths
+        Files, folders, globs or virtual point clouds.
+    spec : str or path, optional
+        Specification of a survey: ``usgs-ql0``, ``usgs-ql1``, ``usgs-ql2``, or a TOML file (docs/acceptance.md). By
+        default everything is measured and nothing is asked.
+
+    Returns
+    -------
+    AcceptanceResult
+
+    Raises
+    ------
+    TilerError
+        The measurement failed. The error has the line and the ``exit_code`` of the command.
+
+    Examples
+    --------
+    >>> import tiler
+    >>> result = tiler.check_clouds("clouds/")
+    >>> {row["name"]: row["found"] for row in result.summary["rows"]}["las_version"]
+    ['1.4']
+    """
+    specification = None if spec is None else read_specification(_text("spec", spec))
+    summary = measure_clouds(_texts("clouds", clouds), specification)
+    return AcceptanceResult(0 if summary["met"] else 5, summary)
 
 
 def _against(

@@ -1,4 +1,4 @@
-"""``tiler check``."""
+"""``tiler check`` of a DTM or of clouds."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
+from cli.acceptance import print_acceptance
 from cli.options import json_option
 from cli.output import print_json, print_table, write_line
 from cli.session import TilerCommand
 from tiler.core.units import length_text
 from tiler.core.words import counted
+from tiler.errors import ConfigError
 
 FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
 HEADINGS = (
@@ -29,7 +32,13 @@ HEADINGS = (
 
 
 @click.command("check", cls=TilerCommand)
-@click.argument("dtm", metavar="DTM")
+@click.argument("paths", nargs=-1, required=True, metavar="DTM|CLOUD...")
+@click.option(
+    "--spec",
+    metavar="NAME",
+    help="specification that clouds must meet: usgs-ql0, usgs-ql1, usgs-ql2 or FILE.toml; exit code 5 if they do not "
+    "[default: none]",
+)
 @click.option(
     "--points",
     type=click.Path(path_type=Path),
@@ -96,8 +105,18 @@ HEADINGS = (
     help="write DTM minus earlier DTM on the pixels of DTM [default: none]",
 )
 @json_option
-def command(dtm: str, as_json: bool, **options: Any) -> int:
-    """Measure accuracy, seams, strip alignment and changes of a DTM.
+@click.pass_context
+def command(
+    context: click.Context,
+    /,
+    paths: tuple[str, ...],
+    spec: str | None,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Check a DTM by checkpoints, or clouds by a specification.
+
+    Of a DTM, accuracy, seams, strip alignment and changes are measured.
 
     A difference is the height of the DTM, interpolated bilinearly between pixel centres, minus
     the height of the checkpoint. In the ASPRS standards, Edition 2, accuracy is the RMSE of the
@@ -107,10 +126,35 @@ def command(dtm: str, as_json: bool, **options: Any) -> int:
 
     DTM is a raster, or the OUT folder of a run. For OUT, the results are also written to
     OUT/check.json and replace those of the last check, and OUT/report.html is updated.
-    """
-    from tiler.api import check
 
-    result = check(dtm, **options)
+    CLOUD is a LAS or LAZ file, a folder, a glob or a .vpc. Header, classes, flags, swaths,
+    density, distribution, voids and duplicates of all clouds together are measured. With clouds
+    only --spec and --json have a meaning.
+    """
+    from tiler.api import check, check_clouds
+    from tiler.apps.acceptance import are_clouds
+
+    given = [
+        f"--{name.replace('_', '-')}"
+        for name in options
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    ]
+    if are_clouds(paths):
+        if given:
+            raise ConfigError(
+                f"{given[0]}: is for a DTM, {paths[0]} is a cloud; leave it out, or give a DTM"
+            )
+        accepted = check_clouds(paths, spec)
+        if as_json:
+            print_json(accepted.summary)
+        else:
+            print_acceptance(accepted.summary)
+        return accepted.exit_code
+    if spec is not None:
+        raise ConfigError(
+            f"--spec {spec}: is for clouds, {paths[0]} is none; leave it out, or give LAS or LAZ clouds"
+        )
+    result = check(paths[0], **options)
     if as_json:
         print_json(result.summary)
     else:

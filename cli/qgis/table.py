@@ -16,19 +16,19 @@ from tiler.version import __version__
 
 SHELLS = ("run", "preview", "classify", "check")
 """Commands that are algorithms of the plugin."""
-NOT_IN_QGIS = {"as_json", "progress", "verbose", "quiet", "in_process"}
-"""Options that QGIS sets itself, or that are only for debugging."""
+NOT_IN_QGIS = {"as_json", "progress", "verbose", "quiet", "in_process", "spec"}
+"""Options that QGIS sets itself, that are only for debugging, or for clouds, while its check is of a raster."""
 PLACES = {
     "inputs": "INPUT",
     "source": "INPUT",
-    "dtm": "INPUT",
+    "paths": "INPUT",
     "out": "OUTPUT",
     "target": "OUTPUT",
 }
 """Names in QGIS of the parameters that are inputs or outputs of a command."""
 KINDS = {("run", "out"): "new_folder", ("preview", "out"): "new_picture", ("classify", "target"): "new_cloud",
          ("run", "inputs"): "clouds", ("preview", "inputs"): "clouds", ("classify", "source"): "cloud",
-         ("check", "dtm"): "raster", ("check", "figures"): "new_plots"}  # fmt: skip
+         ("check", "paths"): "raster", ("check", "figures"): "new_plots"}  # fmt: skip
 SHOWN_FIRST = {
     "preset", "method", "products", "resolution", "classified", "voids", "water", "bridges", "edits", "breaklines",
     "crs", "bounds", "aoi", "units", "windows", "size", "points", "points_crs", "require", "keep_classes",

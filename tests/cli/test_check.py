@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from tests.tiler.apps.acceptance.pulses import Pulses, lattice
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tests.tiler.report import results
 
@@ -178,3 +179,50 @@ def test_swapped_axes_are_refused(folder: Path, capsys: pytest.CaptureFixture[st
         "none of the checkpoints (2) is inside the DTM, but 2 would be with x and y swapped"
         in printed.err
     )
+
+
+def cloud_of(folder: Path) -> Path:
+    return Pulses(*lattice(0, 30, 0, 30)).write(folder / "a.laz")
+
+
+def test_clouds_are_compared_with_a_specification(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = cloud_of(tmp_path)
+    assert main(["check", str(path)]) == 0
+    assert capsys.readouterr().out.startswith("1 cloud, 3,600 points, cells of ")
+    asked = tmp_path / "asked.toml"
+    asked.write_text("pulse_density = 4\nduplicates = 0\n")
+    assert main(["check", str(tmp_path), "--spec", str(asked)]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert ["pulse", "density", "at", "least", "4", "per", "m2", "4", "per", "m2", "pass"] in [
+        line.split() for line in out
+    ]
+    assert out[-1] == f"met: all 2 rows of {asked}"
+    asked.write_text("pulse_density = 5\nduplicates = 0\n")
+    assert main(["check", str(path), "--spec", str(asked)]) == 5
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        f"NOT met: 1 of 2 rows of {asked} (pulse density)"
+    )
+    assert main(["check", str(path), "--spec", str(asked), "--json"]) == 5
+    report = json.loads(capsys.readouterr().out)
+    states = {row["name"]: row["state"] for row in report["rows"]}
+    assert (states["pulse_density"], states["duplicates"], states["voids"]) == (
+        "fail",
+        "pass",
+        "not asked",
+    )
+
+
+def test_options_of_the_other_kind_of_input_are_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cloud = str(cloud_of(tmp_path))
+    assert main(["check", cloud, "--tile-size", "10"]) == 2
+    assert "--tile-size: is for a DTM, " in capsys.readouterr().err
+    assert main(["check", str(folder / "dtm.tif"), "--spec", "usgs-ql2"]) == 2
+    assert "--spec usgs-ql2: is for clouds, " in capsys.readouterr().err
+    assert main(["check", cloud, str(folder / "dtm.tif")]) == 2
+    error = capsys.readouterr().err
+    assert "dtm.tif: is not a cloud; give one DTM" in error
+    assert error.count("\n") == 1

@@ -84,6 +84,19 @@ def test_every_option_is_there_with_the_words_of_the_command_line() -> None:
                 assert entry["choices"] == list(option.type.choices)
 
 
+def test_each_algorithm_has_an_input_of_a_kind_that_qgis_knows() -> None:
+    inputs = {
+        name: next(p["kind"] for p in command["parameters"] if p["name"] == "INPUT")
+        for name, command in table()["commands"].items()
+    }
+    assert inputs == {
+        "run": "clouds",
+        "preview": "clouds",
+        "classify": "cloud",
+        "check": "raster",
+    }
+
+
 def test_rasters_are_found_by_the_names_of_the_run(process: ModuleType) -> None:
     for names in (None, "dtm=MNT", "mask = Quelle é,dtm=a=b"):
         config = RunConfig.from_mapping({"product_name": names}).to_json()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import laspy
@@ -67,3 +68,19 @@ def test_all_of_them_at_once_is_refused_for_the_degrees(
 ) -> None:
     assert run(tmp_path / "out", odd, "--crs", "none") == 3
     assert_one_line(capsys.readouterr().err, "geographic")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*REFUSED, *READ])
+def test_the_check_of_each_file_ends_in_rows_or_in_one_line(
+    name: str, odd: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(["check", str(odd / name), "--json"])
+    printed = capsys.readouterr()
+    if name in REFUSED and name not in NO_CRS_FILES:
+        assert code == 3
+        assert_one_line(printed.err, name)
+    else:
+        assert code == 0
+        rows = json.loads(printed.out)["rows"]
+        assert all(row["found"] is not None or row["remark"] for row in rows)

@@ -75,13 +75,16 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_everything_offered_has_an_example() -> None:
     assert {test.name for test in EXAMPLES} == {
-        *(f"tiler.api.{name}" for name in ("run", "classify", "check", "open_store")),
+        *(
+            f"tiler.api.{name}"
+            for name in ("run", "classify", "check", "check_clouds", "open_store")
+        ),
         "ptd.api.classify",
     }
 
 
 @pytest.mark.parametrize(
-    "order", [["run", "check", "open_store"], ["api.classify"]], ids=",".join
+    "order", [["run", "check", "check_clouds", "open_store"], ["api.classify"]], ids=",".join
 )
 def test_examples(order: list[str], in_process: None) -> None:
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)

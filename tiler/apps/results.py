@@ -217,6 +217,39 @@ class CheckSummary(Measured):
     figures: list[str]
 
 
+class AcceptanceRow(TypedDict):
+    """Row of the check of clouds.
+
+    ``asked`` is a minimum, a maximum, or a list of the allowed values, as ``limit`` says, and None if the specification
+    does not ask. ``found`` is None if it was not measured, with the reason in ``remark``. ``state`` is ``pass``,
+    ``fail``, ``not asked`` or ``not measured``. ``where`` has files, swaths or places, the worst first.
+    """
+
+    name: str
+    unit: str
+    limit: str
+    asked: float | list[str] | list[int] | None
+    found: float | list[str] | list[int] | None
+    state: str
+    where: list[str]
+    remark: str
+
+
+class AcceptanceSummary(TypedDict):
+    """Check of clouds: their paths and number of points, the specification, the side of the cells, and the rows.
+
+    ``met`` tells whether no row has the state ``fail`` or ``not measured``. ``notes`` say what was assumed.
+    """
+
+    clouds: list[str]
+    points: int
+    specification: str | None
+    cell_m: float | None
+    met: bool
+    rows: list[AcceptanceRow]
+    notes: list[str]
+
+
 class Scores(TypedDict):
     """Numbers of points, errors and agreement of labels.
 

@@ -4,7 +4,7 @@ The plan uses `find_inputs`, `inspect` (in parallel for several files) and `reso
 The stage ingest divides files into `pieces`.
 """
 
-from tiler.inputs.common_crs import CommonCrs, resolve_common_crs
+from tiler.inputs.common_crs import CommonCrs, resolve_common_crs, validate_lengths
 from tiler.inputs.extent import FAR, DensityPatch
 from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.lists import read_list
@@ -42,5 +42,6 @@ __all__ = [
     "read_list",
     "read_point_tiles",
     "resolve_common_crs",
+    "validate_lengths",
     "window_pieces",
 ]

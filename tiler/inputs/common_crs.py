@@ -72,7 +72,7 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     given = _given(config.crs)
     for info in infos:
         if info.points and info.georeference.kind == "missing" and config.units is None:
-            _validate_lengths(info)
+            validate_lengths(info)
     members = [
         (i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points
     ]
@@ -92,7 +92,7 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     return CommonCrs(wkt, units, notes, origin)
 
 
-def _validate_lengths(info: SourceInfo) -> None:
+def validate_lengths(info: SourceInfo) -> None:
     """Raise InputError if the coordinates of a file without a CRS are so dense that they must be degrees."""
     if info.bounds is None:
         return

@@ -34,6 +34,7 @@ _BLOCK_BYTES = 1 << 14
 seldom more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
+_RETURNS14 = struct.Struct("<15Q")
 _LAS15 = struct.Struct("<ddH")
 
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
@@ -106,6 +107,8 @@ class LasHeader:
     time_offset : int or None
         Millions of seconds that were subtracted from the GPS times of the points, if the global encoding of LAS 1.5
         has the bit for it.
+    points_by_return : tuple of int
+        Number of points of each return, from the first one, as the header states them: 5, or 15 in LAS 1.4 and later.
     """
 
     path: Path
@@ -134,6 +137,7 @@ class LasHeader:
     time_offset: int | None = None
     stated_points: int = 0
     salvaged: bool = False
+    points_by_return: tuple[int, ...] = ()
 
     @property
     def stamp(self) -> list[Any]:
@@ -268,12 +272,15 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
             path, f"says records of {length} bytes, format {plain} needs {_RECORD_SIZES[plain]}"
         )
     bounds = fields[27:33]
+    by_return = fields[16:21]
     waveform = evlrs = 0
     count = legacy_count
     if minor == 3:
         (waveform,) = struct.unpack_from("<Q", raw, 227)
     if minor >= 4:
         waveform, evlrs, n_evlrs, count = _LAS14.unpack_from(raw, 227)
+        if count:
+            by_return = _RETURNS14.unpack_from(raw, 227 + _LAS14.size)
         if n_evlrs == 0:
             evlrs = 0
     header = LasHeader(
@@ -296,6 +303,7 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
         waveform_start=waveform,
         evlrs_start=evlrs,
         created=(fields[9], fields[8]),
+        points_by_return=by_return,
     )
     if not all(FINEST_SCALE <= scale <= COARSEST_SCALE for scale in header.scales):
         problem = f"has scale factors {header.scales}, not all from {FINEST_SCALE:g} to {COARSEST_SCALE:g}"

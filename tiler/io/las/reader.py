@@ -50,6 +50,17 @@ STATISTICS = (
 )
 """Layers with the classes and with the fields of `tiler.export.cloud_frame.CloudStatistics`."""
 
+QUALITY = (
+    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+    | lazrs.SELECTIVE_DECOMPRESS_Z
+    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
+    | lazrs.SELECTIVE_DECOMPRESS_FLAGS
+    | lazrs.SELECTIVE_DECOMPRESS_INTENSITY
+    | lazrs.SELECTIVE_DECOMPRESS_GPS_TIME
+    | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
+)
+"""Layers by which a specification of a survey judges its points (`tiler.apps.acceptance`)."""
+
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 

@@ -1,0 +1,307 @@
+"""Rows of the check of clouds are those of formulas, and do not depend on files, cuts and order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+
+from tests.tiler.apps.acceptance.pulses import ALL, Pulses, lattice
+from tiler.apps.acceptance import Specification, check_clouds
+from tiler.apps.acceptance.counts import count_file
+from tiler.errors import InputError
+
+ASKED = Specification("made", {"pulse_spacing": 0.5, "pulse_density": 4})
+FEET = 0.3048
+
+
+def found(paths: Sequence[Path] | Path, spec: Specification | None = ASKED) -> dict[str, Any]:
+    return {name: row["found"] for name, row in rows(paths, spec).items()}
+
+
+def rows(paths: Sequence[Path] | Path, spec: Specification | None = ASKED) -> dict[str, Any]:
+    given = [paths] if isinstance(paths, Path) else list(paths)
+    return {row["name"]: row for row in check_clouds(given, spec)["rows"]}
+
+
+def square(side: float = 60.0, source: int = 1) -> Pulses:
+    return Pulses(*lattice(0, side, 0, side), source)
+
+
+def test_density_and_spacing_are_those_of_the_lattice(tmp_path: Path) -> None:
+    found_rows = found(square().write(tmp_path / "a.laz"))
+    assert found_rows["pulse_density"] == pytest.approx(4)
+    assert found_rows["pulse_spacing"] == pytest.approx(0.5)
+    assert found_rows["swath_density_least"] == pytest.approx(4)
+    assert found_rows["dense_cells"] == 100
+    assert found_rows["distribution"] == 100
+    assert found_rows["voids"] == 0
+
+
+def test_later_returns_and_withheld_points_are_no_pulses(tmp_path: Path) -> None:
+    def change(las: Any) -> None:
+        # Of the four pulses of a cell, only one is a first return that is not withheld.
+        column, row = np.arange(120 * 120) % 120, np.arange(120 * 120) // 120
+        las.number_of_returns[:] = 2
+        las.return_number[row % 2 > 0] = 2
+        las.withheld = (row % 2 == 0) & (column % 2 > 0)
+
+    counted = found(square().write(tmp_path / "a.laz", change=change))
+    assert counted["pulse_density"] == pytest.approx(1)
+    assert counted["withheld_points"] == 120 * 120 // 4
+
+
+def test_a_hole_is_a_void_of_its_area(tmp_path: Path) -> None:
+    hole = square().where(lambda x, y: ~((x > 20) & (x < 32) & (y > 30) & (y < 37)))
+    found_rows = rows(hole.write(tmp_path / "a.laz"))
+    assert found_rows["voids"]["found"] == 1
+    assert found_rows["void_area"]["found"] == pytest.approx(12 * 7)
+    assert found_rows["voids"]["where"] == ["500026.0 5000033.5 (84 m2)"]
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4)
+    assert found_rows["distribution"]["found"] == 100
+
+
+@pytest.mark.parametrize(("side", "voids"), [(1, 0), (2, 1)])
+def test_a_void_has_the_area_of_four_spacings_squared(
+    tmp_path: Path, side: int, voids: int
+) -> None:
+    hole = square().where(
+        lambda x, y: ~((x > 20) & (x < 20 + side) & (y > 30) & (y < 30 + side))
+    )
+    assert found(hole.write(tmp_path / "a.laz"))["voids"] == voids
+
+
+def test_distribution_is_the_share_of_the_cells_of_the_worst_swath(tmp_path: Path) -> None:
+    # One cell of 1 m in nine has no pulse in the second swath, and the first swath fills it.
+    full, sparse = square(), square(source=2)
+    sparse = sparse.where(lambda x, y: (x // 1 % 3 != 1) | (y // 1 % 3 != 1))
+    found_rows = rows((full + sparse).write(tmp_path / "a.laz"))
+    assert found_rows["distribution"]["found"] == pytest.approx(100 * 8 / 9)
+    assert found_rows["distribution"]["where"][0].startswith("point source 2: ")
+    assert found_rows["distribution_median"]["found"] == pytest.approx(100 * 17 / 18)
+    assert found_rows["voids"]["found"] == 0
+    assert found_rows["swath_density_least"]["found"] == pytest.approx(4 * 8 / 9)
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4 * 17 / 9)
+
+
+def test_overlap_is_the_share_of_the_covered_area(tmp_path: Path) -> None:
+    swaths = Pulses(*lattice(0, 60, 0, 60), 1) + Pulses(*lattice(40, 100, 0, 60), 2)
+    found_rows = found(swaths.write(tmp_path / "a.laz"))
+    assert found_rows["swaths"] == 2
+    assert found_rows["swath_overlap"] == pytest.approx(20)
+    assert found_rows["swath_gaps"] == 0
+
+
+@pytest.mark.parametrize("width", [4, 10, 30, 90])
+def test_a_gap_between_swaths_is_found(tmp_path: Path, width: int) -> None:
+    swaths = Pulses(*lattice(0, 40, 0, 120), 1)
+    swaths += Pulses(*lattice(40 + width, 80 + width, 0, 120), 2)
+    gaps = rows(swaths.write(tmp_path / "a.laz"))
+    if width > 4:  # Narrower gaps are closed to the outline, and are voids.
+        assert gaps["swath_gaps"]["found"] == 1
+        area = float(gaps["swath_gaps"]["where"][0].split("(")[1].split()[0].replace(",", ""))
+        assert area == pytest.approx(width * 120, rel=0.3)  # Its ends are rounded.
+    assert gaps["swath_gaps"]["found"] + gaps["voids"]["found"] >= 1
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 30, 45, 70])
+def test_the_corner_of_two_crossing_swaths_is_no_gap(tmp_path: Path, degrees: int) -> None:
+    x, y = lattice(-90, 90, -90, 90)
+    angle = math.radians(degrees)
+    along = x * math.cos(angle) + y * math.sin(angle)
+    across = y * math.cos(angle) - x * math.sin(angle)
+    first, second = Pulses(x, y, 1), Pulses(x, y, 2)
+    swaths = first.take((abs(along) < 80) & (abs(across) < 20))
+    swaths += second.take((abs(across) < 80) & (abs(along) < 20))
+    found_rows = found(swaths.write(tmp_path / "a.laz"))
+    assert found_rows["swath_gaps"] == 0
+    assert found_rows["voids"] == 0
+
+
+def test_a_lake_at_the_edges_of_two_swaths_is_a_void_and_no_gap(tmp_path: Path) -> None:
+    swaths = Pulses(*lattice(0, 60, 0, 80), 1) + Pulses(*lattice(40, 100, 0, 80), 2)
+    lake = swaths.where(lambda x, y: (x < 30) | (x > 70) | (y < 20) | (y > 60))
+    found_rows = found(lake.write(tmp_path / "a.laz"))
+    assert found_rows["voids"] == 1
+    assert found_rows["void_area"] == pytest.approx(40 * 40)
+    assert found_rows["swath_gaps"] == 0
+
+
+def test_duplicates_in_a_file_and_between_files_are_counted_exactly(tmp_path: Path) -> None:
+    pulses = square(20)
+    same_place = pulses.take(np.arange(5))
+    same_place.time = same_place.time + 1  # Another pulse at the same place is no duplicate.
+    first = pulses + pulses.take(np.array([3, 3, 9])) + same_place
+    other = Pulses(*lattice(15, 40, 0, 20), 2) + pulses.take(np.flatnonzero(pulses.x > 19))
+    paths = [first.write(tmp_path / "a.laz"), other.write(tmp_path / "b.las")]
+    expected = 3 + int((pulses.x > 19).sum())
+    found_rows = rows(paths)
+    assert found_rows["duplicates"]["found"] == expected
+    assert found_rows["duplicates"]["where"] == [str(path) for path in paths]
+
+
+def test_coordinates_with_other_offsets_are_duplicates(tmp_path: Path) -> None:
+    def move(las: Any) -> None:
+        x = np.array(las.x)
+        las.header.offsets = np.array([499_999.7, 4_999_000.3, 0.0])
+        las.change_scaling(offsets=las.header.offsets)
+        assert np.allclose(las.x, x, atol=1e-6)
+
+    pulses = square(20)
+    paths = [pulses.write(tmp_path / "a.laz"), pulses.write(tmp_path / "b.laz", change=move)]
+    assert found(paths)["duplicates"] == pulses.x.size
+
+
+def test_cuts_and_order_of_files_and_points_do_not_show(tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    swaths = Pulses(*lattice(0, 60, 0, 60), 1) + Pulses(*lattice(40, 100, 0, 60), 2)
+    cloud = swaths.where(lambda x, y: (abs(x - 50) > 6) | (abs(y - 30) > 4))
+    cloud = cloud + cloud.take(random.choice(cloud.x.size, 7, replace=False))
+    whole = cloud.write(tmp_path / "a.laz")
+    shuffled = cloud.take(random.permutation(cloud.x.size))
+    parts = [
+        shuffled.where(lambda x, y: x + 0.3 * y > 47).write(tmp_path / "b.las"),
+        shuffled.where(lambda x, y: x + 0.3 * y <= 47).write(tmp_path / "c.laz"),
+    ]
+    for spec in (ASKED, None):
+        expected = found(whole, spec)
+        assert found(parts, spec) == expected
+        assert found(parts[::-1], spec) == expected
+        assert found(shuffled.write(tmp_path / "d.laz"), spec) == expected
+        assert expected["duplicates"] == 7
+        # Without a specification, the edges of the cells are not those of the hole.
+        assert expected["void_area"] == pytest.approx(12 * 8, rel=0.2 if spec is None else 1e-6)
+
+
+def test_feet_give_the_figures_of_metres(tmp_path: Path) -> None:
+    swaths = Pulses(*lattice(0, 60, 0, 60), 1) + Pulses(*lattice(40, 100, 0, 60), 2)
+    cloud = swaths.where(lambda x, y: (abs(x - 50) > 6) | (abs(y - 30) > 4))
+    metres = found(cloud.write(tmp_path / "a.laz"))
+    feet = found(cloud.write(tmp_path / "b.laz", crs="EPSG:2994", metres=FEET))
+    assert feet["pulse_density"] == pytest.approx(metres["pulse_density"], rel=0.03)
+    assert feet["void_area"] == pytest.approx(metres["void_area"], rel=0.1)
+    assert feet["swath_overlap"] == pytest.approx(metres["swath_overlap"], abs=1)
+    assert feet["coordinate_step"] == pytest.approx(0.001 * FEET)
+
+
+def test_the_side_of_cells_follows_the_density_without_a_specification(tmp_path: Path) -> None:
+    # The bounds are four times as large as the area of the points.
+    islands = Pulses(*lattice(0, 40, 0, 40)) + Pulses(*lattice(80, 120, 80, 120))
+    summary = check_clouds([islands.write(tmp_path / "a.laz")])
+    assert summary["cell_m"] == pytest.approx(1, rel=0.1)
+    density = next(r for r in summary["rows"] if r["name"] == "pulse_density")
+    assert density["found"] == pytest.approx(4, rel=0.1)
+    assert {row["state"] for row in summary["rows"]} == {"not asked"}
+
+
+def test_a_point_far_away_does_not_change_the_figures_or_has_a_reason(tmp_path: Path) -> None:
+    cloud = square()
+    cloud.x[0], cloud.y[0] = 1e6, 1e6
+    density = rows(cloud.write(tmp_path / "a.laz"))["pulse_density"]
+    assert density["state"] == "not measured"
+    assert "far from it" in density["remark"]
+
+
+def test_facts_of_headers_and_fields(tmp_path: Path) -> None:
+    def spoil(las: Any) -> None:
+        las.return_number[:4] = 0
+        las.return_number[4:6] = 3
+        las.point_source_id[:10] = 0
+        las.classification[:3] = [0, 7, 18]
+        las.overlap[:2] = las.synthetic[:3] = las.key_point[:4] = 1
+        las.intensity[:] = 0
+        las.header.global_encoding.gps_time_type = laspy.header.GpsTimeType.WEEK_TIME
+
+    cloud = square(20)
+    paths = [
+        cloud.write(tmp_path / "a.laz", crs="EPSG:25832", change=spoil),
+        square(20).write(tmp_path / "b.las", point_format=7),
+    ]
+    found_rows = found(paths)
+    assert found_rows["las_version"] == ["1.4"]
+    assert found_rows["point_format"] == [6, 7]
+    assert found_rows["files_without_vertical_crs"] == 1
+    assert (found_rows["files_without_crs"], found_rows["different_crs"]) == (0, 1)
+    assert found_rows["gps_time"] == [
+        "adjusted standard",
+        "week seconds, but some are outside a week",
+    ]
+    assert found_rows["wrong_return_numbers"] == 6
+    assert found_rows["points_without_source"] == 10
+    assert found_rows["classes"] == [0, 2, 7, 18]
+    flags = [found_rows[f"{n}_points"] for n in ("overlap", "synthetic", "key", "withheld")]
+    assert flags == [2, 3, 4, 0]
+    assert found_rows["files_without_intensity"] == 1
+    assert found_rows["points_outside_bounds"] == 0
+
+
+@pytest.mark.parametrize(
+    ("bit", "time", "kind"),
+    [
+        (1, 3e8, "adjusted standard"),
+        (1, -3e8, "adjusted standard"),
+        (1, 4e5, "adjusted standard, but all are those of a week"),
+        (0, 4e5, "week seconds"),
+        (0, 3e8, "week seconds, but some are outside a week"),
+    ],
+)
+def test_the_kind_of_times_is_that_of_the_header_if_they_fit(
+    tmp_path: Path, bit: int, time: float, kind: str
+) -> None:
+    def change(las: Any) -> None:
+        las.header.global_encoding.gps_time_type = laspy.header.GpsTimeType(bit)
+        las.gps_time[:] = time + np.arange(las.gps_time.size)
+        las.gps_time[0] = np.nan
+
+    counts = count_file(square(5).write(tmp_path / "a.laz", change=change), None, None)
+    assert counts.times_kind == kind
+
+
+def test_a_wrong_header_is_found(tmp_path: Path) -> None:
+    path = square(20).write(tmp_path / "a.las")
+    raw = bytearray(path.read_bytes())
+    raw[255:263] = (5).to_bytes(8, "little")  # points of the first return
+    raw[179:187] = np.float64(5e5 + 10).tobytes()  # largest x
+    path.write_bytes(raw)
+    found_rows = found(path)
+    assert found_rows["files_with_wrong_returns"] == 1
+    assert found_rows["points_outside_bounds"] == 40 * 20
+
+
+def test_different_crs_leave_cells_unmeasured(tmp_path: Path) -> None:
+    paths = [
+        square(20).write(tmp_path / "a.laz"),
+        square(20).write(tmp_path / "b.laz", crs="EPSG:2154"),
+    ]
+    found_rows = rows(paths)
+    assert found_rows["different_crs"]["found"] == 2
+    assert found_rows["pulse_density"]["state"] == "not measured"
+    assert found_rows["pulse_density"]["remark"] == "the files have different CRSs"
+
+
+def test_degrees_and_empty_clouds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is geographic, not projected"):
+        found(square(20).write(tmp_path / "a.laz", crs="EPSG:4326"))
+    nothing = square(20).take(np.arange(0))
+    with pytest.raises(InputError, match="no points in 1 file"):
+        found(nothing.write(tmp_path / "b.laz", crs=ALL))
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_few_points_at_one_place_next_to_an_empty_file_have_rows(
+    tmp_path: Path, n: int
+) -> None:
+    few = square(20).take(np.zeros(n, np.intp))
+    paths = [
+        few.take(np.arange(0)).write(tmp_path / "a.laz"),
+        few.write(tmp_path / "b.laz"),
+    ]
+    found_rows = found(paths, None)
+    assert found_rows["duplicates"] == n - 1
+    assert found_rows["pulse_density"] > 0
+    assert found_rows["swath_density_least"] is None

@@ -1,0 +1,22 @@
+"""Acceptance of clouds: facts that a specification of a survey asks for, measured and compared with it.
+
+`measuring` reads each file once, in child processes. `counts` has the counts of one file, `cells` what follows from the
+first returns in cells, `duplicates` the repeated points. `rows` is the table of what is measured, and `specification`
+reads what is asked.
+"""
+
+from tiler.apps.acceptance.measuring import check_clouds
+from tiler.apps.acceptance.recognition import are_clouds
+from tiler.apps.acceptance.specification import (
+    Specification,
+    read_specification,
+    specification_names,
+)
+
+__all__ = [
+    "Specification",
+    "are_clouds",
+    "check_clouds",
+    "read_specification",
+    "specification_names",
+]

@@ -1,0 +1,346 @@
+"""Counts of the points of one file: classes, flags, returns, swaths, times, and first returns in cells.
+
+Only cells are kept, so memory does not grow with the points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.apps.acceptance.duplicates import (
+    DigestFiles,
+    digests,
+    number_of_parts,
+    repeated,
+)
+from tiler.core.points import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.io.las.headers import LasHeader, read_header
+from tiler.io.las.point_formats import class_and_flags, coordinate, returns
+from tiler.io.las.reader import QUALITY, PointReader, Records
+
+WEEK_SECONDS = 604_800
+STANDARD_TIMES, WEEK_TIMES, NO_TIMES = "adjusted standard", "week seconds", "none"
+CONTRADICTED_TIMES = "week seconds, but some are outside a week"
+DOUBTFUL_TIMES = "adjusted standard, but all are those of a week"
+"""Times that would be of the week from 14 September 2011 on, and are more probably week seconds with the wrong bit."""
+_STANDARD_BIT = 0x01
+_USUAL_OFFSET = 1000
+"""Offset in millions of seconds of adjusted standard times of LAS 1.4."""
+
+FLAG_BITS = {
+    "withheld": WITHHELD_FLAG,
+    "overlap": OVERLAP_FLAG,
+    "synthetic": SYNTHETIC_FLAG,
+    "key": KEY_POINT_FLAG,
+}
+
+_SIDE_BITS = 24
+"""Bits of a column or a row in the key of a cell. The other 16 are the point source id."""
+_SIDE_CELLS = 1 << _SIDE_BITS
+_EDGE = 1e-6
+"""Shift of the edges of cells, in cells. Coordinates often lie exactly on the edges of cells of round sizes, where
+rounding errors would decide."""
+
+Bounds = tuple[float, ...]
+Keys = npt.NDArray[np.uint64]
+Int64s = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Lattice of square cells whose edges are multiples of their side.
+
+    Attributes
+    ----------
+    side : float
+        In units of the CRS.
+    column, row : int
+        First column and row whose points are counted. Each cell has its column and row counted from there.
+    """
+
+    side: float
+    column: int
+    row: int
+
+    @classmethod
+    def around(cls, x: float, y: float, side: float) -> Cells:
+        """Return cells whose middle one contains a position."""
+        half = _SIDE_CELLS // 2
+        return cls(side, math.floor(x / side) - half, math.floor(y / side) - half)
+
+    def keys(
+        self,
+        x: npt.NDArray[np.float64],
+        y: npt.NDArray[np.float64],
+        source: npt.NDArray[np.uint16],
+    ) -> Keys:
+        """Return the keys of the cells of points. Points too far away have none."""
+        column = np.floor(x / self.side + _EDGE) - self.column
+        row = np.floor(y / self.side + _EDGE) - self.row
+        near = (column >= 0) & (column < _SIDE_CELLS) & (row >= 0) & (row < _SIDE_CELLS)
+        if not near.all():
+            column, row, source = column[near], row[near], source[near]
+        found = source.astype(np.uint64) << np.uint64(2 * _SIDE_BITS)
+        found |= row.astype(np.uint64) << np.uint64(_SIDE_BITS)
+        found |= column.astype(np.uint64)
+        return found
+
+
+def decoded(keys: Keys) -> tuple[Int64s, Int64s, Int64s]:
+    """Return point source ids, columns and rows of keys."""
+    mask = np.uint64(_SIDE_CELLS - 1)
+    source = (keys >> np.uint64(2 * _SIDE_BITS)).astype(np.int64)
+    column = (keys & mask).astype(np.int64)
+    row = ((keys >> np.uint64(_SIDE_BITS)) & mask).astype(np.int64)
+    return source, column, row
+
+
+class CellCounter:
+    """Number of points by key. Pieces are merged once they have as many cells as the merged ones."""
+
+    def __init__(self) -> None:
+        self._keys: list[Keys] = []
+        self._counts: list[Int64s] = []
+        self._waiting = 0
+
+    def add(self, keys: Keys, counts: Int64s | None = None) -> None:
+        """Count keys, each once or ``counts`` times."""
+        if counts is None:
+            keys, counts = np.unique(keys, return_counts=True)
+        if not keys.size:
+            return
+        self._keys.append(keys)
+        self._counts.append(counts)
+        if len(self._keys) > 1:
+            self._waiting += keys.size
+        if self._waiting > self._keys[0].size:
+            self.merge()
+
+    def merge(self) -> tuple[Keys, Int64s]:
+        """Return the distinct keys, sorted, and their counts."""
+        if not self._keys:
+            return np.empty(0, np.uint64), np.empty(0, np.int64)
+        if len(self._keys) > 1:
+            keys, counts = np.concatenate(self._keys), np.concatenate(self._counts)
+            order = np.argsort(keys, kind="stable")  # It is fast for sorted pieces.
+            keys, counts = keys[order], counts[order]
+            first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+            self._keys, self._counts = [keys[first]], [np.add.reduceat(counts, first)]
+            self._waiting = 0
+        return self._keys[0], self._counts[0]
+
+
+@dataclass
+class FileCounts:
+    """Facts of a file's header, and counts of its points.
+
+    Attributes
+    ----------
+    path : Path
+    version : str
+    point_format, points : int
+    wkt_bit : bool
+        Whether the header says that the CRS is in the WKT record.
+    scale : float
+        Largest scale factor, in units of the CRS.
+    stated_returns : tuple of int
+        Number of points by return in the header.
+    outside : int
+        Number of points outside the bounds in the header. All, if the header has no bounds.
+    returns, classes : int64
+        Number of points by return number (0 to 15) and by class.
+    flags : dict
+        Number of points by the names in `FLAG_BITS`.
+    wrong_returns : int
+        Number of points whose return number is 0 or above the number of returns.
+    sources : dict
+        Number of points by point source id.
+    with_intensity : int
+        Number of points whose intensity is not 0.
+    times : tuple of float or None
+        Least and largest GPS time that is a number, None without one.
+    times_kind : str
+    first_returns : int
+        Number of first returns that are not withheld.
+    keys, counts : array
+        Cells with these points (`Cells`), and their numbers.
+    duplicates : int
+        Number of points that equal an earlier one of this file, without those in the bounds of other files.
+    """
+
+    path: Path
+    version: str
+    point_format: int
+    points: int
+    wkt_bit: bool
+    scale: float
+    stated_returns: tuple[int, ...]
+    outside: int = 0
+    returns: Int64s = field(default_factory=lambda: np.zeros(16, np.int64))
+    classes: Int64s = field(default_factory=lambda: np.zeros(256, np.int64))
+    flags: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FLAG_BITS, 0))
+    wrong_returns: int = 0
+    sources: dict[int, int] = field(default_factory=dict)
+    with_intensity: int = 0
+    times: tuple[float, float] | None = None
+    times_kind: str = NO_TIMES
+    first_returns: int = 0
+    keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
+    counts: Int64s = field(default_factory=lambda: np.empty(0, np.int64))
+    duplicates: int = 0
+
+    @property
+    def has_stated_returns(self) -> bool:
+        """Whether the header states the number of points by return that were counted."""
+        n = len(self.stated_returns)
+        # Headers before LAS 1.4 have no room for later returns.
+        return self.stated_returns == tuple(self.returns[1 : n + 1].tolist())
+
+
+@dataclass(frozen=True)
+class DigestPlan:
+    """Where a file keeps its digests, and the bounds of other inputs, whose points may equal its own.
+
+    Attributes
+    ----------
+    folder : Path
+    name : str
+        Name that only this file has.
+    n_shared_parts : int
+        Number of parts of the digests that are compared with other files.
+    others : tuple of bounds
+        Lowest x, y, highest x, y of each.
+    """
+
+    folder: Path
+    name: str
+    n_shared_parts: int
+    others: tuple[Bounds, ...]
+
+
+def count_file(path: Path, cells: Cells | None, plan: DigestPlan | None) -> FileCounts:
+    """Count the points of a file, piece by piece.
+
+    Parameters
+    ----------
+    path : Path
+    cells : Cells or None
+        Cells of the first returns. None: do not count them.
+    plan : DigestPlan or None
+        How to find duplicates. None: do not look for them.
+    """
+    header = read_header(path)
+    found = FileCounts(
+        path,
+        "{}.{}".format(*header.version),
+        header.point_format,
+        header.point_count,
+        header.prefers_wkt,
+        max(header.scales),
+        header.points_by_return,
+    )
+    sources = np.zeros(1 << 16, np.int64)
+    first_returns = CellCounter()
+    own = shared = None
+    if plan is not None:
+        own = DigestFiles(plan.folder, f"own-{plan.name}", number_of_parts(header.point_count))
+        shared = DigestFiles(plan.folder, f"shared-{plan.name}", plan.n_shared_parts)
+    with PointReader(header, QUALITY) as reader:
+        for records in reader.pieces():
+            flags = _count_fields(found, records, header)
+            sources += np.bincount(records["point_source_id"], minlength=sources.size)
+            x, y, z = (coordinate(records, header, axis) for axis in range(3))
+            first = _is_first(records, header) & ((flags & WITHHELD_FLAG) == 0)
+            found.first_returns += int(first.sum())
+            if cells is not None:
+                first_returns.add(
+                    cells.keys(x[first], y[first], records["point_source_id"][first])
+                )
+            if plan is not None and own is not None and shared is not None:
+                times = records["gps_time"] if _has_time(records) else None
+                of_points = digests((x, y, z), times)
+                near = _in_any(x, y, plan.others)
+                own.add(of_points[~near])
+                shared.add(of_points[near])
+    found.sources = {int(s): int(sources[s]) for s in np.flatnonzero(sources)}
+    found.times_kind = _kind_of_times(header, found.times)
+    found.keys, found.counts = first_returns.merge()
+    if own is not None:
+        found.duplicates = sum(repeated(part).size for part in own.take())
+    return found
+
+
+def _has_time(records: Records) -> bool:
+    return "gps_time" in (records.dtype.names or ())
+
+
+def _is_first(records: Records, header: LasHeader) -> npt.NDArray[np.bool_]:
+    """Return the mask of first returns. Points without a return number count as first returns."""
+    first: npt.NDArray[np.bool_] = returns(records, header.point_format)[0] <= 1
+    return first
+
+
+def _count_fields(
+    found: FileCounts, records: Records, header: LasHeader
+) -> npt.NDArray[np.uint8]:
+    """Add the fields of some records to the counts, and return their flags."""
+    codes, flags = class_and_flags(records, header.point_format)
+    found.classes += np.bincount(codes, minlength=256)
+    by_flags = np.bincount(flags, minlength=256)
+    for name, bit in FLAG_BITS.items():
+        found.flags[name] += int(by_flags[(np.arange(256) & bit) > 0].sum())
+    number, of_pulse = returns(records, header.point_format)
+    found.returns += np.bincount(number, minlength=16)
+    found.wrong_returns += int(((number == 0) | (number > of_pulse)).sum())
+    found.with_intensity += int(np.count_nonzero(records["intensity"]))
+    found.outside += _number_outside(records, header)
+    if _has_time(records) and len(records):
+        times = records["gps_time"]
+        finite = times if np.isfinite(times).all() else times[np.isfinite(times)]
+        if finite.size:
+            low, high = float(finite.min()), float(finite.max())
+            before = found.times or (low, high)
+            found.times = min(low, before[0]), max(high, before[1])
+    return flags
+
+
+def _number_outside(records: Records, header: LasHeader) -> int:
+    """Return the number of points outside the bounds in the header by more than half a step."""
+    outside = np.zeros(len(records), np.bool_)
+    for axis, name in enumerate("XYZ"):
+        steps = records[name]
+        low, high = (
+            (bound[axis] - header.offsets[axis]) / header.scales[axis]
+            for bound in (header.mins, header.maxs)
+        )
+        if len(steps) and not (low - 0.5 <= steps.min() and steps.max() <= high + 0.5):
+            outside |= ~((steps >= low - 0.5) & (steps <= high + 0.5))
+    return int(outside.sum())
+
+
+def _in_any(
+    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], boxes: Sequence[Bounds]
+) -> npt.NDArray[np.bool_]:
+    inside = np.zeros(x.size, np.bool_)
+    for x0, y0, x1, y1 in boxes:
+        inside |= (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+    return inside
+
+
+def _kind_of_times(header: LasHeader, times: tuple[float, float] | None) -> str:
+    """Return the kind of GPS times by the header, or that the times contradict it."""
+    if times is None:
+        return NO_TIMES
+    if header.time_offset not in (None, _USUAL_OFFSET):
+        return f"standard with an offset of {header.time_offset} million seconds"
+    low, high = times
+    is_week = low >= 0 and high <= WEEK_SECONDS
+    if header.global_encoding & _STANDARD_BIT:
+        return DOUBTFUL_TIMES if is_week else STANDARD_TIMES
+    return WEEK_TIMES if is_week else CONTRADICTED_TIMES

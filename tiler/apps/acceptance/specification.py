@@ -1,0 +1,102 @@
+"""Specifications of surveys: the limits of some rows, from a TOML file or one that comes with tiler."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from tiler.apps.acceptance.rows import ROWS, Row
+from tiler.config import load_config
+from tiler.core.units import parse_area, parse_length
+from tiler.errors import ConfigError
+
+_FOLDER = files("tiler.config") / "specifications"
+
+
+@dataclass(frozen=True)
+class Specification:
+    """Name of a specification, and the limit of each row that it asks for: a number, or a list of allowed values."""
+
+    name: str
+    limits: Mapping[str, Any]
+
+    @property
+    def pulse_spacing_m(self) -> float | None:
+        """Nominal pulse spacing that is asked for, or None."""
+        if "pulse_spacing" in self.limits:
+            return float(self.limits["pulse_spacing"])
+        density = self.limits.get("pulse_density")
+        return None if density is None else 1 / math.sqrt(density)
+
+
+@cache
+def specification_names() -> tuple[str, ...]:
+    """Return the names of the specifications that come with tiler, sorted."""
+    found = (item.name for item in _FOLDER.iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
+
+
+def specification_text(name: str) -> str:
+    """Return the text of a specification that comes with tiler. Its first line describes it."""
+    return _FOLDER.joinpath(f"{name}.toml").read_text("utf-8")
+
+
+def read_specification(name: str) -> Specification:
+    """Return a specification by its name or from a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        There is no such specification, or a key or a value is not valid.
+    """
+    if name in specification_names():
+        values = tomllib.loads(specification_text(name))
+    elif Path(name).suffix.lower() == ".toml":
+        values = load_config(Path(name))
+    else:
+        names = ", ".join(specification_names())
+        raise ConfigError(f"--spec {name}: choose one of {names}, or give a file FILE.toml")
+    rows = {row.name: row for row in ROWS}
+    for key in values:
+        if key not in rows:
+            near = get_close_matches(key, rows, 1)
+            meant = (
+                f"did you mean {near[0]}?" if near else "see docs/acceptance.md for all keys"
+            )
+            raise ConfigError(f"--spec {name}: {key} is not a row of the check; {meant}")
+    if not values:
+        raise ConfigError(f"--spec {name}: asks for nothing; give at least one row")
+    return Specification(
+        name, {key: _limit(f"--spec {name}: {key}", rows[key], values[key]) for key in values}
+    )
+
+
+def _limit(where: str, row: Row, value: Any) -> Any:
+    """Return the limit of a row, or raise ConfigError."""
+    if row.limit == "only":
+        kind = str if row.name in ("las_version", "gps_time") else int
+        is_list = isinstance(value, list) and value
+        if not is_list or any(isinstance(v, bool) or not isinstance(v, kind) for v in value):
+            example = '["1.4"]' if kind is str else "[1, 2]"
+            raise ConfigError(f"{where} = {value!r}: must be a list of values like {example}")
+        return value
+    try:
+        if row.unit == "m" and isinstance(value, str):
+            value = float(parse_length(value))
+        elif row.unit == "m2" and isinstance(value, str):
+            value = float(parse_area(value))
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not 0 <= value < math.inf:
+        raise ConfigError(f"{where} = {value!r}: must be a number of 0 or above")
+    if value == 0 and row.name in ("pulse_spacing", "pulse_density"):
+        raise ConfigError(f"{where} = {value!r}: must be above 0")
+    return value
