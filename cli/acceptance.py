@@ -52,7 +52,9 @@ def _with_unit(value: Any, unit: str) -> str:
         return "-"
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "none"
-    number = f"{value:,}" if isinstance(value, int) else f"{value:,.4g}"
+    number = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+    if isinstance(value, float) and abs(value) >= 1000:
+        number = f"{value:,.0f}"
     # Units of numbers are plural nouns.
     return f"{number} {unit[:-1] if value == 1 and unit.endswith('s') else unit}".rstrip()
 

@@ -19,6 +19,7 @@ from typing import Any, TypeAlias
 from tiler.apps.acceptance import check_clouds as measure_clouds
 from tiler.apps.acceptance import read_specification
 from tiler.apps.check import (
+    CHANGE_M,
     AgainstOptions,
     PointOptions,
     measure,
@@ -262,7 +263,7 @@ def check(
     require: Iterable[str] = (),
     figures: PathLike | None = None,
     against: PathLike | None = None,
-    change: float | str = 0.5,
+    change: float | str | None = None,
     difference: PathLike | None = None,
 ) -> CheckResult:
     """Measure the vertical accuracy of a DTM, its seams, the fit of flight strips, and changes, like ``tiler check``.
@@ -290,7 +291,7 @@ def check(
     against : path or URL, optional
         Earlier DTM, or OUT folder of an earlier run. It may have other pixels.
     change : length
-        Least difference to the earlier DTM that is a change.
+        Least difference to the earlier DTM that is a change. The default is 0.5 m.
     difference : path, optional
         GeoTIFF that receives this DTM minus the earlier one.
 
@@ -390,16 +391,17 @@ def check_clouds(
 
 
 def _against(
-    against: PathLike | None, change: float | str, difference: PathLike | None
+    against: PathLike | None, change: float | str | None, difference: PathLike | None
 ) -> AgainstOptions | None:
     if against is None:
-        if difference is not None:
-            raise ConfigError("--difference: there is no earlier DTM; give it with --against")
+        for option, value in (("--difference", difference), ("--change", change)):
+            if value is not None:
+                raise ConfigError(f"{option}: there is no earlier DTM; give it with --against")
         return None
     place = _text("against", against)
     return AgainstOptions(
         as_path(terrain_in(place) if is_results(place) else place),
-        float(parse_length(change)),
+        float(parse_length(CHANGE_M if change is None else change)),
         None if difference is None else Path(_text("difference", difference)),
     )
 

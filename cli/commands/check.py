@@ -95,7 +95,6 @@ HEADINGS = (
 @click.option(
     "--change",
     metavar="LENGTH",
-    default="0.5",
     help="least difference to the earlier DTM that is a change [unit: m; default: 0.5]",
 )
 @click.option(
@@ -152,7 +151,7 @@ def command(
         return accepted.exit_code
     if spec is not None:
         raise ConfigError(
-            f"--spec {spec}: is for clouds, {paths[0]} is none; leave it out, or give LAS or LAZ clouds"
+            f"--spec {spec}: is for clouds, {paths[0]} is not one; leave it out, or give LAS or LAZ clouds"
         )
     result = check(paths[0], **options)
     if as_json:

@@ -6,7 +6,7 @@ and `accuracy` compares them with a DTM. `consistency` needs no checkpoints, `ag
 """
 
 from tiler.apps.check.accuracy import check_dtm
-from tiler.apps.check.against import AgainstOptions
+from tiler.apps.check.against import CHANGE_M, AgainstOptions
 from tiler.apps.check.consistency import TileEdges, seam_steps, strip_differences
 from tiler.apps.check.figures import write_figures
 from tiler.apps.check.measuring import (
@@ -19,6 +19,7 @@ from tiler.apps.check.measuring import (
 from tiler.apps.check.points import Checkpoints, PointOptions, read_checkpoints
 
 __all__ = [
+    "CHANGE_M",
     "AgainstOptions",
     "Checkpoints",
     "PointOptions",

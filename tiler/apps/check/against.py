@@ -47,6 +47,9 @@ LEAST_SHARE = 16
 MAX_PLACES = 100
 """Number of places that are listed, those with the largest volume of change."""
 
+CHANGE_M = 0.5
+"""Default of the least difference that is a change, metres."""
+
 Labels = npt.NDArray[np.integer]
 
 

@@ -184,6 +184,8 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
         compared(degrees, new)
     with pytest.raises(ConfigError, match="give it with --against"):
         tiler.check(new, difference=tmp_path / "d.tif")
+    with pytest.raises(ConfigError, match="--change: there is no earlier DTM"):
+        tiler.check(new, change=1)
 
 
 def test_one_datum_in_two_units_is_compared_and_a_missing_one_noted(tmp_path: Path) -> None:
