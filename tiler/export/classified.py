@@ -392,17 +392,14 @@ def _rows_inside(
     """
     area = store.area(cloud.area)
     for cell in cloud.cells:
-        whole = area is None or area.covers(store.meta.bucket.bounds(cell))
-        block = store.read_bucket(cell, columns=("origin",) if whole else ("origin", "xyz"))
-        if block.origin is None:
-            continue
-        sources, rows = unpack_origin(block.origin)
+        sources, rows = unpack_origin(store.read_origin(cell))
         row_mask = (sources == cloud.source) & (rows >= first) & (rows < last)
-        if area is not None and not whole:
+        if area is not None and not area.covers(store.meta.bucket.bounds(cell)):
             east, north = store.meta.frame.origin[:2]
-            x = block.xyz[0].astype(np.int64) + east
-            y = block.xyz[1].astype(np.int64) + north
-            row_mask &= area.inside(x, y)
+            xyz = store.read_bucket(cell).xyz
+            row_mask &= area.inside(
+                xyz[0].astype(np.int64) + east, xyz[1].astype(np.int64) + north
+            )
         if row_mask.any():
             yield cell, rows, row_mask
 
