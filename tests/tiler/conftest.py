@@ -50,6 +50,9 @@ class MemoryStore:
     def read_bucket(self, cell: Cell, columns: tuple[str, ...] = ("xyz",)) -> PointBlock:
         return self.written[cell]
 
+    def read_origin(self, cell: Cell) -> np.ndarray:
+        return self.written[cell].origin
+
     def area(self, key: str | None) -> None:
         assert key is None
 

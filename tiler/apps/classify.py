@@ -307,11 +307,13 @@ def _classify(
         config = config.updated(crs="none")
     if config.workers is None and info.points < ONE_WORKER_POINTS:
         config = config.updated(workers=1)
+    copc = target.name.lower().endswith(COPC_SUFFIX)
+    form = "copc" if copc else target.suffix.lower().removeprefix(".")
+    config = config.updated(classified=form)
     with _scratch_beside(target, config) as (scratch, settings):
         result = run([str(source)], scratch, settings, listener, until="filter", known=[info])
         store = open_store(str(Path(scratch) / STORE))
         (work,) = _works(store, result.plan, {info.path: target})
-        copc = target.name.lower().endswith(COPC_SUFFIX)
         record = _written(guard, store.url, replace(work, copc=copc), config)
     if text := kept_text(record.kept or {}, result.summary["classes"]["no_part"]):
         listener(Note(text))

@@ -94,6 +94,17 @@ def records_of(
     return [kind.of(stored) for _, stored in commits.values()]
 
 
+class KnownSums(TypedDict):
+    """Sums of the fields of records, without the classes.
+
+    ``fields`` has the lowest and highest value, the sum and the sum of squares by the name of the field. ``times`` has
+    the first and the last adjusted standard time, or is empty.
+    """
+
+    fields: dict[str, list[int]]
+    times: list[float]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpoolRecord(Record):
     """Record of a piece of a source whose points were decoded.
@@ -118,6 +129,9 @@ class SpoolRecord(Record):
         Bounds of the stored points in absolute counts, half-open. None without points.
     z : [lowest, highest], optional
         Range of heights in counts.
+    sums : KnownSums, optional
+        Sums of the fields of the records that were read (`tiler.io.las.field_sums`). None if the task did not keep
+        the classes for the classified cloud.
     """
 
     read: int
@@ -132,6 +146,7 @@ class SpoolRecord(Record):
     fetched: int
     bounds: list[int] | None
     z: list[int] | None
+    sums: KnownSums | None = None
 
 
 class Duplicates(TypedDict):

@@ -24,6 +24,7 @@ from tiler.core.points import (
     unpack_origin,
     written_classes,
 )
+from tiler.core.records import KnownSums
 from tiler.errors import ProcessingError, write_error
 from tiler.export.cloud_frame import (
     CloudStatistics,
@@ -44,6 +45,7 @@ from tiler.io.atomic_files import (
 )
 from tiler.io.cloud_formats import open_cloud
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes
+from tiler.io.las.field_sums import layers_with_fields
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.point_formats import (
     as_standard_times,
@@ -53,8 +55,8 @@ from tiler.io.las.point_formats import (
     write_classes,
 )
 from tiler.io.las.reader import (
+    CLASS_LAYERS,
     EVERYTHING,
-    STATISTICS,
     PointReader,
     Records,
     count_decodable,
@@ -64,6 +66,7 @@ from tiler.io.las.reader import (
     validate_unchanged,
 )
 from tiler.io.las.writers import (
+    CLASS_RECORD,
     ClassWriter,
     CopcWriter,
     PlainWriter,
@@ -238,7 +241,14 @@ def _write_points(
     if cloud.threads > 1 and not isinstance(writer, ClassWriter):
         at_once *= _CHUNKS_A_THREAD * cloud.threads
     step = rows_at_once(max(header.record_length, form.record_length), at_once)
-    layers = STATISTICS if isinstance(writer, ClassWriter) else EVERYTHING
+    layers = EVERYTHING
+    known: list[KnownSums] = []
+    if isinstance(writer, ClassWriter):
+        known = _known_sums(header, cloud)
+        layers = CLASS_LAYERS if known else layers_with_fields(header)
+    for sums in known:
+        statistics.join(sums)
+    add = statistics.add_classes if known else statistics.add
     with _reader(store, header, cloud, layers) as reader:
         for ranges in _spans(cloud.ranges or [(0, header.point_count)]):
             first, last = ranges[0][0], ranges[-1][1]
@@ -266,7 +276,7 @@ def _write_points(
                 pairs += np.bincount(pair, minlength=table.size)
                 new = table.ravel()[pair]
                 write_classes(records, form.point_format, new, new != old_classes)
-                statistics.add(records)
+                add(records)
                 writer.write(records)
     return _counts(pairs.reshape(table.shape), table), statistics
 
@@ -311,12 +321,24 @@ def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:
     return {str(c): n for c, n in enumerate(counts.tolist()) if n}
 
 
+def _known_sums(header: LasHeader, cloud: CloudCopy) -> list[KnownSums]:
+    """Return the sums of the fields of all pieces of a source, or [] if they are not known."""
+    sums = [piece.sums for piece in cloud.pieces if piece.sums is not None]
+    n_points = sum(piece.count for piece in cloud.pieces)
+    return sums if len(sums) == len(cloud.pieces) and n_points == header.point_count else []
+
+
 def _reader(
     store: TileStore, header: LasHeader, cloud: CloudCopy, layers: int
 ) -> AbstractContextManager[KeptRecords | PointReader]:
-    """Return the decoded records that the store kept, or a reader of ``layers`` of the source if it kept none."""
+    """Return the decoded records that the store kept, or a reader of ``layers`` of the source if it kept none.
+
+    Of `CLASS_LAYERS`, only the fields of `CLASS_RECORD` are kept.
+    """
     if cloud.pieces and not cloud.ranges:
         dtype = record_dtype(header.point_format, header.record_length)
+        if layers == CLASS_LAYERS:
+            dtype = CLASS_RECORD
         kept = store.records(cloud.pieces, header.point_count, dtype)
         if kept is not None:
             return nullcontext(kept)
@@ -392,17 +414,14 @@ def _rows_inside(
     """
     area = store.area(cloud.area)
     for cell in cloud.cells:
-        whole = area is None or area.covers(store.meta.bucket.bounds(cell))
-        block = store.read_bucket(cell, columns=("origin",) if whole else ("origin", "xyz"))
-        if block.origin is None:
-            continue
-        sources, rows = unpack_origin(block.origin)
+        sources, rows = unpack_origin(store.read_origin(cell))
         row_mask = (sources == cloud.source) & (rows >= first) & (rows < last)
-        if area is not None and not whole:
+        if area is not None and not area.covers(store.meta.bucket.bounds(cell)):
             east, north = store.meta.frame.origin[:2]
-            x = block.xyz[0].astype(np.int64) + east
-            y = block.xyz[1].astype(np.int64) + north
-            row_mask &= area.inside(x, y)
+            xyz = store.read_bucket(cell).xyz
+            row_mask &= area.inside(
+                xyz[0].astype(np.int64) + east, xyz[1].astype(np.int64) + north
+            )
         if row_mask.any():
             yield cell, rows, row_mask
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from tiler.core.area import Runs, in_runs
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.points import UNSELECTED_FLAG, WITHHELD_FLAG, PointBlock, pack_origin
-from tiler.core.records import NOT_IN_DIGEST, SpoolRecord
+from tiler.core.records import NOT_IN_DIGEST, KnownSums, SpoolRecord
 from tiler.core.selection import (
     EVERY_POINT,
     FIRST,
@@ -26,9 +26,19 @@ from tiler.core.selection import (
 )
 from tiler.inputs.requantise import fits_int32, to_counts
 from tiler.io.cloud_reading import fetched_bytes
+from tiler.io.las.field_sums import FieldSums, layers_with_fields
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.point_formats import class_and_flags, colours, returns, scan_angles
-from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records, unchanged
+from tiler.io.las.reader import (
+    COLOURS,
+    EVERYTHING,
+    NEEDED,
+    TO_SELECT,
+    PointReader,
+    Records,
+    unchanged,
+)
+from tiler.io.las.writers import CLASS_RECORD, has_class_layer
 from tiler.io.locations import as_path
 from tiler.store import (
     MAX_RECORD_BYTES,
@@ -127,6 +137,8 @@ class SpoolPiece:
         their sum.
     keep : bool
         Keep the records for the classified cloud if they are compressed, so that they are not decoded twice.
+    classes_only : bool
+        Of records whose other fields can be copied, keep only what new classes depend on, and the sums of all fields.
     selection : Selection
         Points that the filter and the rasters use. The others are stored with a flag.
     """
@@ -143,6 +155,7 @@ class SpoolPiece:
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
     ranges: tuple[tuple[int, int], ...] = ()
     keep: bool = field(default=False, metadata=NOT_IN_DIGEST)
+    classes_only: bool = field(default=False, metadata=NOT_IN_DIGEST)
     selection: Selection = EVERY_POINT
 
 
@@ -164,7 +177,10 @@ def spool_piece(store: TileStore, *, work: SpoolPiece) -> SpoolRecord:
     with unchanged(as_path(work.path), work.stamp, work.salvage) as header:
         keeper = _keeper(store, work, header)
         layers = TO_SELECT if work.selection.options else NEEDED
-        layers = EVERYTHING if keeper is not None else layers
+        if not store.meta.has_rgb:
+            layers &= ~COLOURS
+        if keeper is not None:
+            layers |= keeper.layers
         ranges = work.ranges or ((work.start, work.count),)
         with PointReader(header, layers, ranges=work.ranges or None) as reader:
             read = []
@@ -202,6 +218,7 @@ def spool_piece(store: TileStore, *, work: SpoolPiece) -> SpoolRecord:
         fetched=fetched_bytes() - bytes_before,
         bounds=bounds,
         z=z,
+        sums=keeper.sums if keeper is not None else None,
     )
 
 
@@ -216,26 +233,56 @@ class _Step:
     rounding: float
 
 
-def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
+class _Keeper:
+    """Keeper of records for the classified cloud, and their layers.
+
+    If `classes_only`, it keeps only the fields of `CLASS_RECORD`, and adds up all others.
+    """
+
+    def __init__(
+        self, store: TileStore, work: SpoolPiece, header: LasHeader, classes_only: bool
+    ) -> None:
+        self._sums = FieldSums(header) if classes_only else None
+        self.layers = layers_with_fields(header) if classes_only else EVERYTHING
+        size = CLASS_RECORD.itemsize if classes_only else header.record_length
+        self._keeper: RecordKeeper = store.keep_records(work.piece, work.identity, size)
+
+    def add(self, records: Records) -> None:
+        if self._sums is None:
+            self._keeper.add(records)
+            return
+        self._sums.add(records)
+        kept = np.empty(len(records), CLASS_RECORD)
+        for name in CLASS_RECORD.names or ():
+            kept[name] = records[name]
+        self._keeper.add(kept)
+
+    def close(self) -> None:
+        self._keeper.close()
+
+    @property
+    def sums(self) -> KnownSums | None:
+        return None if self._sums is None else self._sums.without_classes()
+
+
+def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> _Keeper | None:
     """Return a keeper for the records of a piece, or None if they are not kept.
 
     The records of ranges, of uncompressed sources, and records longer than `MAX_RECORD_BYTES`
     are not kept.
     """
-    if (
-        not work.keep
-        or work.ranges
-        or header.laz is None
-        or header.record_length > MAX_RECORD_BYTES
-    ):
+    if not work.keep or work.ranges or header.laz is None:
         return None
-    return store.keep_records(work.piece, work.identity, header.record_length)
+    classes_only = work.classes_only and has_class_layer(header)
+    if not classes_only and header.record_length > MAX_RECORD_BYTES:
+        return None
+    return _Keeper(store, work, header, classes_only)
 
 
 def _read_step(
     meta: StoreMeta,
     reader: PointReader,
-    keeper: RecordKeeper | None,
+    keeper: _Keeper | None,
     work: SpoolPiece,
     start: int,
     count: int,

@@ -24,7 +24,7 @@ from tiler.core.results import StageResult
 from tiler.core.units import Sides
 from tiler.io.atomic_files import replace_file
 from tiler.io.foreign_content import parse_json_object
-from tiler.io.las.point_formats import newer_bytes
+from tiler.io.las.point_formats import is_legacy, newer_bytes
 from tiler.plan.memory import (
     ASSEMBLY_POINT_BYTES,
     BASE_BYTES,
@@ -49,6 +49,8 @@ LABEL_BYTES = 0.3
 RECORD_BYTES = 12
 """Bytes per point for the records kept until the classified clouds are written (9.5 on
 Autzen)."""
+CLASS_BYTES = 1
+"""The same if only classes, returns and flags are kept."""
 STORED_PIXEL_BYTES = 2.2
 """Bytes per pixel of the store's rasters, compressed (measured on a terrain model)."""
 EMPTY_PIXEL_BYTES = 0.03
@@ -272,7 +274,8 @@ def _stored_bytes(plan: Plan) -> float:
     labels = max(sum(not step.pass_.elected for step in plan.method.steps) - 1, 0)
     size = SPOOL_BYTES + COLUMN_BYTES + LABEL_BYTES * labels
     if plan.writes_clouds:
-        size += RECORD_BYTES
+        newer = not any(s.copc or is_legacy(s.point_format) for s in plan.inputs.sources)
+        size += CLASS_BYTES if newer and plan.config.classified == "laz" else RECORD_BYTES
     return size
 
 

@@ -106,6 +106,16 @@ class BucketStore(ColumnStore):
         bucket = self._bucket(cell)
         return self._read_points(parts_of(bucket, _count_of(bucket, candidates_only)), columns)
 
+    def read_origin(self, cell: Cell) -> npt.NDArray[np.int64]:
+        """Return the origin of the points of a bucket in stored order, int64 (n,), without reading their positions."""
+        bucket = self._bucket(cell)
+        parts = parts_of(bucket, _count_of(bucket))
+        if not parts:
+            return np.empty(0, dtype=np.int64)
+        (column,) = (c for c in self._columns if c.name == "origin")
+        origin: npt.NDArray[np.int64] = read_rows(self._column(column), parts)[0]
+        return origin
+
     def representatives(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows]:
         """Return rows of repeated points of a bucket and the row of the point that represents each.
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.points import PointBlock
+from tiler.core.records import KnownSums
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
 from tiler.store.arrays import StoredArray, StorePart
@@ -76,12 +77,13 @@ MAX_RECORD_BYTES = 255
 
 @dataclass(frozen=True)
 class KeptPiece:
-    """Piece of a source: its name, first record, number of records, and the identity of its content."""
+    """Piece of a source: its name, first record, number of records, identity of its content, and sums of its fields."""
 
     name: str
     start: int
     count: int
     identity: str | None
+    sums: KnownSums | None = None
 
 
 class RecordKeeper:

@@ -18,11 +18,14 @@ from tiler.errors import InputError, ProcessingError
 from tiler.export import classified
 from tiler.export.classified import write_classified
 from tiler.export.output_files import CloudCopy, CloudRecord
-from tiler.inputs import inspect
+from tiler.ingest.spool import SpoolPiece, spool_piece
+from tiler.inputs import inspect, pieces
+from tiler.io.las.field_sums import layers_with_fields
 from tiler.io.las.headers import LasHeader, read_header, read_payload
 from tiler.io.las.layout import checked_layers
-from tiler.io.las.reader import EVERYTHING, PointReader
+from tiler.io.las.reader import CLASS_LAYERS, EVERYTHING, PointReader
 from tiler.io.las.writers import PointWriter
+from tiler.store import KeptPiece, TileStore
 
 ALL_FORMATS = [
     (f, v)
@@ -356,6 +359,52 @@ def test_copied_layers_give_the_bytes_of_compressing_all(
     assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
     assert replace(copied, state=None) == replace(compressed, state=None)
     assert copied.statistics["gps"] is not None
+
+
+@pytest.mark.parametrize("time_type", ["STANDARD", "WEEK_TIME"])
+@pytest.mark.parametrize("point_format", [6, 7, 8, 9, 10])
+def test_kept_classes_give_what_another_decode_gives(
+    make_cloud: Any,
+    small_store: TileStore,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    point_format: int,
+    time_type: str,
+) -> None:
+    def times(cloud: laspy.LasData) -> None:
+        cloud.header.global_encoding.gps_time_type = laspy.header.GpsTimeType[time_type]
+
+    n = 120_000
+    path = make_cloud("a.laz", point_format=point_format, version="1.4", n=n, edit=times)
+    kept = []
+    for number, (start, count) in enumerate(pieces(inspect(path), 50_000)):
+        work = SpoolPiece(
+            str(path), 4, f"p{number}", start, count, keep=True, classes_only=True, identity="x"
+        )
+        record = spool_piece(small_store, work=work)
+        kept.append(KeptPiece(f"p{number}", start, count, "x", record.sums))
+    assert len(kept) > 1
+    labels = (np.arange(n) // 7 % 4).astype(np.uint8)
+    monkeypatch.setattr(
+        classified, "collect_labels", lambda store, cloud, first, last: labels[first:last]
+    )
+    selections = []
+
+    def reader(header: LasHeader, selection: int, **options: Any) -> PointReader:
+        selections.append(selection)
+        return PointReader(header, selection, **options)
+
+    monkeypatch.setattr(classified, "PointReader", reader)
+    out = tmp_path / "b.laz"
+    written = []
+    for given in (tuple(kept), tuple(kept), ()):
+        record = export(small_store, path, out, (), pieces=given)
+        written.append((out.read_bytes(), replace(record, state=None)))
+        small_store.drop_records()
+        out.unlink()
+    assert written[0] == written[1] == written[2]
+    assert selections == [CLASS_LAYERS, layers_with_fields(read_header(path))]
+    assert (written[0][1].statistics["gps"] is not None) == (time_type == "STANDARD")
 
 
 def test_a_failure_leaves_no_file(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiler.export.cloud_frame import sums_of
+from tiler.io.las.field_sums import sums_of
 
 
 @pytest.mark.parametrize("high", [7, 4_194_303, 2**31 - 1])
@@ -16,5 +16,5 @@ def test_sums_are_exact_for_as_many_records_as_threads_compress_at_once(
     n = 1 << 20
     values = np.full(n, high, np.int32)
     values[0] = low
-    expected = (low, high, low + (n - 1) * high, low**2 + (n - 1) * high**2)
+    expected = [low, high, low + (n - 1) * high, low**2 + (n - 1) * high**2]
     assert sums_of(values) == expected

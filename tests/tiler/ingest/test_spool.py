@@ -22,6 +22,7 @@ from tiler.ingest.spool import (
     spool_piece,
 )
 from tiler.inputs.sources import inspect, pieces
+from tiler.io.las.reader import COLOURS, PointReader
 
 ORIGIN = (500_000_000, 5_400_000_000)
 
@@ -167,6 +168,28 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
             self.pieces[piece] = block
 
     return Store(), path, cloud
+
+
+@pytest.mark.parametrize("has_rgb", [False, True])
+def test_colours_are_decoded_only_for_a_store_that_has_them(
+    make_cloud: Any, memory_store: Any, monkeypatch: pytest.MonkeyPatch, has_rgb: bool
+) -> None:
+    selections = []
+
+    def reader(header: Any, selection: int, **options: Any) -> PointReader:
+        selections.append(selection)
+        return PointReader(header, selection, **options)
+
+    monkeypatch.setattr("tiler.ingest.spool.PointReader", reader)
+    memory_store.meta.frame = CoordFrame(origin=ORIGIN)
+    memory_store.meta.has_rgb = has_rgb
+    path = make_cloud("a.laz", n=1000, point_format=7, version="1.4")
+    spool(memory_store, path)
+    assert [selection & COLOURS > 0 for selection in selections] == [has_rgb]
+    cloud, block = laspy.read(path), gathered(memory_store)
+    np.testing.assert_array_equal(block.xyz, [cloud.X * 10, cloud.Y * 10, cloud.Z * 10])
+    if has_rgb:
+        np.testing.assert_array_equal(block.rgb, [cloud.red, cloud.green, cloud.blue])
 
 
 def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: Any) -> None:

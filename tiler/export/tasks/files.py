@@ -218,7 +218,8 @@ def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
         source, _, start = key.partition("-")
         _, stored = spooled[key]
         record = SpoolRecord.of(stored)
-        pieces[source].append(KeptPiece(key, int(start), record.read, record.identity))
+        piece = KeptPiece(key, int(start), record.read, record.identity, record.sums)
+        pieces[source].append(piece)
     return pieces
 
 

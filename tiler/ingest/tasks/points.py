@@ -12,7 +12,7 @@ from tiler.ingest.spool import SpoolPiece, spool_piece
 from tiler.ingest.strays import Strays, far_buckets
 from tiler.inputs import SourceInfo, header_bounds, pieces, window_pieces
 from tiler.inputs.extent import can_be_strays
-from tiler.io.locations import location
+from tiler.io.locations import is_url, location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
 from tiler.runs.found import Source, by_source, skip_flags, source_of
 from tiler.schedule import Task, calling
@@ -46,6 +46,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
                 stamp=source.info.stamp,
                 ranges=ranges,
                 keep=keep,
+                classes_only=plan.config.classified == "laz" and not is_url(source.info.path),
                 selection=selection,
             )
             call = calling(spool_piece, work=work).without("work")

@@ -155,6 +155,12 @@ class LasHeader:
         return bool(self.global_encoding & _WKT_BIT)
 
     @property
+    def has_standard_times(self) -> bool:
+        """Whether the points have adjusted standard GPS times, which give dates."""
+        standard = self.global_encoding & _STANDARD_TIME_BIT
+        return bool(standard) and self.point_format not in _WITHOUT_TIME
+
+    @property
     def points_end(self) -> int:
         """End of the bytes that can contain points: the first byte of waveforms or EVLRs, or the end of the file."""
         starts = (self.waveform_start, self.evlrs_start, self.size)
@@ -328,12 +334,7 @@ def _with_times(header: LasHeader, raw: bytes) -> LasHeader:
             f"has points of format {header.point_format}; LAS 1.5 has formats 6 to 10"
         )
     # GPS week times have no offset.
-    standard = header.global_encoding & _STANDARD_TIME_BIT
-    if (
-        standard
-        and header.global_encoding & _TIME_OFFSET_BIT
-        and header.point_format not in _WITHOUT_TIME
-    ):
+    if header.has_standard_times and header.global_encoding & _TIME_OFFSET_BIT:
         header = replace(header, time_offset=offset)
     if first == last == 0:
         return header

@@ -25,30 +25,28 @@ from tiler.io.locations import FileState, state_of
 
 Records = npt.NDArray[np.void]
 
+COLOURS = lazrs.SELECTIVE_DECOMPRESS_RGB
+
 NEEDED = (
     lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
     | lazrs.SELECTIVE_DECOMPRESS_Z
     | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
     | lazrs.SELECTIVE_DECOMPRESS_FLAGS
-    | lazrs.SELECTIVE_DECOMPRESS_RGB
+    | COLOURS
 )
-"""Layers of point formats 6 to 10 that a store keeps. Other fields of the decoded records are
-undefined."""
+"""Layers of point formats 6 to 10 that a store keeps, colours not always. Other fields of the
+decoded records are undefined."""
 
 TO_SELECT = (
     NEEDED | lazrs.SELECTIVE_DECOMPRESS_SCAN_ANGLE | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
 )
 """Layers that a store keeps, and layers by which `tiler.core.selection` selects points."""
 
-STATISTICS = (
-    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
-    | lazrs.SELECTIVE_DECOMPRESS_Z
-    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
-    | lazrs.SELECTIVE_DECOMPRESS_INTENSITY
-    | lazrs.SELECTIVE_DECOMPRESS_GPS_TIME
-    | lazrs.SELECTIVE_DECOMPRESS_RGB
+CLASS_LAYERS = (
+    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
 )
-"""Layers with the classes and with the fields of `tiler.export.cloud_frame.CloudStatistics`."""
+"""Layers with the fields on which the layer of classes depends
+(`tiler.io.las.writers.CLASS_RECORD`)."""
 
 QUALITY = (
     lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL

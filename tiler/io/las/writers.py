@@ -46,6 +46,11 @@ _CLASS_BYTE = 16
 """Position of the class in a record of formats 6 to 10."""
 _CLASS_LAYER = 2
 """Number of the layer of classes, after those of x and y and of z."""
+CLASS_RECORD = np.dtype(
+    [(name, "u1") for name in ("classification", "bit_fields", "classification_flags")]
+)
+"""Fields that the layer of classes depends on: class, byte with the returns, and byte with the flags and the scanner
+channel."""
 MAX_CHUNK_POINTS = 1 << 22
 """Largest chunk whose layers are copied, since its classes are in memory. LASzip makes chunks of 50,000 points."""
 
@@ -152,14 +157,14 @@ class ClassWriter:
         self._begin = target.tell()
         self._start = header.points_offset + 8
         self._encoder = ClassEncoder()
-        # classes, bytes with the returns, and flags of the points of the current chunk
+        # fields of `CLASS_RECORD` of the points of the current chunk
         self._points = np.empty((3, int(self._layout.counts.max())), np.uint8)
         self._filled = 0
         self._chunks: list[tuple[int, int]] = []
         target.write(bytes(8))
 
     def write(self, records: Records) -> None:
-        """Append records in the order of the source. Only classes, returns and scanner channels are used.
+        """Append records in the order of the source. Only the fields of `CLASS_RECORD` are used.
 
         Raise InputError if a chunk of the source is damaged.
         """
@@ -168,8 +173,7 @@ class ClassWriter:
             wanted = int(self._layout.counts[len(self._chunks)])
             part = rest[: wanted - self._filled]
             end = self._filled + len(part)
-            names = ("classification", "bit_fields", "classification_flags")
-            for values, name in zip(self._points, names, strict=True):
+            for values, name in zip(self._points, CLASS_RECORD.names or (), strict=True):
                 values[self._filled : end] = part[name]
             self._filled = end
             if end == wanted:
