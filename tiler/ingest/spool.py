@@ -26,7 +26,7 @@ from tiler.core.selection import (
 )
 from tiler.inputs.requantise import fits_int32, to_counts
 from tiler.io.cloud_reading import fetched_bytes
-from tiler.io.las.field_sums import FieldSums, layers_with_fields
+from tiler.io.las.field_sums import FieldSums
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.point_formats import class_and_flags, colours, returns, scan_angles
 from tiler.io.las.reader import (
@@ -243,7 +243,8 @@ class _Keeper:
         self, store: TileStore, work: SpoolPiece, header: LasHeader, classes_only: bool
     ) -> None:
         self._sums = FieldSums(header) if classes_only else None
-        self.layers = layers_with_fields(header) if classes_only else EVERYTHING
+        # Damage in layers that are only copied would reach the classified cloud.
+        self.layers = EVERYTHING
         size = CLASS_RECORD.itemsize if classes_only else header.record_length
         self._keeper: RecordKeeper = store.keep_records(work.piece, work.identity, size)
 

@@ -25,6 +25,7 @@ from tiler.core.units import Sides
 from tiler.io.atomic_files import replace_file
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.las.point_formats import is_legacy, newer_bytes
+from tiler.io.locations import is_url
 from tiler.plan.memory import (
     ASSEMBLY_POINT_BYTES,
     BASE_BYTES,
@@ -274,8 +275,10 @@ def _stored_bytes(plan: Plan) -> float:
     labels = max(sum(not step.pass_.elected for step in plan.method.steps) - 1, 0)
     size = SPOOL_BYTES + COLUMN_BYTES + LABEL_BYTES * labels
     if plan.writes_clouds:
-        newer = not any(s.copc or is_legacy(s.point_format) for s in plan.inputs.sources)
-        size += CLASS_BYTES if newer and plan.config.classified == "laz" else RECORD_BYTES
+        keeps_records = plan.config.classified != "laz" or any(
+            s.copc or is_legacy(s.point_format) or is_url(s.path) for s in plan.inputs.sources
+        )
+        size += RECORD_BYTES if keeps_records else CLASS_BYTES
     return size
 
 

@@ -19,6 +19,7 @@ from tiler.apps.acceptance.rasters import (
     closed,
     convex_hull,
     filled,
+    grown,
     grown_once,
     opened,
     widened_boxes,
@@ -32,6 +33,10 @@ voids)."""
 OUTLINE_STEPS = 2
 """Steps by which the cells with points are closed to the outline of a swath or of the survey. With more, the corners of
 bays would count as voids."""
+COARSE = 8
+"""Side of the larger cells, which are closed by the same steps, so that wide gaps between scan lines are inside."""
+MOST_LEFT_OUT = 0.25
+"""Share of the outline up to which wide voids are left out of density and distribution. More are not only water."""
 MIN_SWATH_CELLS = 100
 """Number of cells of a swath below which its distribution and density are not reported: a few cells at the edge of a
 delivery say nothing about a swath."""
@@ -42,10 +47,10 @@ GAP_STEPS = 4
 GAP_FACTORS = (1, 2, 4, 8, 16)
 """Widths of gaps between swaths: gaps of 3 to 8 cells are found in cells that are so many times as large."""
 
-_NO_SWATH = 65_535
+_NO_SWATH = 2**32 - 1
 """Number of no swath, above those of all swaths."""
 
-BYTES_PER_CELL, BYTES_PER_KEY = 32, 48
+BYTES_PER_CELL, BYTES_PER_KEY = 40, 48
 """Memory that `examine_cells` needs per cell of the survey's extent, and per cell of a swath with points."""
 
 
@@ -76,7 +81,7 @@ class CellFindings:
     ----------
     side_m : float
     per_m2 : float or None
-        First returns per square metre of the area inside the outline that is not a void.
+        First returns per square metre of the area inside the outline that is not a wide void.
     swaths : list of Swath
         Swaths of at least `MIN_SWATH_CELLS`, by point source id.
     n_small : int
@@ -87,6 +92,10 @@ class CellFindings:
         Areas without a first return inside the outline, and between swaths, the largest first.
     overlap_share : float or None
         Share of the area of all swaths that two of them cover.
+    parts : int
+        Number of separate parts of the outline, of at least `MIN_SWATH_CELLS` each.
+    void_share : float
+        Share of the outline in wide voids, which are left out if it is not above `MOST_LEFT_OUT`.
     """
 
     side_m: float
@@ -97,6 +106,8 @@ class CellFindings:
     voids: list[Place]
     gaps: list[Place]
     overlap_share: float | None
+    parts: int
+    void_share: float
 
 
 @dataclass(frozen=True)
@@ -149,15 +160,20 @@ def examine_cells(
     sums = np.bincount(rows * shape[1] + columns, counts, shape[0] * shape[1])
     per_cell = sums.astype(np.int32).reshape(shape)
     del sums
-    outline = filled(closed(per_cell > 0, OUTLINE_STEPS))
-    labels, numbers, void_areas = areas(outline & (per_cell == 0), VOID_CELLS)
-    if numbers:
-        outline &= ~np.isin(labels, numbers)
+    # At the corners of bays, the wide outline has cells that are no voids.
+    near = filled(closed(per_cell > 0, OUTLINE_STEPS))
+    void_areas = areas(near & (per_cell == 0), VOID_CELLS)[2]
+    outline = outlined(per_cell > 0)
+    parts = len(areas(outline, MIN_SWATH_CELLS)[2])
+    wide = wide_voids(outline, per_cell > 0)
+    void_share = int(wide.sum()) / int(outline.sum())
+    if void_share <= MOST_LEFT_OUT:
+        outline &= ~wide
     coverage = Coverage(shape)
     swaths: list[Swath] = []
     n_small = 0
     for swath in _swaths(source, columns, rows, counts):
-        footprint = filled(closed(swath.occupied, OUTLINE_STEPS))
+        footprint = outlined(swath.occupied)
         coverage.add(swath.box, footprint)
         usable = int((footprint & outline[swath.box]).sum())
         if usable < MIN_SWATH_CELLS:
@@ -175,7 +191,41 @@ def examine_cells(
         [raster.place(area) for area in void_areas],
         [raster.place(area) for area in coverage.gaps()],
         coverage.overlap_share,
+        parts,
+        void_share,
     )
+
+
+def outlined(occupied: Mask) -> Mask:
+    """Return the outline of cells with points, which encloses gaps of up to 32 cells between them."""
+    larger = ~grown_once(~closed(_larger(occupied, np.logical_or), OUTLINE_STEPS))
+    rows, columns = occupied.shape
+    inner = np.repeat(np.repeat(larger, COARSE, 0), COARSE, 1)[:rows, :columns]
+    return filled(closed(occupied, OUTLINE_STEPS) | inner)
+
+
+def wide_voids(outline: Mask, occupied: Mask) -> Mask:
+    """Return the cells without points of voids that hold a square of two larger cells.
+
+    Narrower ones are gaps between scan lines, or chance.
+    """
+    empty = _larger(outline & ~occupied, np.logical_and)
+    squares = empty[:-1, :-1] & empty[1:, :-1] & empty[:-1, 1:] & empty[1:, 1:]
+    core = np.zeros_like(empty)
+    for row, column in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        core[row : row + squares.shape[0], column : column + squares.shape[1]] |= squares
+    rows, columns = occupied.shape
+    inner = np.repeat(np.repeat(core, COARSE, 0), COARSE, 1)[:rows, :columns]
+    return grown(inner, 2 * COARSE) & outline & ~occupied
+
+
+def _larger(mask: Mask, join: np.ufunc) -> Mask:
+    """Return a mask of larger cells. Those that reach beyond the raster are joined with empty cells."""
+    pads = [(0, -size % COARSE) for size in mask.shape]
+    padded = np.pad(mask, pads)
+    rows, columns = (size // COARSE for size in padded.shape)
+    joined: Mask = join.reduce(padded.reshape(rows, COARSE, columns, COARSE), axis=(1, 3))
+    return joined
 
 
 @dataclass(frozen=True)
@@ -241,8 +291,8 @@ class Coverage:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._n = np.zeros(shape, np.uint8)
-        self._lowest = np.full(shape, _NO_SWATH, np.uint16)
-        self._highest = np.zeros(shape, np.uint16)
+        self._lowest = np.full(shape, _NO_SWATH, np.uint32)
+        self._highest = np.zeros(shape, np.uint32)
         self._added = 0
 
     def add(self, box: tuple[slice, slice], footprint: Mask) -> None:
@@ -286,13 +336,13 @@ class Coverage:
 
 
 def _coarse(
-    raster: npt.NDArray[np.uint16], factor: int, join: np.ufunc, empty: int
-) -> npt.NDArray[np.uint16]:
+    raster: npt.NDArray[np.uint32], factor: int, join: np.ufunc, empty: int
+) -> npt.NDArray[np.uint32]:
     """Return a raster of cells larger by a factor, whose values are joined."""
     pads = [(0, -size % factor) for size in raster.shape]
     padded = np.pad(raster, pads, constant_values=empty)
     rows, columns = (size // factor for size in padded.shape)
-    joined: npt.NDArray[np.uint16] = join.reduce(
+    joined: npt.NDArray[np.uint32] = join.reduce(
         padded.reshape(rows, factor, columns, factor), axis=(1, 3)
     )
     return joined

@@ -26,12 +26,16 @@ from tiler.io.las.reader import QUALITY, PointReader, Records
 
 WEEK_SECONDS = 604_800
 STANDARD_TIMES, WEEK_TIMES, NO_TIMES = "adjusted standard", "week seconds", "none"
+GPS_KINDS = (STANDARD_TIMES, WEEK_TIMES, NO_TIMES)
 CONTRADICTED_TIMES = "week seconds, but some are outside a week"
 DOUBTFUL_TIMES = "adjusted standard, but all are those of a week"
 """Times that would be of the week from 14 September 2011 on, and are more probably week seconds with the wrong bit."""
 _STANDARD_BIT = 0x01
 _USUAL_OFFSET = 1000
 """Offset in millions of seconds of adjusted standard times of LAS 1.4."""
+UNADJUSTED_TIMES = "standard, but not adjusted"
+LATEST_SECONDS = 0.8e9
+"""Adjusted time, in 2037, above which times are taken as not adjusted. Those are above 1e9 since 2011."""
 
 FLAG_BITS = {
     "withheld": WITHHELD_FLAG,
@@ -342,5 +346,7 @@ def _kind_of_times(header: LasHeader, times: tuple[float, float] | None) -> str:
     low, high = times
     is_week = low >= 0 and high <= WEEK_SECONDS
     if header.global_encoding & _STANDARD_BIT:
+        if high > LATEST_SECONDS:
+            return UNADJUSTED_TIMES
         return DOUBTFUL_TIMES if is_week else STANDARD_TIMES
     return WEEK_TIMES if is_week else CONTRADICTED_TIMES

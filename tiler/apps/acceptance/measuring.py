@@ -13,6 +13,7 @@ import psutil
 from pyproj import CRS
 
 from tiler.apps.acceptance.cells import (
+    MOST_LEFT_OUT,
     SPACINGS_PER_CELL,
     CellFindings,
     examine_cells,
@@ -132,6 +133,11 @@ def _notes(measured: Measurements) -> list[str]:
             "data voids may be water or dark surfaces, which points alone do not tell apart from missing data; look at "
             "the places"
         )
+        if measured.cells.void_share > MOST_LEFT_OUT:
+            notes.append(
+                f"wide data voids are {measured.cells.void_share:.0%} of the survey, so density and distribution "
+                "include them"
+            )
     return notes
 
 
@@ -147,7 +153,7 @@ def _measure(
     """
     for info in infos:
         _validate_crs(info)
-    crs_names = _different_crs(infos)
+    crs_names = _different_crs(infos, 0)
     metres = float(
         next((i.georeference.horizontal for i in infos if i.georeference.horizontal), METRE)
     )
@@ -170,6 +176,7 @@ def _measure(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
         crs_names,
+        _different_crs(infos, 1),
         [info.path for info in infos if not _has_vertical(info.georeference.wkt)],
         metres,
         findings,
@@ -190,15 +197,15 @@ def _validate_crs(info: SourceInfo) -> None:
         validate_lengths(info)
 
 
-def _different_crs(infos: Sequence[SourceInfo]) -> list[str]:
-    """Return the names of the different horizontal CRSs, sorted."""
-    found: dict[str, CRS] = {}
+def _different_crs(infos: Sequence[SourceInfo], part: int) -> list[str]:
+    """Return the names of the different horizontal (0) or vertical (1) CRSs, sorted. A name may come twice."""
+    found: list[CRS] = []
     for wkt in sorted({i.georeference.wkt for i in infos if i.georeference.wkt is not None}):
-        horizontal = split(CRS.from_wkt(wkt))[0]
-        if horizontal is None or any(same_horizontal(horizontal, o) for o in found.values()):
-            continue
-        found[crs_name(horizontal.to_wkt())] = horizontal
-    return sorted(found)
+        crs = split(CRS.from_wkt(wkt))[part]
+        is_same = same_horizontal if part == 0 else CRS.__eq__
+        if crs is not None and not any(is_same(crs, other) for other in found):
+            found.append(crs)
+    return sorted(crs_name(crs.to_wkt()) for crs in found)
 
 
 def _has_vertical(wkt: str | None) -> bool:

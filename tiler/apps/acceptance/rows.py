@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tiler.apps.acceptance.cells import CellFindings, Place, Swath
-from tiler.apps.acceptance.counts import FileCounts
+from tiler.apps.acceptance.counts import GPS_KINDS, FileCounts
 from tiler.core.words import counted
 
 Limit = Literal["at least", "at most", "only"]
@@ -34,8 +34,8 @@ class Measurements:
         In the order of the paths.
     without_crs, without_vertical : list of Path
         Files without a horizontal or a vertical CRS.
-    crs_names : list of str
-        Names of the different horizontal CRSs.
+    crs_names, vertical_names : list of str
+        Names of the different horizontal and vertical CRSs.
     metres : float
         Metres per unit of the CRS.
     cells : CellFindings or str
@@ -49,6 +49,7 @@ class Measurements:
     files: list[FileCounts]
     without_crs: list[Path]
     crs_names: list[str]
+    vertical_names: list[str]
     without_vertical: list[Path]
     metres: float
     cells: CellFindings | str
@@ -125,7 +126,8 @@ def _values(value: Callable[[FileCounts], Any]) -> Callable[[Measurements], Foun
     def find(measured: Measurements) -> Found:
         by_value: dict[Any, int] = {}
         for file in measured.files:
-            by_value[value(file)] = by_value.get(value(file), 0) + 1
+            if file.points:
+                by_value[value(file)] = by_value.get(value(file), 0) + 1
         found = sorted(by_value)
         remark = ""
         if len(found) > 1:
@@ -188,9 +190,15 @@ def _number_of_places(
 
 
 def _swath_gaps(cells: CellFindings, measured: Measurements) -> Found:
-    if _n_swaths(measured) < 2:
-        return Found(None, remark="the points have fewer than two swaths")
-    return _number_of_places(lambda c: c.gaps)(measured)
+    if not _n_swaths(measured):
+        return Found(None, remark="the points have no point source ids")
+    found = _number_of_places(lambda c: c.gaps)(measured)
+    if cells.parts < 2:
+        return found
+    remark = (
+        f"the survey falls into {cells.parts} separate parts; check each alone if this is right"
+    )
+    return Found(max(found.value, cells.parts - 1), found.where, remark)
 
 
 def _overlap(cells: CellFindings, measured: Measurements) -> Found:
@@ -220,6 +228,11 @@ def _spacing(cells: CellFindings, measured: Measurements) -> Found:
 
 
 def _duplicates(measured: Measurements) -> Found:
+    if len(measured.files) > 1 and measured.total(lambda file: file.outside):
+        return Found(
+            None,
+            remark="points lie outside the bounds of their file, so not all files were compared",
+        )
     timeless = measured.paths(lambda file: file.times_kind == "none")
     remark = "same x, y, z and GPS time"
     if timeless:
@@ -250,6 +263,13 @@ ROWS = (
         "different horizontal CRSs of the files",
     ),
     Row(
+        "different_vertical_crs",
+        "CRSs",
+        "at most",
+        lambda m: Found(len(m.vertical_names), remark="; ".join(m.vertical_names)),
+        "different vertical CRSs of the files",
+    ),
+    Row(
         "files_without_vertical_crs",
         "files",
         "at most",
@@ -268,7 +288,7 @@ ROWS = (
         "",
         "only",
         _values(lambda f: f.times_kind),
-        "GPS times by the header: `adjusted standard`, `week seconds` or `none`",
+        f"GPS times by the header: {', '.join(f'`{kind}`' for kind in GPS_KINDS)}; files without points do not count",
     ),
     Row(
         "points_outside_bounds",
@@ -329,7 +349,7 @@ ROWS = (
         "per m2",
         "at least",
         _of_cells(lambda c, m: Found(c.per_m2)),
-        "first returns of all swaths per square metre of the survey without its data voids",
+        "first returns of all swaths per square metre of the survey without its wide data voids",
     ),
     Row(
         "pulse_spacing",
@@ -364,7 +384,7 @@ ROWS = (
         "%",
         "at least",
         _of_swaths(lambda s: 100 * s.share, min, names_least=True),
-        "share of the cells of a swath that contain a first return, for the worst swath; data voids do not count",
+        "share of the cells of a swath that contain a first return, for the worst swath; wide data voids do not count",
     ),
     Row(
         "distribution_median",
@@ -400,7 +420,8 @@ ROWS = (
         "places",
         "at most",
         _of_cells(_swath_gaps),
-        "places between the convex outlines of two swaths, 3 to 128 cells wide, without a first return",
+        "places between the convex outlines of two swaths, 3 to 128 cells wide, without a first return, and "
+        "separations of the survey into parts",
     ),
     Row(
         "duplicates",

@@ -12,6 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from tiler.apps.acceptance.counts import GPS_KINDS
 from tiler.apps.acceptance.rows import ROWS, Row
 from tiler.config import load_config
 from tiler.core.units import parse_area, parse_length
@@ -86,6 +87,9 @@ def _limit(where: str, row: Row, value: Any) -> Any:
         if not is_list or any(isinstance(v, bool) or not isinstance(v, kind) for v in value):
             example = '["1.4"]' if kind is str else "[1, 2]"
             raise ConfigError(f"{where} = {value!r}: must be a list of values like {example}")
+        unknown = [v for v in value if row.name == "gps_time" and v not in GPS_KINDS]
+        if unknown:
+            raise ConfigError(f"{where} = {value!r}: choose from {', '.join(GPS_KINDS)}")
         return value
     try:
         if row.unit == "m" and isinstance(value, str):
@@ -97,6 +101,8 @@ def _limit(where: str, row: Row, value: Any) -> Any:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not 0 <= value < math.inf:
         raise ConfigError(f"{where} = {value!r}: must be a number of 0 or above")
+    if row.unit == "%" and not 1 < value <= 100:
+        raise ConfigError(f"{where} = {value!r}: must be a percentage above 1, 100 at most")
     if value == 0 and row.name in ("pulse_spacing", "pulse_density"):
         raise ConfigError(f"{where} = {value!r}: must be above 0")
     return value

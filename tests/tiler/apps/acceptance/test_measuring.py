@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.tiler.apps.acceptance.pulses import ALL, Pulses, lattice
-from tiler.apps.acceptance import Specification, check_clouds
+from tiler.apps.acceptance import Specification, check_clouds, read_specification
 from tiler.apps.acceptance.counts import count_file
 from tiler.errors import InputError
 
@@ -62,8 +62,44 @@ def test_a_hole_is_a_void_of_its_area(tmp_path: Path) -> None:
     assert found_rows["voids"]["found"] == 1
     assert found_rows["void_area"]["found"] == pytest.approx(12 * 7)
     assert found_rows["voids"]["where"] == ["500026.0 5000033.5 (84 m2)"]
-    assert found_rows["pulse_density"]["found"] == pytest.approx(4)
-    assert found_rows["distribution"]["found"] == 100
+    # It is too narrow to be left out as if it were water.
+    cells = found_rows["distribution"]["found"] / 100
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4 * cells)
+    assert cells == pytest.approx(1 - 84 / 60**2, abs=0.002)
+
+
+QL1 = read_specification("usgs-ql1")
+
+
+@pytest.mark.parametrize("apart", [2.5, 5.0, 10.0])
+def test_scan_lines_far_apart_are_not_dense(tmp_path: Path, apart: float) -> None:
+    """Their gaps are no water: 10 pulses a metre along lines some metres apart."""
+    x, y = np.meshgrid(np.arange(0, 120, 0.1) + 0.05, np.arange(0, 120, apart) + 0.05)
+    found_rows = found(Pulses(x.ravel(), y.ravel()).write(tmp_path / "a.laz"), QL1)
+    assert found_rows["pulse_density"] == pytest.approx(10 / apart, rel=0.2)
+    assert found_rows["distribution"] < 60
+
+
+@pytest.mark.parametrize("per_m2", [1.0, 2.0, 8.0])
+def test_random_pulses_have_the_distribution_of_chance(tmp_path: Path, per_m2: float) -> None:
+    """A cell of half a square metre is empty with the chance exp(-per_m2 / 2)."""
+    x, y = np.random.default_rng(1).uniform(0, 150, (2, int(per_m2 * 150**2)))
+    found_rows = found(Pulses(x, y).write(tmp_path / "a.laz"), QL1)
+    assert found_rows["distribution"] == pytest.approx(100 * (1 - math.exp(-per_m2 / 2)), abs=2)
+    assert found_rows["pulse_density"] == pytest.approx(per_m2, rel=0.03)
+
+
+def test_missing_lines_are_gaps(tmp_path: Path) -> None:
+    swaths = Pulses(*lattice(0, 60, 0, 80), 1) + Pulses(*lattice(200, 260, 0, 80), 2)
+    found_rows = rows(swaths.write(tmp_path / "a.laz"))
+    assert found_rows["swath_gaps"]["found"] == 1
+    assert "2 separate parts" in found_rows["swath_gaps"]["remark"]
+
+
+def test_much_water_is_not_left_out(tmp_path: Path) -> None:
+    lake = square(100).where(lambda x, y: (abs(x - 50) > 40) | (abs(y - 50) > 40))
+    found_rows = found(lake.write(tmp_path / "a.laz"))
+    assert found_rows["distribution"] == pytest.approx(36, abs=1)
 
 
 @pytest.mark.parametrize(("side", "voids"), [(1, 0), (2, 1)])
@@ -130,6 +166,7 @@ def test_a_lake_at_the_edges_of_two_swaths_is_a_void_and_no_gap(tmp_path: Path) 
     assert found_rows["voids"] == 1
     assert found_rows["void_area"] == pytest.approx(40 * 40)
     assert found_rows["swath_gaps"] == 0
+    assert found_rows["distribution"] == 100
 
 
 def test_duplicates_in_a_file_and_between_files_are_counted_exactly(tmp_path: Path) -> None:
@@ -305,3 +342,37 @@ def test_a_few_points_at_one_place_next_to_an_empty_file_have_rows(
     assert found_rows["duplicates"] == n - 1
     assert found_rows["pulse_density"] > 0
     assert found_rows["swath_density_least"] is None
+
+
+def test_vertical_crs_that_differ_are_told(tmp_path: Path) -> None:
+    paths = [
+        square(20).write(tmp_path / "a.laz", "EPSG:25832+5783"),
+        square(20).write(tmp_path / "b.laz", "EPSG:25832+7837"),
+    ]
+    assert found(paths)["different_vertical_crs"] == 2
+    assert found(paths[:1])["different_vertical_crs"] == 1
+
+
+def test_crs_of_one_name_differ(tmp_path: Path) -> None:
+    local = "+proj=tmerc +lat_0=0 +lon_0={} +x_0=500000 +ellps=GRS80 +units=m"
+    paths = [
+        square(20).write(tmp_path / f"{lon}.laz", local.format(lon)) for lon in ("9", "10")
+    ]
+    assert found(paths)["different_crs"] == 2
+
+
+def test_times_that_were_not_adjusted_are_told(tmp_path: Path) -> None:
+    def unadjusted(las: Any) -> None:
+        las.gps_time += 1e9
+
+    path = square(20).write(tmp_path / "a.laz", change=unadjusted)
+    assert found(path)["gps_time"] == ["standard, but not adjusted"]
+
+
+def test_duplicates_outside_the_bounds_are_not_called_none(tmp_path: Path) -> None:
+    paths = [square(20).write(tmp_path / name) for name in ("a.las", "b.las")]
+    for path in paths:
+        with path.open("r+b") as stream:
+            stream.seek(179)  # highest x, after which no point of the other file is near
+            stream.write(np.float64(500_001.0).tobytes())
+    assert found(paths)["duplicates"] is None
