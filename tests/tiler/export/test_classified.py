@@ -372,7 +372,9 @@ def test_kept_classes_give_what_another_decode_gives(
     time_type: str,
 ) -> None:
     def times(cloud: laspy.LasData) -> None:
-        cloud.header.global_encoding.gps_time_type = laspy.header.GpsTimeType[time_type]
+        # laspy 2.5 toggles the bit of a type that is given again.
+        encoding, kind = cloud.header.global_encoding, laspy.header.GpsTimeType[time_type]
+        encoding.value = encoding.value & ~encoding.GPS_TIME_TYPE_MASK | int(kind)
 
     n = 120_000
     path = make_cloud("a.laz", point_format=point_format, version="1.4", n=n, edit=times)
