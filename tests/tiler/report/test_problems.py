@@ -206,3 +206,25 @@ def test_a_place_is_a_link_to_the_map_and_marked_there(tmp_path: Path) -> None:
     assert page.data["problems"] == [
         ["objects suspected in the terrain", 500003.25, 5399990.0, 500003.25, 5399990.0]
     ]
+
+
+def test_an_object_left_is_a_problem_with_an_outline_and_an_edit() -> None:
+    ring = [0.0, 0.0, 9.0, 0.0, 9.0, 5.0, 0.0, 5.0, 0.0, 0.0]
+    place = {
+        "bounds": [0.0, 0.0, 9.0, 5.0], "area_m2": 45.0, "height_m": 2.04, "steep": 0.873, "ground": 12,
+        "chance": 0.8, "rings": [ring],
+    }  # fmt: skip
+    empty = {**place, "ground": 0}
+    likely, perhaps, bare = found(left_objects=[place, {**place, "chance": 0.79}, empty])
+    assert (likely.what, likely.action, likely.stake_m) == (
+        "object left in the terrain",
+        "not_ground",
+        2.04,
+    )
+    assert likely.rings == [ring]
+    assert likely.why.startswith("likely an object: 45 m2")
+    assert "6.56 ft (2 m) above the land around" in likely.why
+    assert "along 87% of the border" in likely.why
+    assert perhaps.why.startswith("perhaps an object")
+    assert bare.action == "void"
+    assert "action flat" in bare.remedy
