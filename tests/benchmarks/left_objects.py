@@ -49,6 +49,7 @@ KNOWN = 0.5
 """A place counts if the true terrain is known in this share of it."""
 FIRST = 50
 RIDGE = 1.0
+PAD = 8
 TOUCHING = np.ones((3, 3))
 SITES = (
     ("city", 5.0, 250.0), ("suburb", 4.0, 250.0), ("halls", 3.0, 300.0), ("rows", 8.0, 200.0),
@@ -106,8 +107,12 @@ def sampled(known: Known, folder: Path) -> Sample:
     )
     truth = placed(known.scene).truth
     assert truth is not None
+    error = heights - truth(x, y)
     cell_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    return sample_of(known.name, heights, ground, objects, heights - truth(x, y), cell_m)
+    # As in a run, there is no terrain beyond the raster.
+    heights, error = (np.pad(cells, PAD, constant_values=np.nan) for cells in (heights, error))
+    ground, objects = (np.pad(cells, PAD) for cells in (ground, objects))
+    return sample_of(known.name, heights, ground, objects, error, cell_m)
 
 
 def sample_of(

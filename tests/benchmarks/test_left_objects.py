@@ -18,7 +18,7 @@ def sample(name: str, seed: int) -> Sample:
         random.random(N), random.uniform(0, 0.35, N), random.uniform(0, 2, N), np.ones(N, bool)
     )
     is_right = random.random(N) < chances(measures)
-    no_cells = Candidates(*(np.zeros(N, kind) for kind in [int] * 4 + [float] * 3))
+    no_cells = Candidates(*(np.zeros(N, kind) for kind in [int] * 4 + [float] * 4))
     return Sample(
         name, no_cells, [], measures, is_right, np.ones(N, bool), np.zeros((9, 9)), 1.0
     )

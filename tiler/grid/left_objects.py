@@ -66,14 +66,17 @@ class Limits:
     objects : float
         Largest share of objects among the returns around. In closed woods, the land around is not known.
     returns_m2 : float
-        Least number of returns around per square metre.
+        Least number of returns around per square metre. Ground is uncertain in sparser scans.
+    unknown : float
+        Largest share of cells without terrain in and beside it. What the border of the terrain cuts may continue there.
     """
 
     height_m: float = 1.0
     steep: float = 0.3
     slope: float = 0.35
     objects: float = 0.75
-    returns_m2: float = 1.2
+    returns_m2: float = 2.0
+    unknown: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,8 @@ class Candidates(NamedTuple):
         Share of the border that is steep.
     slope : float64
         Mean slope of the land around.
+    unknown : float64
+        Share of cells without terrain in it and next to it.
     """
 
     level: Int64
@@ -127,11 +132,12 @@ class Candidates(NamedTuple):
     height_m: Float64
     steep: Float64
     slope: Float64
+    unknown: Float64
 
     def shaped(self, limits: Limits) -> Bools:
         """Return a mask of the candidates whose shape and land around are within limits."""
-        is_high = self.height_m >= limits.height_m
-        return is_high & (self.steep >= limits.steep) & (self.slope <= limits.slope)
+        is_shaped = (self.height_m >= limits.height_m) & (self.steep >= limits.steep)
+        return is_shaped & (self.slope <= limits.slope) & (self.unknown <= limits.unknown)
 
 
 def candidates(heights: Float64, cell_m: float) -> tuple[Candidates, list[Level]]:
@@ -173,6 +179,7 @@ def candidates(heights: Float64, cell_m: float) -> tuple[Candidates, list[Level]
                 height[1:],
                 level.mean(is_steep, level.border),
                 level.mean(slope, level.ring),
+                level.mean(~known, level.beside),
             )
         )
     joined = (np.concatenate(column) for column in zip(*columns, strict=True))
@@ -209,12 +216,13 @@ Zone = tuple[Index, Labels]
 
 
 class Level(NamedTuple):
-    """Candidates of a level: labels (0 elsewhere), number, and the cells in, along the border of and around them."""
+    """Candidates of a level: labels (0 elsewhere), number, and cells in, at the border of, beside and around them."""
 
     labels: Labels
     n: int
     inside: Zone
     border: Zone
+    beside: Zone
     ring: Zone
 
     @classmethod
@@ -223,7 +231,7 @@ class Level(NamedTuple):
         n, flat = int(labels.max(initial=0)), labels.ravel()
         if n == 0:
             nothing = np.zeros(0, np.intp), np.zeros(0, np.int32)
-            return cls(labels, n, nothing, nothing, nothing)
+            return cls(labels, n, nothing, nothing, nothing, nothing)
         near, wide = (
             scipy.ndimage.maximum_filter(labels, 2 * cells + 1, mode="constant").ravel()
             for cells in (GAP_CELLS, RING_CELLS)
@@ -232,9 +240,9 @@ class Level(NamedTuple):
         inside = np.flatnonzero(is_inside)
         border = np.flatnonzero(is_inside & ~scipy.ndimage.binary_erosion(is_inside))
         ring = np.flatnonzero((wide > 0) & (near == 0) & known.ravel())
-        return cls(
-            labels, n, (inside, flat[inside]), (border, flat[border]), (ring, wide[ring])
-        )
+        beside = np.flatnonzero(near)
+        zones = ((inside, flat), (border, flat), (beside, near), (ring, wide))
+        return cls(labels, n, *((cells, of[cells]) for cells, of in zones))
 
     def mean(self, values: npt.NDArray[Any], zone: Zone) -> Float64:
         """Return the mean of the cells of a zone for each candidate, 0 if it has none."""
@@ -368,18 +376,18 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     pixels = terrain[top : top + window.height, left : left + window.width]
     heights = cells.means(pixels, ~np.isnan(pixels)) * float(frame.units.vertical)
     found, levels = candidates(heights, side * pixel_m)
-    if not found.shaped(Limits()).any():
+    row = np.maximum(window.row + found.row * side, 0) - block.row
+    column = np.maximum(window.col + found.column * side, 0) - block.col
+    is_here = (row >= 0) & (row < block.height) & (column >= 0) & (column < block.width)
+    is_judged = _nested_with(found, levels, is_here & found.shaped(Limits()))
+    if not is_judged.any():
         return None, {"objects": []}
-    near = replace(points, block=window)
-    ground = cells.sums(near.ground_per_pixel())
-    objects = cells.sums(near.surface_per_pixel()[0]) - ground
-    chance = chances(measures_of(found, levels, ground, objects, side * pixel_m))
+    ground, objects = _counts(points, cells, _hull(found, levels, is_judged))
+    measures = measures_of(found, levels, ground, objects, side * pixel_m)
+    chance = np.where(is_judged, chances(measures), 0.0)
     places = []
     for i, inside, box in chosen(found, levels, chance):
-        row = max(window.row + int(found.row[i]) * side, 0)
-        column = max(window.col + int(found.column[i]) * side, 0)
-        is_here = 0 <= row - block.row < block.height and 0 <= column - block.col < block.width
-        if is_here:
+        if is_here[i]:
             places.append(
                 {
                     "chance": round(float(chance[i]), 3),
@@ -390,6 +398,50 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
                 }
             )
     return None, {"objects": places}
+
+
+def _nested_with(found: Candidates, levels: list[Level], some: Bools) -> Bools:
+    """Return a mask of the candidates in the same widest candidate as one of some, which decide on each other."""
+    widest = np.zeros((2, len(found.level)), np.int64)
+    for i, level in reversed(list(enumerate(levels))):
+        label = level.labels[found.row, found.column]
+        widest = np.where(label > 0, (np.full_like(label, i), label), widest)
+    number = widest[0] * (widest[1].max(initial=0) + 1) + widest[1]
+    is_among: Bools = np.isin(number, number[some])
+    return is_among
+
+
+def _hull(found: Candidates, levels: list[Level], some: Bools) -> Box:
+    """Return the rows and columns of some candidates and of the land around them."""
+    boxes = [scipy.ndimage.find_objects(level.labels) for level in levels]
+    rows, columns = zip(
+        *(boxes[found.level[i]][found.label[i] - 1] for i in np.flatnonzero(some)), strict=True
+    )
+    shape = levels[0].labels.shape
+    return tuple(
+        slice(
+            max(min(part.start for part in parts) - RING_CELLS, 0),
+            min(max(part.stop for part in parts) + RING_CELLS, size),
+        )
+        for parts, size in zip((rows, columns), shape, strict=True)
+    )
+
+
+def _counts(points: PointsNear, cells: PixelCells, box: Box) -> tuple[Int64, Int64]:
+    """Count the ground points and the others in each cell of a box, 0 elsewhere."""
+    window, side = cells.window, cells.side
+    rows, columns = box
+    part = Block(
+        window.row + rows.start * side,
+        window.col + columns.start * side,
+        (rows.stop - rows.start) * side,
+        (columns.stop - columns.start) * side,
+    )
+    near = replace(points, block=part)
+    ground, objects = np.zeros((2, window.height // side, window.width // side), np.int64)
+    ground[box] = cells.sums(near.ground_per_pixel())
+    objects[box] = cells.sums(near.surface_per_pixel()[0]) - ground[box]
+    return ground, objects
 
 
 def _rectangles(inside: Bools, box: Box, window: Block, side: int) -> list[list[int]]:
