@@ -14,15 +14,18 @@ All that decides on a candidate lies within a fixed distance of it (`reach_cells
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from ptd.gridding.ground_cells import CellWindow, cell_counts
+from tiler.core.lattice import Lattice
 from tiler.core.raster import Block
 from tiler.grid.block_surroundings import PixelCells, PointsNear
+from tiler.grid.ground import read_ground_and_objects
 from tiler.grid.steps import Counts
 
 Bools = npt.NDArray[np.bool_]
@@ -69,6 +72,9 @@ class Limits:
         Least number of returns around per square metre. Ground is uncertain in sparser scans.
     unknown : float
         Largest share of cells without terrain in and beside it. What the border of the terrain cuts may continue there.
+    seen : float
+        Largest share of cells in it with a ground point. Through plants the ground is seen nearly everywhere, through
+        roofs nowhere.
     """
 
     height_m: float = 1.0
@@ -77,6 +83,7 @@ class Limits:
     objects: float = 0.75
     returns_m2: float = 2.0
     unknown: float = 0.05
+    seen: float = 0.6
 
 
 @dataclass(frozen=True)
@@ -279,13 +286,14 @@ def measures_of(
             for zone in (level.inside, level.ring)
             for points in (ground, objects)
         ]
-        columns.append((*of_zones, level.mean(ground, level.border)))
-    in_ground, in_objects, ring_ground, ring_objects, border_ground = (
+        seen = level.mean(ground > 0, level.inside)
+        columns.append((*of_zones, level.mean(ground, level.border), seen))
+    in_ground, in_objects, ring_ground, ring_objects, border_ground, seen = (
         np.concatenate(column) for column in zip(*columns, strict=True)
     )
     returns = ring_ground + ring_objects
     is_judged = found.shaped(limits) & (ring_objects <= limits.objects * returns)
-    is_judged &= returns >= limits.returns_m2 * cell_m**2
+    is_judged &= (returns >= limits.returns_m2 * cell_m**2) & (seen <= limits.seen)
     ratio = border_ground / np.maximum(ring_ground, 1e-9)
     return Measures(
         in_objects / np.maximum(in_ground + in_objects, 1e-9),
@@ -429,19 +437,23 @@ def _hull(found: Candidates, levels: list[Level], some: Bools) -> Box:
 
 def _counts(points: PointsNear, cells: PixelCells, box: Box) -> tuple[Int64, Int64]:
     """Count the ground points and the others in each cell of a box, 0 elsewhere."""
-    window, side = cells.window, cells.side
+    window, side, spec = cells.window, cells.side, points.spec
     rows, columns = box
+    height, width = rows.stop - rows.start, columns.stop - columns.start
     part = Block(
         window.row + rows.start * side,
         window.col + columns.start * side,
-        (rows.stop - rows.start) * side,
-        (columns.stop - columns.start) * side,
+        height * side,
+        width * side,
     )
-    near = replace(points, block=part)
-    ground, objects = np.zeros((2, window.height // side, window.width // side), np.int64)
-    ground[box] = cells.sums(near.ground_per_pixel())
-    objects[box] = cells.sums(near.surface_per_pixel()[0]) - ground[box]
-    return ground, objects
+    lattice = Lattice(spec.lattice.size * side)
+    west, north = cells.west + columns.start, -cells.north - 1 - rows.start
+    near = CellWindow(lattice.p, lattice.q, west, north, height, width, *points.frame.origin)
+    counts = np.zeros((2, window.height // side, window.width // side), np.int64)
+    both = read_ground_and_objects(points.store, points.rule, spec.block_bounds(part))
+    for i, xyz in enumerate(both):
+        counts[(i, *box)] = cell_counts(xyz, near)
+    return counts[0], counts[1]
 
 
 def _rectangles(inside: Bools, box: Box, window: Block, side: int) -> list[list[int]]:
