@@ -90,7 +90,8 @@ class Limits:
 class Weights:
     """Logarithm of the odds that a candidate is an object, as a sum.
 
-    The constants are fitted by ``python -m tests.benchmarks.left_objects``.
+    The constants were fitted by ``python -m tests.benchmarks.left_objects`` without the limit `Limits.seen`. With it,
+    nearly all candidates of the scenes are right, so a fit would give chances that are too high for real scans.
 
     Attributes
     ----------
@@ -449,11 +450,11 @@ def _counts(points: PointsNear, cells: PixelCells, box: Box) -> tuple[Int64, Int
     lattice = Lattice(spec.lattice.size * side)
     west, north = cells.west + columns.start, -cells.north - 1 - rows.start
     near = CellWindow(lattice.p, lattice.q, west, north, height, width, *points.frame.origin)
-    counts = np.zeros((2, window.height // side, window.width // side), np.int64)
-    both = read_ground_and_objects(points.store, points.rule, spec.block_bounds(part))
-    for i, xyz in enumerate(both):
-        counts[(i, *box)] = cell_counts(xyz, near)
-    return counts[0], counts[1]
+    ground, objects = np.zeros((2, window.height // side, window.width // side), np.int64)
+    bounds = spec.block_bounds(part)
+    ground_xyz, object_xyz = read_ground_and_objects(points.store, points.rule, bounds)
+    ground[box], objects[box] = cell_counts(ground_xyz, near), cell_counts(object_xyz, near)
+    return ground, objects
 
 
 def _rectangles(inside: Bools, box: Box, window: Block, side: int) -> list[list[int]]:
