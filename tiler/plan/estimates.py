@@ -264,7 +264,9 @@ def projected_disk(plan: Plan) -> dict[str, int]:
         "rasters": int(
             pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)
         ),
-        "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn)),
+        # With sheets, their files are written beside those of all of the terrain.
+        "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn))
+        * (1 + bool(plan.config.sheets)),
         "classified": _classified_bytes(plan),
         "scratch": int(COPIES * (_raster_scratch(plan, pixels, sizes) + _copc_scratch(plan))),
     }

@@ -188,7 +188,7 @@ def _validate_links(plan: Plan, products: str, file_names: Sequence[str]) -> Non
     # The names of sheets and of archived files are not known yet.
     folders = [OUTDATED]
     if plan.config.sheets is not None:
-        folders += [*plan.config.exported, SHEET_ITEMS]
+        folders += [*plan.config.exported, *plan.config.drawn, SHEET_ITEMS]
     check_links("-o", products, [*file_names, CHANGED, *(f"{folder}/x" for folder in folders)])
 
 
