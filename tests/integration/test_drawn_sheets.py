@@ -272,6 +272,25 @@ def far_away(folder: Path) -> str:
     return drawn(folder / "sheets.gpkg", {"a": [(5000, 0), (6000, 0), (6000, 900)]})
 
 
+def test_files_in_the_folder_of_contours_are_refused_before_a_point_is_read(
+    cloud: Path, tmp_path: Path
+) -> None:
+    how = {**HOW, "products": "contours", "sheet_field": "Blatt", "sheets": given(tmp_path)}
+    lines = tmp_path / "out/contours/contours_A 1.gpkg"
+    lines.parent.mkdir(parents=True)
+    wall = shapely.LineString([(EAST + 5, NORTH + 5), (EAST + 9, NORTH + 9)])
+    write(lines, [wall], "LineString", "EPSG:25832", {})
+    with pytest.raises(ConfigError, match="contours_A 1.gpkg: already exists"):
+        do(cloud, tmp_path / "out", **how)
+    with pytest.raises(ConfigError, match="contours"):
+        do(cloud, tmp_path / "out", force=True, breaklines=[str(lines)], **how)
+    with pytest.raises(ConfigError, match="contours"):
+        do(cloud, tmp_path / "o", store=str(tmp_path / "o/contours"), **how)
+    long = with_names("a", "b", 196 * "c")(tmp_path)
+    with pytest.raises(ConfigError, match="has more than 200 bytes"):
+        do(cloud, tmp_path / "o", **{**how, "sheets": long, "sheet_name": "{name}{sheet}"})
+
+
 @pytest.mark.parametrize(
     ("make", "settings", "line"),
     [

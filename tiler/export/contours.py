@@ -337,11 +337,17 @@ def _cut(lines: Shapes, levels: Ints, shape: Any) -> tuple[Shapes, Ints]:
     """Return the parts of lines in a shape and their levels, or all lines without one."""
     if shape is None:
         return lines, levels
+    # Few lines cross the edge, and the others need no intersection with an outline that may have many corners.
+    shapely.prepare(shape)
+    is_inside = shapely.contains_properly(shape, lines)
+    across = np.flatnonzero(~is_inside & shapely.intersects(shape, lines))
     # A ring that the shape divides has one part on both sides of its first vertex.
-    inside = shapely.line_merge(shapely.intersection(lines, shape), directed=True)
-    parts, numbers = shapely.get_parts(inside, return_index=True)
+    merged = shapely.line_merge(shapely.intersection(lines[across], shape), directed=True)
+    parts, numbers = shapely.get_parts(merged, return_index=True)
     is_line = (shapely.get_type_id(parts) == LINE) & ~shapely.is_empty(parts)
-    return parts[is_line], levels[numbers[is_line]]
+    numbers = np.concatenate((np.flatnonzero(is_inside), across[numbers[is_line]]))
+    order = np.argsort(numbers, kind="stable")
+    return np.concatenate((lines[is_inside], parts[is_line]))[order], levels[numbers[order]]
 
 
 def _add_lines(file: GeoPackage, lines: Shapes, levels: Ints, interval: Fraction) -> None:

@@ -146,7 +146,8 @@ def sheet_shape(store: TileStore, spec: RasterSpec, clip: StoredAreas | None) ->
 
 def _shape(area: Area) -> Any:
     rings = ([ring / COUNTS_PER_UNIT for ring in polygon] for polygon in area.polygons)
-    return shapely.union_all([shapely.Polygon(outer, holes) for outer, *holes in rings])
+    polygons = [shapely.Polygon(outer, holes) for outer, *holes in rings]
+    return shapely.union_all(shapely.make_valid(polygons))
 
 
 def _joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:

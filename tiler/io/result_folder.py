@@ -280,7 +280,7 @@ def foreign_files(
             path = f"{product}/{name}"
             if (
                 name.startswith(start)
-                and name.endswith((".tif", ".json"))
+                and name.endswith((".tif", ".gpkg", ".json"))
                 and path not in earlier_files
             ):
                 names.append(path)

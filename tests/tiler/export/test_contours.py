@@ -155,6 +155,27 @@ def test_lines_of_a_sheet_are_the_parts_in_it_of_the_lines_without_sheets(
     assert length == pytest.approx(shapely.length(whole).sum())
 
 
+def test_lines_of_a_sheet_do_not_depend_on_the_first_pixel_of_the_raster(
+    tmp_path: Path, small_store: TileStore
+) -> None:
+    """The heights of a larger raster are the same in the sheet, which also has other lines to its west."""
+    lattice, west, north = Lattice(Fraction(609601, 2000)), 1_640_417, 2_788_713
+    heights, files = rough(4), []
+    sheet = SheetPart(RasterSpec(lattice, west + 40, north - 30, 120, 100))
+    for name, more in (("a", 0), ("b", 37)):
+        spec = RasterSpec(lattice, west - more, north, SIDE, SIDE + more)
+        small_store.create_raster(name, SIDE, SIDE + more)
+        wide = np.pad(heights, ((0, 0), (more, 0)), "reflect").astype(np.float32)
+        for block in spec.blocks(512):
+            small_store.write_block(name, block, wide)
+        to, terrain = OutFile(str(tmp_path), f"{name}.gpkg"), Heights(name, spec, None, None)
+        write_contours(
+            small_store, to=to, heights=terrain, interval=Fraction(1), noise=0.0, sigma=1.5, sheet=sheet,
+        )  # fmt: skip
+        files.append((tmp_path / f"{name}.gpkg").read_bytes())
+    assert files[0] == files[1]
+
+
 @pytest.mark.parametrize("is_drawn", [False, True])
 def test_each_spot_is_in_one_sheet(
     small_store: TileStore, tmp_path: Path, is_drawn: bool

@@ -124,7 +124,8 @@ def _task(
         "to": part.file,
         "heights": Heights(terrain, spec, plan.inputs.area_key, context.waters.stored_key),
         "interval": interval,
-        "noise": noise,
+        # It only serves to choose an interval.
+        "noise": noise if interval is None else 0.0,
         **({} if part.sheet is None else {"sheet": part.sheet}),
     }
     if name == CONTOURS:
