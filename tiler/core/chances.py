@@ -56,18 +56,25 @@ REASONS: dict[str, Reason] = {
     "void inside the survey": Reason(HOLE_M, is_certain=True),
     # Most of them are the ragged border of the survey, which nobody changes, so they have no loss and come late.
     "void at the border of the survey": Reason(is_certain=True),
-    "terrain above all returns": Reason(),
-    "objects suspected in the terrain": Reason(),
-    "place without returns": Reason(large_m2=200.0),
-    "doubtful water": Reason(),
-    "ground hidden by canopy": Reason(),
+    "terrain above all returns": Reason(3.1, {PHOTOGRAMMETRIC: [Counts(1, 1)]}),
+    "objects suspected in the terrain": Reason(10.1, {LIDAR: [Counts(1, 1)]}),
+    "place without returns": Reason(
+        1.2,
+        {
+            LIDAR: [Counts(25, 3), Counts(53, 13)],
+            PHOTOGRAMMETRIC: [Counts(16, 4), Counts(20, 14)],
+        },
+        large_m2=200.0,
+    ),
+    "doubtful water": Reason(0.7, {LIDAR: [Counts(5, 1)]}),
+    "ground hidden by canopy": Reason(2.1, {PHOTOGRAMMETRIC: [Counts(18, 18)]}),
     "doubtful tile": Reason(),
     # They report what an edit or the input did, which is no doubt about the terrain.
     "hole in an edit": Reason(is_certain=True),
     "edit without effect": Reason(),
     "stray point": Reason(),
 }
-"""All reasons whose places have a position."""
+"""All reasons whose places have a position. The counts are of 63 scenes, simulated and real."""
 
 LEAST_PLACES = 10
 """Least number of places with a known terrain from which a chance is measured."""
