@@ -24,6 +24,7 @@ from tiler.core.products import NODATA
 from tiler.errors import InputError
 from tiler.export import review
 from tiler.pipeline import RunResult
+from tiler.report import problems
 
 SIDE, NUMBER = 160.0, 57_000
 GAPS = shapely.box(24, 10, 32, 50), shapely.box(120, 110, 132, 124)
@@ -84,8 +85,32 @@ def test_the_places_have_their_outlines_and_the_most_serious_is_first(reviewed: 
         assert shape.area > 0.6 * gap.area
         assert (row["status"], row["action"]) == ("open", "void")
         assert row["reason"] == "place without returns"
+        # Classes of the input were kept, whose errors no scenes tell.
+        assert np.isnan(row["chance"])
     sheets = {path.stem for path in (reviewed / "dtm").glob("*.tif")}
     assert {first["sheet"], second["sheet"]} <= sheets
+
+
+def test_the_chance_is_a_column_that_survives_and_that_old_files_lack(
+    cloud: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(problems, "chance_of", lambda *place: 0.7)
+    made(cloud, out)
+    with closing(sqlite3.connect(out / "review.gpkg")) as database:
+        columns = {c[1]: c[2] for c in database.execute("PRAGMA table_info(review)")}
+        assert columns["chance"] == "REAL"
+        assert database.execute("SELECT chance FROM review").fetchall() == [(0.7,), (0.7,)]
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'ok', chance = 0.6 WHERE rank = 1")
+    made(cloud, out)
+    assert [(row["status"], row["chance"]) for row in rows(out)] == [("open", 0.7), ("ok", 0.6)]
+    with edited(out) as database:
+        database.execute("ALTER TABLE review DROP COLUMN chance")
+    run = made(cloud, out)
+    assert [row["status"] for row in rows(out)] == ["open", "ok"]
+    assert [str(row["chance"]) for row in rows(out)] == ["0.7", "nan"]
+    assert not (out / "outdated").exists()
+    assert not run.warnings
 
 
 def test_qgis_finds_a_style_and_lists_of_values(reviewed: Path) -> None:

@@ -159,7 +159,14 @@ def test_a_page_keeps_the_edits_and_decisions_before_it(cloud: Path, out: Path) 
         write_review_page(out)
 
 
-STRANGE = ("stake_m = 9e999", "z = 'high'", "area_m2 = 'wide'", "reason = 5", "rank = NULL")
+STRANGE = (
+    "stake_m = 9e999",
+    "z = 'high'",
+    "area_m2 = 'wide'",
+    "chance = 'high'",
+    "reason = 5",
+    "rank = NULL",
+)
 
 
 @pytest.mark.parametrize("change", STRANGE)
@@ -183,6 +190,21 @@ def test_a_card_tells_the_rank_and_the_middle_of_its_place(out: Path) -> None:
     text = Path(write_review_page(out).page).read_text("utf-8")
     assert "2. place without returns" in text
     assert f"{(west + east) / 2:.1f}, {(south + north) / 2:.1f}" in text
+
+
+def test_the_chance_is_on_the_card_in_the_report_and_in_the_saved_file(
+    cloud: Path, out: Path
+) -> None:
+    with edited(out) as database:
+        database.execute("UPDATE review SET chance = 0.7 WHERE rank = 2")
+    page = Path(write_review_page(out).page)
+    write_report(out)
+    assert page.read_text("utf-8").count("likely wrong") == 1
+    assert (out / "report.html").read_text("utf-8").count("70 % likely wrong") == 1
+    made(cloud, out, edits=str(decided(page, "open", "ok")))
+    assert [(row["status"], str(row["chance"])) for row in rows(out)] == [
+        ("open", "nan"), ("ok", "0.7"),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("crs", [CRS(25832), CRS(2992), DATUM, CRS("EPSG:25832+5783")])

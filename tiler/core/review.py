@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from tiler.core.chances import expected_loss
+
 LAYER = "review"
 """Layer of the places in their file."""
 OWN_COLUMNS = ("rank", "reason", "stake_m")
 """Columns by which places are known if their layer was renamed."""
 TEXTS = ("status", "reason", "why", "action", "sheet", "remedy", "note")
-NUMBERS = ("z", "stake_m", "area_m2")
+NUMBERS = ("z", "stake_m", "area_m2", "chance")
 """Columns of a place in its file, besides ``rank``."""
 OPEN, OK, FIXED = "open", "ok", "fixed"
 """Values of the column ``status``: not looked at, right as it is, and to be changed by the edit of the row."""
@@ -22,7 +24,8 @@ BARE, HOLES = "bare", "holes"
 """Pixels with a height in a gap without returns, and pixels of the survey without a height."""
 SAME_SHARE = 0.5
 """Least share of the area of a place inside an earlier place of the same reason that was found to be right."""
-
+LEAST_SIDE_M = 5.0
+"""Side of the square that is drawn around a place without an extent."""
 
 COPY_SHARE = 0.99
 """Least share of the larger of two outlines in which a row and its copy overlap."""
@@ -47,6 +50,8 @@ class ReviewRow:
     stake_m : float or None
         Height by which the terrain may be wrong, in metres.
     area_m2 : float or None
+    chance : float or None
+        Chance that the terrain is wrong there, see `tiler.core.chances`. None if it is not known.
     sheet : str
         Name of the sheet in which the middle of the place lies.
     note : str
@@ -64,6 +69,7 @@ class ReviewRow:
     z: float | None = None
     stake_m: float | None = None
     area_m2: float | None = None
+    chance: float | None = None
     sheet: str = ""
     note: str = ""
     pixels: str = ""
@@ -80,7 +86,10 @@ def is_edit(status: Any) -> bool:
 
 
 def ranked(found: Sequence[ReviewRow], decided: Sequence[ReviewRow]) -> list[ReviewRow]:
-    """Return the places of a run, the most serious first, and then the rows on which the user decided.
+    """Return the places of a run, worst first, and then the rows on which the user decided.
+
+    Worst are those with the largest expected squared error (`expected_loss`), since a look at any place takes the same
+    time. Places for which it is not known follow in their order in ``found``, and so do equal ones.
 
     A place that was found to be right is not listed again. A row that is fixed stays, because it is an edit. If its
     place is still found, the edit did not help, so the place is open.
@@ -92,7 +101,13 @@ def ranked(found: Sequence[ReviewRow], decided: Sequence[ReviewRow]) -> list[Rev
         shape = shapely.from_wkb(row.shape)
         if not shape.is_empty and right[row.reason].share(shape) < SAME_SHARE:
             rows.append(row)
-    return [*rows, *decided]
+    return [*sorted(rows, key=_by_loss), *decided]
+
+
+def _by_loss(row: ReviewRow) -> tuple[bool, float]:
+    area_m2 = LEAST_SIDE_M**2 if row.area_m2 is None else row.area_m2
+    loss = expected_loss(row.reason, row.chance, row.stake_m, area_m2)
+    return loss is None, -(loss or 0.0)
 
 
 class _Covered:

@@ -65,13 +65,13 @@ def write_review(
     decided: tuple[ReviewRow, ...],
     terrain: DeliveredTerrain | None,
 ) -> ReviewFileRecord:
-    """Write places to review as polygons: those of the run, the most serious first, and those that a user decided on.
+    """Write places to review as polygons: those of the run, worst first, and those that a user decided on.
 
     The outline of voids and places without returns is that of their pixels, for which ``terrain`` is needed.
 
     Columns are ``rank`` (1 for the first), ``status`` (open, ok or fixed), ``reason``, ``why``, ``action`` (of the
     edit that a row becomes once it is fixed) and its height ``z``, ``stake_m`` (height by which the terrain may be
-    wrong), ``area_m2``, ``sheet``, ``remedy`` and ``note`` (of the user).
+    wrong), ``area_m2``, ``chance`` (that it is wrong), ``sheet``, ``remedy`` and ``note`` (of the user).
 
     Return the `ReviewFileRecord`. Raise ProcessingError if the file cannot be written.
     """

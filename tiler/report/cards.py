@@ -122,6 +122,7 @@ def card(
             if stake is None
             else length_text(round(stake, 2), high),
             "area": None if area is None else small_area_text(area, wide),
+            "likely wrong": _likely(columns),
             "middle": f"{place.middle[0]:.1f}, {place.middle[1]:.1f}",
             "sheet": columns["sheet"] or None,
         }
@@ -149,13 +150,20 @@ def _title(columns: Mapping[str, Any]) -> str:
     return reason if columns["rank"] is None else f"{columns['rank']}. {reason}"
 
 
+def _likely(columns: Mapping[str, Any]) -> str | None:
+    chance = columns["chance"]
+    return None if chance is None else f"{100 * chance:.0f} %"
+
+
 def small_card(place: Card, run: Mapping[str, Any], units: tuple[float, float]) -> Node:
     """Return what a report shows of a place: a picture of the terrain and the section."""
     columns, (wide, high) = place.columns, units
+    likely = _likely(columns)
     return el(
         "article",
         el("h3", _title(columns)),
         el("p", columns["why"]),
+        el("p", f"{likely} likely wrong", class_="quiet") if likely else None,
         el(
             "div",
             _picture(place, place.before, run, "terrain"),
@@ -326,7 +334,7 @@ def decisions(
     found: Sequence[Card], kept: Sequence[tuple[dict[str, Any], str]], crs: str | None
 ) -> dict[str, Any]:
     """Return the data with which the page writes a file of decisions: the places, and what was decided before."""
-    names = ("rank", "reason", "why", "stake_m", "area_m2", "sheet", "remedy")
+    names = ("rank", "reason", "why", "stake_m", "area_m2", "chance", "sheet", "remedy")
     return {
         "crs": crs,
         "places": [

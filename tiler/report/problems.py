@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
+from tiler.core.chances import chance_of
 from tiler.core.edits import TO_GROUND, VOID
 from tiler.core.points import NOISE
 from tiler.core.review import STATUSES
@@ -57,6 +58,8 @@ class Problem(NamedTuple):
         Action of an edit that would remedy it, see `tiler.core.edits`. It is empty if no edit would.
     stake_m : float or None
         Height by which the terrain may be wrong, in metres.
+    chance : float or None
+        Chance that the terrain is wrong there. If its source does not give it, it is that of `tiler.core.chances`.
     rings : sequence of sequence of float
         Outline, as closed rings x, y, x, y, ... in units of the CRS. It is empty if the extent is the outline.
     """
@@ -69,6 +72,7 @@ class Problem(NamedTuple):
     at: tuple[float, float] | None = None
     action: str = ""
     stake_m: float | None = None
+    chance: float | None = None
     rings: Sequence[Sequence[float]] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -80,7 +84,15 @@ class Problem(NamedTuple):
 
 def problems_of(run: Run) -> list[Problem]:
     """Return all problems of a run, in the order of `SOURCES`."""
-    return [problem for source in SOURCES for problem in source(run)]
+    statistics = run.get("statistics") or {}
+    kind = statistics.get("survey", {}).get("survey", {}).get("kind")
+    found = [problem for source in SOURCES for problem in source(run)]
+    return [
+        problem._replace(chance=chance_of(problem.what, kind, problem.area_m2))
+        if problem.chance is None and problem.where is not None
+        else problem
+        for problem in found
+    ]
 
 
 def place_of(bounds: Sequence[float] | None) -> Place | None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import random
+from dataclasses import replace
+from typing import Any
+
 import pytest
 import shapely
 from hypothesis import given
@@ -20,7 +24,7 @@ from tiler.core.review import (
 )
 
 
-def row(x: float, width: float = 10.0, **values: str) -> ReviewRow:
+def row(x: float, width: float = 10.0, **values: Any) -> ReviewRow:
     shape = shapely.to_wkb(shapely.MultiPolygon([shapely.box(x, 0, x + width, 10)]), hex=True)
     return ReviewRow(shape=shape, **{"reason": "void", **values})
 
@@ -33,6 +37,34 @@ def test_a_place_that_was_right_is_not_listed_again() -> None:
 @pytest.mark.parametrize(("moved", "listed"), [(4.0, False), (6.0, True)])
 def test_the_same_place_shares_half_of_its_area(moved: float, listed: bool) -> None:
     assert (row(moved) in ranked([row(moved)], [row(0, status=OK)])) is listed
+
+
+def test_the_first_places_have_the_largest_expected_squared_error() -> None:
+    likely = row(0, chance=0.8, stake_m=1.0, area_m2=100.0)
+    high = row(20, chance=0.4, stake_m=2.0, area_m2=100.0)
+    wide = row(40, chance=0.1, stake_m=1.0, area_m2=1000.0)
+    unknown = [row(60), row(80, chance=0.9), row(100, stake_m=9.0)]
+    decided = row(120, status=FIXED, chance=1.0, stake_m=9.0, area_m2=1e6)
+    assert ranked([*unknown, likely, wide, high], [decided]) == [
+        high, wide, likely, *unknown, decided,
+    ]  # fmt: skip
+
+
+def test_a_decision_keeps_the_chance_that_the_user_saw() -> None:
+    right = row(0, status="OK", chance=0.3)
+    assert without_open([right]) == [replace(right, status=OK)]
+
+
+CHANCES = st.none() | st.sampled_from([0.1, 0.5, 0.9])
+
+
+@given(st.lists(st.tuples(CHANCES, CHANCES), max_size=12), st.randoms())
+def test_the_order_of_two_places_does_not_depend_on_the_others(
+    values: list[tuple[float | None, float | None]], random: random.Random
+) -> None:
+    places = [row(20 * i, chance=c, stake_m=s) for i, (c, s) in enumerate(values)]
+    some = [place for place in places if random.random() < 0.5]
+    assert ranked(some, []) == [place for place in ranked(places, []) if place in some]
 
 
 def test_two_parts_that_were_right_cover_a_place() -> None:

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 
 from tests.tiler.report import results
+from tiler.core.chances import LIDAR, REASONS, Counts, Reason
+from tiler.report import problems
 from tiler.report.html import write_report
-from tiler.report.problems import Problem, problems_of, table_rows
+from tiler.report.problems import SOURCES, Problem, problems_of, table_rows
 
 WATER = {
     "number": 3,
@@ -206,3 +208,51 @@ def test_a_place_is_a_link_to_the_map_and_marked_there(tmp_path: Path) -> None:
     assert page.data["problems"] == [
         ["objects suspected in the terrain", 500003.25, 5399990.0, 500003.25, 5399990.0]
     ]
+
+
+BOUNDS = [1.0, 2.0, 5.0, 8.0]
+EVERY_PROBLEM: dict[str, Any] = {
+    "check": {"requirements": [results.UNMET]},
+    "quarantined": [{"path": "a.laz", "error": "a.laz: cut off"}],
+    "failed_tasks": [{"stage": "filter0", "key": "t", "error": "killed", "bounds": BOUNDS}],
+    "implausible": [{
+        "what": "terrain below all returns", "bounds": BOUNDS, "why": "hills are cut off", "remedy": "",
+    }],
+    "above_returns": {"worst": [{"bounds": BOUNDS, "area_m2": 24.0, "height_m": 2.0}]},
+    "advice": ["a roof"], "advice_at": [[3.0, 4.0]],
+    "voids": voids(void(1e5, at_border=False), void(1e5), void(1.0)),
+    "without_returns": [{"bounds": BOUNDS, "area_m2": 24.0}],
+    "edits": [
+        {"number": 1, "action": "not_ground", "holes": 3, "bounds": BOUNDS},
+        {"number": 2, "action": "ground", "changed": False, "bounds": BOUNDS},
+    ],
+    "water_doubts": [{"text": "lake 3", "place": [1.0, 2.0]}],
+    "canopy_doubts": [{"text": "a canopy", "place": BOUNDS}],
+    "tiles": {"filter0": [results.tile(0, 2, 30.0, marked=5)]},
+    "filter": {"points": 9, "marked": 5},
+    "classes": {"no_part": {"3": 7}},
+    "strays": [{"point": 1, "path": "a.laz", "x": 1.0, "y": 2.0, "z": 9000.0}],
+    "healed": ["b1"],
+}  # fmt: skip
+"""Content of run.json with which every source finds a problem."""
+
+
+def test_the_table_of_chances_has_every_reason_with_a_position() -> None:
+    content = results.run(**EVERY_PROBLEM)
+    assert [source for source in SOURCES if not list(source(content))] == []
+    located = {problem.what for problem in problems_of(content) if problem.where is not None}
+    assert located == set(REASONS)
+
+
+def test_chances_are_those_of_the_kind_of_the_clouds(monkeypatch: pytest.MonkeyPatch) -> None:
+    lake = {"water_doubts": EVERY_PROBLEM["water_doubts"], "healed": ["b1"]}
+    monkeypatch.setitem(REASONS, "doubtful water", Reason(1.0, {LIDAR: [Counts(98, 19)]}))
+    survey = {"survey": {"survey": {"kind": LIDAR}}}
+    assert [p.chance for p in found(**lake, statistics=survey)] == [0.2, None]
+    assert [p.chance for p in found(**lake)] == [None, None]
+
+
+def test_a_chance_of_the_source_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Problem("doubtful water", (1.0, 2.0, 3.0, 4.0), "a lake", chance=0.9)
+    monkeypatch.setattr(problems, "SOURCES", (lambda run: iter([own]),))
+    assert found() == [own]

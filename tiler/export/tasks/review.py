@@ -14,6 +14,7 @@ from tiler.core.review import (
     BARE,
     FIXED,
     HOLES,
+    LEAST_SIDE_M,
     NUMBERS,
     STATUSES,
     TEXTS,
@@ -40,8 +41,6 @@ from tiler.schedule import Task, call_isolated, calling
 
 PIXELS = {WITHOUT_RETURNS: BARE, INSIDE: HOLES, AT_BORDER: HOLES}
 """Pixels that form a place, by the kind of the problem."""
-LEAST_SIDE_M = 5.0
-"""Side of the square that is drawn around a place without an extent."""
 
 
 def review_task(job: Job, gridding: Gridded, out: str) -> Task:
@@ -79,12 +78,15 @@ def report_review(job: Job) -> None:
 
 def _row(problem: Problem, gridding: Gridded, sheet: str) -> ReviewRow:
     """Return the row of a problem that has a position. ``sheet`` is the terrain's sheet that its middle lies in."""
-    side = LEAST_SIDE_M / float(gridding.plan.frame.units.horizontal)
+    unit = float(gridding.plan.frame.units.horizontal)
+    side, area_m2 = LEAST_SIDE_M / unit, problem.area_m2
     if problem.rings:
         rings = [np.reshape(ring, (-1, 2)) for ring in problem.rings]
         shape = shapely.build_area(shapely.MultiLineString(rings))
     else:
         west, south, east, north = problem.where or (0.0, 0.0, 0.0, 0.0)
+        if area_m2 is None and west < east:
+            area_m2 = (east - west) * (north - south) * unit**2
         across, along = max(side - (east - west), 0) / 2, max(side - (north - south), 0) / 2
         shape = shapely.box(west - across, south - along, east + across, north + along)
     parts = shapely.MultiPolygon(shapely.get_parts(shapely.normalize(shape)).tolist())
@@ -95,7 +97,8 @@ def _row(problem: Problem, gridding: Gridded, sheet: str) -> ReviewRow:
         remedy=problem.remedy,
         action=problem.action,
         stake_m=problem.stake_m,
-        area_m2=problem.area_m2,
+        area_m2=area_m2,
+        chance=problem.chance,
         sheet=sheet,
         pixels=PIXELS.get(problem.what, ""),
     )
