@@ -147,6 +147,39 @@ def test_another_polygon_makes_only_its_file_again(cloud: Path, tmp_path: Path) 
     assert (out / "outdated/dtm/Köln.tif").exists()
 
 
+def test_vector_products_are_cut_as_well(cloud: Path, tmp_path: Path) -> None:
+    out, edits = tmp_path / "out", tmp_path / "edits.gpkg"
+    how = {**HOW, "products": "dtm,contours,spots", "sheet_field": "Blatt", "edits": str(edits)}
+    how["contour_smooth"] = "0"
+    mound = affinity.translate(shapely.box(10, 10, 20, 20), EAST, NORTH)
+    columns = {"action": np.array(["flat"], object), "z": np.array([130.0])}
+    write(edits, [mound], "Polygon", "EPSG:25832", columns)
+    file = drawn(tmp_path / "sheets.gpkg")
+    assert do(cloud, out, sheets=file, **how).exit_code == 0
+    whole = shapely.from_wkb(pyogrio.raw.read(out / "contours.gpkg")[2])
+    files = [out / f"contours/contours_{name}.gpkg" for name in SHEETS]
+    parts = [shapely.from_wkb(pyogrio.raw.read(path)[2]) for path in files]
+    for part, shape in zip(parts, polygons(*SHEETS.values()), strict=True):
+        assert shapely.covers(shapely.buffer(shape, 1e-6), part).all()
+    assert sum(shapely.length(part).sum() for part in parts) == pytest.approx(
+        shapely.length(whole).sum()
+    )
+    assert {path.stem for path in (out / "spots").iterdir()} == {f"spots_{n}" for n in SHEETS}
+    item = json.loads((out / "stac/stac_3.json").read_text())
+    assert item["assets"]["contours"]["href"] == "../contours/contours_3.gpkg"
+    columns = {"action": np.array(["flat"], object), "z": np.array([125.0])}
+    write(edits, [mound], "Polygon", "EPSG:25832", columns)
+    do(cloud, out, sheets=file, **how)
+    changes = json.loads((out / "changed.json").read_text())
+    cut = [path for path in changes["changed"] if "/" in path and path.endswith(".gpkg")]
+    assert cut == ["contours/contours_A 1.gpkg", "spots/spots_A 1.gpkg"]
+    assert changes["sheets"] == ["dtm_A 1"]
+    assert do(cloud, out, sheets=file, **how).did_nothing
+    do(cloud, out, **{**how, "sheet_field": None})
+    assert not (out / "contours").exists()
+    assert (out / "outdated/contours/contours_3.gpkg").exists()
+
+
 def test_pixels_of_two_sheets_are_in_the_first(
     cloud: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -237,6 +270,25 @@ def given(folder: Path) -> str:
 
 def far_away(folder: Path) -> str:
     return drawn(folder / "sheets.gpkg", {"a": [(5000, 0), (6000, 0), (6000, 900)]})
+
+
+def test_files_in_the_folder_of_contours_are_refused_before_a_point_is_read(
+    cloud: Path, tmp_path: Path
+) -> None:
+    how = {**HOW, "products": "contours", "sheet_field": "Blatt", "sheets": given(tmp_path)}
+    lines = tmp_path / "out/contours/contours_A 1.gpkg"
+    lines.parent.mkdir(parents=True)
+    wall = shapely.LineString([(EAST + 5, NORTH + 5), (EAST + 9, NORTH + 9)])
+    write(lines, [wall], "LineString", "EPSG:25832", {})
+    with pytest.raises(ConfigError, match="contours_A 1.gpkg: already exists"):
+        do(cloud, tmp_path / "out", **how)
+    with pytest.raises(ConfigError, match="contours"):
+        do(cloud, tmp_path / "out", force=True, breaklines=[str(lines)], **how)
+    with pytest.raises(ConfigError, match="contours"):
+        do(cloud, tmp_path / "o", store=str(tmp_path / "o/contours"), **how)
+    long = with_names("a", "b", 196 * "c")(tmp_path)
+    with pytest.raises(ConfigError, match="has more than 200 bytes"):
+        do(cloud, tmp_path / "o", **{**how, "sheets": long, "sheet_name": "{name}{sheet}"})
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ def test_the_places_have_their_outlines_and_the_most_serious_is_first(reviewed: 
 def test_the_chance_is_a_column_that_survives_and_that_old_files_lack(
     cloud: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(problems, "chance_of", lambda reason, kind: 0.7)
+    monkeypatch.setattr(problems, "chance_of", lambda *place: 0.7)
     made(cloud, out)
     with closing(sqlite3.connect(out / "review.gpkg")) as database:
         columns = {c[1]: c[2] for c in database.execute("PRAGMA table_info(review)")}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tiler.store import layout
@@ -17,11 +19,11 @@ def small_stores(
     Neither changes a result. Rows are known to this process alone: workers need the usual.
     """
     patch.setattr("tiler.plan.sizes.BUCKET_POINTS", bucket_points)
-    for module in ("layout", "points", "buckets"):
+    for module in ("layout", "points"):
         patch.setattr(f"tiler.store.{module}.ROW_POINTS", row_points)
 
     def short(kind: layout.ArrayKind) -> layout.ArrayKind:
-        return layout.ArrayKind(kind.dtype, (*kind.chunks[:2], row_points), kind.fill)
+        return replace(kind, chunks=(*kind.chunks[:2], row_points // kind.pieces))
 
     for name in ("LABELS", "ELECTED"):
         patch.setattr(layout, name, short(getattr(layout, name)))

@@ -100,7 +100,7 @@ class RunConfig:
         None,
         "side of the sheets into which each product is cut, or width x height (1000x1250), or FILE with a polygon for "
         "each sheet, in any CRS. The sheets are OUT/<product>/<sheet-name>.tif, with a VRT OUT/<product>.vrt over "
-        "them, and are listed in OUT/sheets.gpkg; default: one file",
+        "them, and are listed in OUT/sheets.gpkg; those of contours and spots end with .gpkg; default: one file",
         unit="m",
         kind="sheets",
     )
@@ -409,6 +409,11 @@ class RunConfig:
     def drawn(self) -> tuple[str, ...]:
         """Products that are written as vector files."""
         return tuple(name for name in VECTOR_PRODUCTS if name in self.products)
+
+    @property
+    def cut(self) -> tuple[str, ...]:
+        """Products that have a file for each sheet, if the run has sheets."""
+        return (*self.exported, *self.drawn)
 
     @property
     def selection(self) -> Selection:

@@ -5,11 +5,19 @@ The chances are frequencies on scenes whose terrain is known. `tests/benchmarks/
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 LIDAR, PHOTOGRAMMETRIC = "lidar", "dim"
 """Kinds of clouds, by their names in run.json."""
+
+
+class Counts(NamedTuple):
+    """Number of places on scenes whose terrain is known, and of the wrong ones."""
+
+    places: int
+    wrong: int
 
 
 @dataclass(frozen=True)
@@ -21,15 +29,22 @@ class Reason:
     error_m : float or None
         Typical height error of the wrong places in metres, for the order of places without a height at stake. None if
         it is unknown.
-    measured : mapping of str to (int, int)
-        Number of places on scenes whose terrain is known, and of the wrong ones, by kind of cloud.
+    measured : mapping of str to sequence of Counts
+        Counts by kind of cloud: of all places, or of those below and those from ``large_m2``.
+    large_m2 : float or None
+        Area from which places are counted apart.
     is_certain : bool
         Whether the result is wrong by definition, such as a hole in the survey. It has no chance.
     """
 
     error_m: float | None = None
-    measured: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    measured: Mapping[str, Sequence[Counts]] = field(default_factory=dict)
+    large_m2: float | None = None
     is_certain: bool = False
+
+    def size(self, area_m2: float | None) -> int:
+        """Return the index of the counts of places of this area."""
+        return int(self.large_m2 is not None and (area_m2 or 0.0) >= self.large_m2)
 
 
 HOLE_M = 1.0
@@ -39,42 +54,59 @@ REASONS: dict[str, Reason] = {
     "failed task": Reason(HOLE_M, is_certain=True),
     "terrain below all returns": Reason(HOLE_M, is_certain=True),
     "void inside the survey": Reason(HOLE_M, is_certain=True),
-    # Most of them are the ragged border of the survey, which nobody changes.
-    "void at the border of the survey": Reason(),
-    "terrain above all returns": Reason(),
+    # Most of them are the ragged border of the survey, which nobody changes, so they have no loss and come late.
+    "void at the border of the survey": Reason(is_certain=True),
+    "terrain above all returns": Reason(3.1, {PHOTOGRAMMETRIC: [Counts(1, 1)]}),
     # The finder gives a chance for each place.
     "object left in the terrain": Reason(),
-    "objects suspected in the terrain": Reason(),
-    "place without returns": Reason(),
-    "doubtful water": Reason(),
-    "ground hidden by canopy": Reason(),
+    "objects suspected in the terrain": Reason(10.1, {LIDAR: [Counts(1, 1)]}),
+    "place without returns": Reason(
+        1.2,
+        {
+            LIDAR: [Counts(25, 3), Counts(53, 13)],
+            PHOTOGRAMMETRIC: [Counts(16, 4), Counts(20, 14)],
+        },
+        large_m2=200.0,
+    ),
+    "doubtful water": Reason(0.7, {LIDAR: [Counts(5, 1)]}),
+    "ground hidden by canopy": Reason(2.1, {PHOTOGRAMMETRIC: [Counts(18, 18)]}),
     "doubtful tile": Reason(),
-    # They report what an edit or the input did, not a doubt about the terrain.
-    "hole in an edit": Reason(),
+    # They report what an edit or the input did, which is no doubt about the terrain.
+    "hole in an edit": Reason(is_certain=True),
     "edit without effect": Reason(),
     "stray point": Reason(),
 }
-"""All reasons whose places have a position."""
+"""All reasons whose places have a position. The counts are of 63 scenes, simulated and real."""
 
 LEAST_PLACES = 10
 """Least number of places with a known terrain from which a chance is measured."""
+SHRINK = 4
+"""The mean of all sizes counts like so many places in the chance of a size, so that few places give no certainty."""
 
 
-def chance_of(reason: str, kind: str | None) -> float | None:
+def chance_of(reason: str, kind: str | None, area_m2: float | None = None) -> float | None:
     """Return the chance that a place is wrong, or None if too few places with a known terrain tell it.
 
     ``kind`` is the kind of the cloud, or None if the run did not decide it.
     """
-    return chance_from(*REASONS.get(reason, Reason()).measured.get(kind or "", (0, 0)))
+    known = REASONS.get(reason, Reason())
+    return chance_from(known.measured.get(kind or "", ()), known.size(area_m2))
 
 
-def chance_from(places: int, wrong: int) -> float | None:
-    """Return the chance with two decimals after so many places and wrong ones, or None if they are too few.
+def chance_from(sizes: Sequence[Counts], size: int) -> float | None:
+    """Return the chance of places of a size with two decimals, or None if the places of all sizes are too few.
 
-    It is the mean of the shares that the counts leave possible if all were equally likely before (Beta(1, 1)), so that
-    few places give no certainty.
+    The chance of all sizes is the mean of the shares that the counts leave possible if all shares were equally likely
+    before (Beta(1, 1)).
     """
-    return round((wrong + 1) / (places + 2), 2) if places >= LEAST_PLACES else None
+    places, wrong = (sum(counts[i] for counts in sizes) for i in (0, 1))
+    if places < LEAST_PLACES:
+        return None
+    mean = (wrong + 1) / (places + 2)
+    if len(sizes) == 1:
+        return round(mean, 2)
+    of_size = sizes[size]
+    return round((of_size.wrong + SHRINK * mean) / (of_size.places + SHRINK), 2)
 
 
 def expected_loss(

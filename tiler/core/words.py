@@ -60,7 +60,7 @@ _TITLES = {
     "sheets": "find sheets with heights",
     "verify": "check results for changes",
     "export": "write the files",
-    "mosaic": "write the mosaics",
+    "mosaic": "write mosaics and vector files of sheets",
     "catalogue": "write the catalogue",
 }
 _RASTERS = {

@@ -30,6 +30,9 @@ So lines never run through a pixel centre, where they would touch, and run aroun
 lies exactly on a level.
 """
 
+STEP = 2.0**-20
+"""Precision in pixels of the position of a vertex between two pixels. Sums of positions are exact, so that vertices do
+not depend on the raster's first pixel."""
 SHORT = 10.0
 """Length in pixels below which a ring is drawn only around a top or a pit."""
 MIN_RISE = 0.5
@@ -181,11 +184,11 @@ def _part(heights: Floats, level: float, rows: Ints, cols: Ints, down: Ints) -> 
     """Return the position of each vertex along its edge (0 to 1), from the heights at both ends.
 
     The ends are in the order of the raster, so that both blocks of an edge get the same
-    position.
+    position, a multiple of `STEP`.
     """
     first, second = heights[rows, cols], heights[rows + down, cols + 1 - down]
-    part: Floats = (level - first) / (second - first)
-    return part
+    part: Floats = np.rint((level - first) / (second - first) / STEP) * STEP
+    return part.clip(STEP, 1 - STEP)
 
 
 @dataclass

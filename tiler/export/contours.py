@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
@@ -13,10 +14,13 @@ import scipy
 import shapely
 
 from tiler.core.area import Area
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec, within
+from tiler.core.records import NOT_IN_DIGEST
 from tiler.core.units import METRE
 from tiler.export.contour_lines import (
+    SHORT,
     Joiner,
     contour_block,
     default_interval,
@@ -26,11 +30,17 @@ from tiler.export.contour_lines import (
     stays,
 )
 from tiler.export.output_files import ContoursRecord, OutFile, SpotsRecord, new_file
+from tiler.export.polygons import sheet_shape
+from tiler.export.rasters import in_sheet
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Shapes = npt.NDArray[Any]
 
+LINE = 1
+"""Number of the geometry type LineString in shapely."""
 BLOCK = 1024
 """Side in pixels of the blocks that are read one at a time. The lines do not depend on it."""
 FLOOR_M, FLOOR_FEET = Fraction(1, 4), Fraction(1)
@@ -55,12 +65,33 @@ of data is not a top."""
 
 @dataclass(frozen=True)
 class Heights:
-    """Raster of heights in the store, its pixels, and the keys of the requested area and of bodies of water."""
+    """Raster of heights in the store, its pixels, and the keys of the requested area and of bodies of water.
+
+    The digest of a task includes the bodies that may change its result.
+    """
 
     raster: str
     spec: RasterSpec
     area: str | None
-    waters: str | None
+    waters: str | None = field(metadata=NOT_IN_DIGEST)
+
+
+@dataclass(frozen=True)
+class SheetPart:
+    """Sheet of a file: its pixels, and for a drawn sheet its area and those before it that overlap it."""
+
+    spec: RasterSpec
+    clip: StoredAreas | None = None
+
+
+def contours_reach(sigma: float) -> int:
+    """Return the distance in pixels from which heights change the contours of a sheet."""
+    return math.ceil(SHORT) + max(smoothing_reach(sigma), 1)
+
+
+def spots_reach(reach: int) -> int:
+    """Return the distance in pixels from which heights change the spots of a sheet."""
+    return max(2 * reach, NO_SPOT)
 
 
 @dataclass(frozen=True)
@@ -75,6 +106,17 @@ class _Terrain:
     def spec(self) -> RasterSpec:
         """Pixels of the raster."""
         return self.source.spec
+
+    def window(self, sheet: SheetPart | None, margin: int) -> Block:
+        """Return the pixels of a sheet and of a margin that are in the raster, or all pixels."""
+        if sheet is None:
+            return Block(0, 0, self.spec.height, self.spec.width)
+        top = self.spec.north - sheet.spec.north
+        left = sheet.spec.west - self.spec.west
+        bottom = min(top + sheet.spec.height + margin, self.spec.height)
+        right = min(left + sheet.spec.width + margin, self.spec.width)
+        top, left = max(top - margin, 0), max(left - margin, 0)
+        return Block(top, left, max(bottom - top, 0), max(right - left, 0))
 
     def heights(self, block: Block) -> Floats:
         """Return the heights of a block in units of the CRS, NaN outside the area and for pixels without one."""
@@ -180,8 +222,9 @@ def write_contours(
     interval: Fraction | None,
     noise: float,
     sigma: float,
+    sheet: SheetPart | None = None,
 ) -> ContoursRecord:
-    """Write contour lines of the terrain.
+    """Write contour lines of the terrain, or those in a sheet, which are the same lines.
 
     Parameters
     ----------
@@ -194,6 +237,8 @@ def write_contours(
         Standard deviation of the heights in these units, or 0 if it is not known.
     sigma : float
         Heights are smoothed by a Gaussian with this standard deviation, in pixels.
+    sheet : SheetPart or None
+        Sheet to which the lines are cut.
 
     Returns
     -------
@@ -201,22 +246,35 @@ def write_contours(
         Record of the file.
     """
     terrain = _Terrain(store, heights, store.area(heights.area))
-    low, high = terrain.relief()
-    interval = interval or _interval(terrain, low, high, noise)
+    low = high = np.nan
+    if interval is None:
+        low, high = terrain.relief()
+        interval = _interval(terrain, low, high, noise)
+    # Short rings that a sheet divides are whole in the window.
+    window = terrain.window(sheet, math.ceil(SHORT))
+    shape = None if sheet is None else sheet_shape(store, sheet.spec, sheet.clip)
     joiner, lines, vertices, held, short = Joiner(), 0, 0, 0, 0
     waiting: list[tuple[int, Floats]] = []
     crs = terrain.store.meta.frame.crs_wkt
     with new_file(to) as new, geopackage(new.path, crs) as file:
-        for line in _lines(terrain, interval, sigma, joiner):
+
+        def write() -> None:
+            nonlocal lines, vertices
+            shapes, levels = _cut(*_shapes(terrain, waiting), shape)
+            _add_lines(file, shapes, levels, interval)
+            lines += len(shapes)
+            vertices += int(shapely.get_num_coordinates(shapes).sum())
+
+        for line in _lines(terrain, window, interval, sigma, joiner):
             if not _stays(terrain, sigma, interval, *line):
                 short += 1
                 continue
             waiting.append(line)
-            lines, vertices, held = lines + 1, vertices + len(line[1]), held + len(line[1])
+            held += len(line[1])
             if held > BATCH:
-                _add_lines(file, terrain, interval, waiting)
+                write()
                 waiting, held = [], 0
-        _add_lines(file, terrain, interval, waiting)
+        write()
     return ContoursRecord(
         **new.record.to_json(),
         interval=float(interval),
@@ -250,34 +308,53 @@ def _stays(
 
 
 def _lines(
-    terrain: _Terrain, interval: Fraction, sigma: float, joiner: Joiner
+    terrain: _Terrain, window: Block, interval: Fraction, sigma: float, joiner: Joiner
 ) -> Iterator[tuple[int, Floats]]:
     """Yield the lines joined across blocks: number of the level, and vertices in pixels."""
-    spec = terrain.spec
-    for row in range(0, spec.height, BLOCK):
-        for col in range(0, spec.width, BLOCK):
+    bottom, right = window.row + window.height, window.col + window.width
+    for row in range(window.row, bottom, BLOCK):
+        for col in range(window.col, right, BLOCK):
             # The block includes the first row and column of the next blocks, since lines run
             # between pixel centres.
-            block = Block(
-                row, col, min(BLOCK + 1, spec.height - row), min(BLOCK + 1, spec.width - col)
-            )
+            block = Block(row, col, min(BLOCK + 1, bottom - row), min(BLOCK + 1, right - col))
             core = terrain.land_smoothed(block, sigma)
             for piece in contour_block(core, interval, row, col):
                 yield from joiner.add(piece)
         yield from joiner.end_row(row + BLOCK)
 
 
-def _add_lines(
-    file: GeoPackage, terrain: _Terrain, interval: Fraction, lines: list[tuple[int, Floats]]
-) -> None:
+def _shapes(terrain: _Terrain, lines: list[tuple[int, Floats]]) -> tuple[Shapes, Ints]:
+    """Return lines in units of the CRS, and the numbers of their levels."""
+    if not lines:
+        return np.empty(0, object), np.empty(0, np.int64)
     levels = np.array([level for level, _ in lines], np.int64)
     numbers = np.repeat(np.arange(len(lines)), [len(vertices) for _, vertices in lines])
-    vertices = np.concatenate([np.empty((0, 2)), *(vertices for _, vertices in lines)])
-    shapes = shapely.linestrings(terrain.places(vertices), indices=numbers) if lines else []
+    vertices = np.concatenate([vertices for _, vertices in lines])
+    return shapely.linestrings(terrain.places(vertices), indices=numbers), levels
+
+
+def _cut(lines: Shapes, levels: Ints, shape: Any) -> tuple[Shapes, Ints]:
+    """Return the parts of lines in a shape and their levels, or all lines without one."""
+    if shape is None:
+        return lines, levels
+    # Few lines cross the edge, and the others need no intersection with an outline that may have many corners.
+    shapely.prepare(shape)
+    is_inside = shapely.contains_properly(shape, lines)
+    across = np.flatnonzero(~is_inside & shapely.intersects(shape, lines))
+    # A ring that the shape divides has one part on both sides of its first vertex.
+    merged = shapely.line_merge(shapely.intersection(lines[across], shape), directed=True)
+    parts, numbers = shapely.get_parts(merged, return_index=True)
+    is_line = (shapely.get_type_id(parts) == LINE) & ~shapely.is_empty(parts)
+    numbers = np.concatenate((np.flatnonzero(is_inside), across[numbers[is_line]]))
+    order = np.argsort(numbers, kind="stable")
+    return np.concatenate((lines[is_inside], parts[is_line]))[order], levels[numbers[order]]
+
+
+def _add_lines(file: GeoPackage, lines: Shapes, levels: Ints, interval: Fraction) -> None:
     heights = levels * float(interval)
     labels = np.array([f"{height:.{_decimals(interval)}f}" for height in heights], object)
     columns = {"elevation": heights, "index": levels % INDEX_EVERY == 0, "label": labels}
-    file.add("contours", "LineString", shapes, columns)
+    file.add("contours", "LineString", list(lines), columns)
 
 
 def _decimals(interval: Fraction) -> int:
@@ -293,8 +370,11 @@ def write_spots(
     interval: Fraction | None,
     noise: float,
     reach: int,
+    sheet: SheetPart | None = None,
 ) -> SpotsRecord:
     """Write the tops and bottoms of the terrain as points, the highest or lowest within ``reach`` pixels to each side.
+
+    A spot belongs to the sheet that its pixel belongs to.
 
     The other parameters are those of `write_contours`.
 
@@ -304,21 +384,23 @@ def write_spots(
         Record of the file.
     """
     terrain = _Terrain(store, heights, store.area(heights.area))
-    low, high = terrain.relief()
-    interval = interval or _interval(terrain, low, high, noise)
+    interval = interval or _interval(terrain, *terrain.relief(), noise)
+    window, clip = terrain.window(sheet, 0), None if sheet is None else sheet.clip
     counts = {HIGH: 0, LOW: 0}
     crs = terrain.store.meta.frame.crs_wkt
     with new_file(to) as new, geopackage(new.path, crs) as file:
-        for block in terrain.spec.blocks(BLOCK):
+        for part in terrain.spec.window(window).blocks(BLOCK):
+            block = replace(part, row=part.row + window.row, col=part.col + window.col)
             around, top, left = terrain.around(block, 2 * reach)
-            wet = terrain.wet(block, NO_SPOT)
+            here = in_sheet(store, terrain.spec, clip, block)
+            here &= ~terrain.wet(block, NO_SPOT)
             for kind in counts:
                 rows, cols = _spots_of_block(around, kind, reach, float(interval))
                 in_block = (rows >= top) & (rows < top + block.height)
                 in_block &= (cols >= left) & (cols < left + block.width)
                 rows, cols = rows[in_block], cols[in_block]
-                dry = ~wet[rows - top, cols - left]
-                rows, cols = rows[dry], cols[dry]
+                is_here = here[rows - top, cols - left]
+                rows, cols = rows[is_here], cols[is_here]
                 counts[kind] += len(rows)
                 pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1)
                 columns = _columns_of_spots(around[rows, cols], kind, terrain.decimals)

@@ -12,6 +12,7 @@ import rasterio.transform
 import shapely
 from affine import Affine
 
+from tiler.core.area import Area
 from tiler.core.breaklines import rings_of
 from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.edits import DrawnDeck
@@ -132,6 +133,21 @@ def polygons_of(
         return np.array([shapely.box(west, south, east, north)], object)
     shapes = rasterio.features.shapes(inside.astype(np.uint8), inside, transform=to_units)
     return np.array([shapely.geometry.shape(shape) for shape, _ in shapes], object)
+
+
+def sheet_shape(store: TileStore, spec: RasterSpec, clip: StoredAreas | None) -> Any:
+    """Return the polygons of a sheet in units of the CRS, without those of the sheets before it."""
+    if clip is None:
+        return shapely.box(*spec.edges)
+    own, *earlier = (_shape(area) for area in store.areas(clip))
+    parts = shapely.get_parts(shapely.difference(own, shapely.union_all(earlier)))
+    return shapely.multipolygons(parts[shapely.get_type_id(parts) == POLYGON])
+
+
+def _shape(area: Area) -> Any:
+    rings = ([ring / COUNTS_PER_UNIT for ring in polygon] for polygon in area.polygons)
+    polygons = [shapely.Polygon(outer, holes) for outer, *holes in rings]
+    return shapely.union_all(shapely.make_valid(polygons))
 
 
 def _joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:

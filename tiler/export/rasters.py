@@ -159,7 +159,7 @@ def _write(
                 scratch.unlink()
 
 
-def _in_sheet(
+def in_sheet(
     store: TileStore, spec: RasterSpec, clip: StoredAreas | None, block: Block
 ) -> npt.NDArray[np.bool_]:
     """Return the mask of the pixels of a block that belong to a drawn sheet, or of all pixels without one."""
@@ -195,14 +195,14 @@ def _write_plain(
     ) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
             values = _read(store, part, block)
-            in_sheet = _in_sheet(store, spec, clip, block)
-            own += int(in_sheet.sum())
+            own_mask = in_sheet(store, spec, clip, block)
+            own += int(own_mask.sum())
             if part.area is not None or clip is not None:
-                inside = in_sheet & spec.inside(block, store.area(part.area))
+                inside = own_mask & spec.inside(block, store.area(part.area))
                 values = np.where(inside, values, np.float32(part.fill))
             statistics = statistics.merged(values, nodata)
             if clip is not None:
-                of_sheet = of_sheet.merged(values[in_sheet], nodata)
+                of_sheet = of_sheet.merged(values[own_mask], nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 if look.nodata != nodata:
                     values = np.where(

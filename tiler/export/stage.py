@@ -33,7 +33,7 @@ from tiler.export.tasks.catalogue import (
 )
 from tiler.export.tasks.changes import report_changes
 from tiler.export.tasks.class_counts import report_earlier_classes, report_written_classes
-from tiler.export.tasks.drawn import vector_tasks
+from tiler.export.tasks.drawn import sheet_files, sheet_tasks, vector_tasks
 from tiler.export.tasks.files import (
     classified_tasks,
     cog_tasks,
@@ -114,9 +114,10 @@ def export(
         made = _write(job, "export", [*tasks.cogs, *tasks.drawn, *tasks.clouds], out, earlier)
     job.store.drop_records()
     _report_files(job, tasks, made)
-    mosaics = tasks.mosaics
+    mosaics = [*tasks.mosaics, *_cut_tasks(gridding, made, out, labelled.noise_m)]
     if mosaics or job.store.committed("mosaic"):
-        mosaics = [*mosaics, *index_tasks(tasks.cogs, made, out)]
+        mosaics += index_tasks(tasks.cogs, made, out)
+        _make_folders(mosaics, out)
         made |= _write(job, "mosaic", mosaics, out, earlier)
     catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code()))
     job.results.crs_code = crs_code()
@@ -159,9 +160,23 @@ def _file_tasks(
     )
 
 
+def _cut_tasks(gridding: Gridded, made: Commits, out: str, noise_m: float) -> Iterator[Task]:
+    """Yield the tasks that cut the vector products to sheets, with the intervals of those that were written."""
+    records = {
+        name: made[f"{name}.gpkg"][1]
+        for name in gridding.plan.config.drawn
+        if f"{name}.gpkg" in made
+    }
+    found = {name: float(record["interval"]) for name, record in records.items()}
+    yield from sheet_tasks(gridding, out, noise_m, found)
+
+
 def _paths(gridding: Gridded, tasks: FileTasks, out: str) -> dict[str, str]:
     """Return the path in OUT of each file that the run writes, by the key of its task."""
     files = _files([*tasks.cogs, *tasks.drawn, *tasks.clouds, *tasks.mosaics])
+    for name in gridding.plan.config.drawn:
+        cut = sheet_files(gridding, name, out)
+        files |= {key: file.location for key, (file, _) in cut.items()}
     paths = {key: below(out, location) for key, location in files.items()}
     if tasks.mosaics:
         paths[SHEETS] = SHEETS

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiler.core.file_names import product_names
-from tiler.core.products import PRODUCTS
+from tiler.core.products import PRODUCTS, VECTOR_PRODUCTS
 from tiler.errors import ConfigError
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at, with_slashes
@@ -93,8 +93,8 @@ def raster_file(product: str, product_name: str | None = None) -> str:
 
 
 def sheet_file(product: str, sheet: str) -> str:
-    """Return the path in OUT of a sheet of a product: ``dtm/<sheet>.tif``."""
-    return f"{product}/{sheet}.tif"
+    """Return the path in OUT of a sheet of a product: ``dtm/<sheet>.tif`` or ``contours/<sheet>.gpkg``."""
+    return f"{product}/{sheet}{'.gpkg' if product in VECTOR_PRODUCTS else '.tif'}"
 
 
 def mosaic_file(product: str) -> str:
@@ -280,7 +280,7 @@ def foreign_files(
             path = f"{product}/{name}"
             if (
                 name.startswith(start)
-                and name.endswith((".tif", ".json"))
+                and name.endswith((".tif", ".gpkg", ".json"))
                 and path not in earlier_files
             ):
                 names.append(path)

@@ -139,7 +139,9 @@ def in_order(
     shapes = np.array(
         [
             shapely.union_all(
-                [shapely.Polygon(rings[0], rings[1:]) for rings in s.area.polygons]
+                shapely.make_valid(
+                    [shapely.Polygon(rings[0], rings[1:]) for rings in s.area.polygons]
+                )
             )
             for s in sheets
         ],

@@ -58,6 +58,8 @@ EMPTY_PIXEL_BYTES = 0.03
 """Bytes per pixel of a file in an empty block, compressed (measured on 1.6e9 such pixels)."""
 DRAWN_PIXEL_BYTES = 5
 """Bytes of contours per pixel of terrain (measured with 90 levels and unsmoothed heights)."""
+GEOPACKAGE_BYTES = 98_304
+"""Bytes of a GeoPackage without features."""
 COPIES = 2
 """Number of copies of a raster while its COG is made: the plain file and the COG. A cloud that
 becomes COPC also needs two copies of its records."""
@@ -264,10 +266,21 @@ def projected_disk(plan: Plan) -> dict[str, int]:
         "rasters": int(
             pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)
         ),
-        "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn)),
+        "drawn": _drawn_bytes(plan, pixels) * len(plan.config.drawn),
         "classified": _classified_bytes(plan),
         "scratch": int(COPIES * (_raster_scratch(plan, pixels, sizes) + _copc_scratch(plan))),
     }
+
+
+def _drawn_bytes(plan: Plan, pixels: Pixels) -> int:
+    """Return the bytes of a vector product: its file of all of the terrain, and those of the sheets."""
+    whole = DRAWN_PIXEL_BYTES * pixels.filled + GEOPACKAGE_BYTES
+    areas = _sheets_m2(plan)
+    if not areas:
+        return int(whole)
+    in_sheets = (pixels.filled + pixels.empty) * float(plan.grid.resolution) ** 2
+    sheets = in_sheets / (sum(areas) / len(areas))
+    return int(whole + DRAWN_PIXEL_BYTES * pixels.filled + GEOPACKAGE_BYTES * sheets)
 
 
 def _stored_bytes(plan: Plan) -> float:

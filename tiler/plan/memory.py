@@ -21,7 +21,7 @@ import psutil
 from tiler.plan.method import PlannedPass, nested
 
 BASE_BYTES = 260 << 20
-"""Bytes of a worker before the first point: the interpreter and the libraries."""
+"""Bytes of a worker before the first point: interpreter and libraries (210 MB), and the chunks that it keeps."""
 READ_BYTES = 60
 """Bytes per candidate that a window reads: columns and sorting."""
 VERTEX_BYTES = 200

@@ -130,9 +130,13 @@ def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path
         _validate_product_names(config.product_name)
     for name in (CLASSIFIED, OUTDATED):
         check_folder("-o", joined(products, name), paths)
+    for name in config.drawn if config.sheets is not None else ():
+        check_folder(
+            "-o", joined(products, name), [Path(path) for path in other_inputs(config)]
+        )
     store = config.store or joined(products, STORE)
     check_folder("--store", store, [products, *paths, *other_inputs(config)])
-    for name in (CLASSIFIED, OUTDATED, *config.exported):
+    for name in (CLASSIFIED, OUTDATED, *config.cut):
         check_folder("-o", joined(products, name), [store])
 
 
@@ -169,8 +173,8 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     if plan.config.sheets is not None:
         names = {SHEET_ITEMS: SHEET_ITEMS, **product_names(plan.config.product_name)}
         sheet_prefixes = {
-            folder: name_prefix(plan.config.sheet_template, names[folder])
-            for folder in (*plan.config.exported, SHEET_ITEMS)
+            folder: name_prefix(plan.config.sheet_template, names.get(folder, folder))
+            for folder in (*plan.config.cut, SHEET_ITEMS)
         }
     foreign_paths = foreign_files(out, products, file_names, sheet_prefixes)
     if foreign_paths:
@@ -188,7 +192,7 @@ def _validate_links(plan: Plan, products: str, file_names: Sequence[str]) -> Non
     # The names of sheets and of archived files are not known yet.
     folders = [OUTDATED]
     if plan.config.sheets is not None:
-        folders += [*plan.config.exported, SHEET_ITEMS]
+        folders += [*plan.config.cut, SHEET_ITEMS]
     check_links("-o", products, [*file_names, CHANGED, *(f"{folder}/x" for folder in folders)])
 
 
@@ -310,10 +314,11 @@ def _validate_sheets(plan: Plan) -> None:
     edges = [
         RasterSpec.enclosing(lattice, sheet.area.bounds).edges for sheet in plan.inputs.sheets
     ]
-    for product in config.exported:
-        check_template(config.sheet_template, names[product])
+    for product in config.cut:
+        name = names.get(product, product)
+        check_template(config.sheet_template, name)
         files = [
-            sheet_name(config.sheet_template, names[product], of, sheet.name)
+            sheet_name(config.sheet_template, name, of, sheet.name)
             for sheet, of in zip(plan.inputs.sheets, edges, strict=True)
         ]
         validate_distinct_names(config.sheet_template, files)

@@ -90,7 +90,7 @@ def problems_of(run: Run) -> list[Problem]:
     kind = statistics.get("survey", {}).get("survey", {}).get("kind")
     found = [problem for source in SOURCES for problem in source(run)]
     return [
-        problem._replace(chance=chance_of(problem.what, kind))
+        problem._replace(chance=chance_of(problem.what, kind, problem.area_m2))
         if problem.chance is None and problem.where is not None
         else problem
         for problem in found

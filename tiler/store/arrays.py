@@ -10,10 +10,12 @@ millisecond of CPU time per chunk of any size. See docs/decisions.md.
 from __future__ import annotations
 
 import json
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from threading import Lock
+from typing import Any, NamedTuple
 
 import google_crc32c
 import numcodecs.blosc
@@ -32,6 +34,9 @@ from tiler.store.storage import Storage, place_checksum, seal_holds, sealed
 _CHECKSUM_BYTES = 4
 _UNPACKED = slice(4, 8)
 """Bytes of a blosc frame that contain its uncompressed size (C-Blosc, README_CHUNK_FORMAT)."""
+
+RECENT_BYTES = 48 << 20
+"""Bytes of unpacked chunks that a process keeps, see docs/decisions.md."""
 
 Chunk = tuple[int, ...]
 """Number of a chunk along each axis."""
@@ -114,14 +119,67 @@ class StoredArray:
             raise ValueError("a chunk is missing")
         if int.from_bytes(data[_UNPACKED], "little") != self.kind.chunk_bytes:
             raise ValueError("a chunk of another size")
+        known = _recent.get((self.storage.url, key))
+        if known is not None and known.packed == data and known.values.dtype == self.kind.dtype:
+            return known.values
         body = data[:-_CHECKSUM_BYTES]
         if google_crc32c.value(body) != int.from_bytes(data[-_CHECKSUM_BYTES:], "little"):
             raise ValueError("a wrong checksum")
         if body[-_CHECKSUM_BYTES:] != _place(key):
             raise ValueError("a chunk of another place")
-        return np.frombuffer(numcodecs.blosc.decompress(body), self.kind.dtype).reshape(
-            self.kind.chunks
-        )
+        values = np.frombuffer(numcodecs.blosc.decompress(body), self.kind.dtype)
+        values = values.reshape(self.kind.chunks)
+        _recent.put((self.storage.url, key), Unpacked(data, values))
+        return values
+
+
+class Unpacked(NamedTuple):
+    """Chunk as it is stored, and its values."""
+
+    packed: bytes
+    values: npt.NDArray[Any]
+
+
+class RecentChunks:
+    """Chunks that this process unpacked last, since tiles and blocks next to each other read the same ones.
+
+    They are valid as long as the stored bytes are the same, so that a changed chunk is unpacked again.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._bytes = 0
+        self._chunks: OrderedDict[tuple[str, str], Unpacked] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, at: tuple[str, str]) -> Unpacked | None:
+        """Return the chunk of a store and a key, or None if it is not kept."""
+        with self._lock:
+            chunk = self._chunks.get(at)
+            if chunk is not None:
+                self._chunks.move_to_end(at)
+            return chunk
+
+    def put(self, at: tuple[str, str], chunk: Unpacked) -> None:
+        """Keep a chunk of a store and a key in place of those that were not used for the longest time."""
+        with self._lock:
+            self._remove(at)
+            self._chunks[at] = chunk
+            self._bytes += _bytes_of(chunk)
+            while self._bytes > self._most_bytes:
+                self._remove(next(iter(self._chunks)))
+
+    def _remove(self, at: tuple[str, str]) -> None:
+        chunk = self._chunks.pop(at, None)
+        if chunk is not None:
+            self._bytes -= _bytes_of(chunk)
+
+
+def _bytes_of(chunk: Unpacked) -> int:
+    return len(chunk.packed) + chunk.values.nbytes
+
+
+_recent = RecentChunks(RECENT_BYTES)
 
 
 @contextmanager
@@ -192,14 +250,14 @@ def find_or_make(storage: Storage, path: str, kind: ArrayKind, rows: int) -> Sto
     Tasks that make it at the same time write the same bytes.
     """
     array = find_array(storage, path, kind)
-    return array or write_metadata(storage, path, (rows, *kind.chunks[1:]), kind)
+    return array or write_metadata(storage, path, kind.shape(rows), kind)
 
 
 def lengthen_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> None:
     """Make the array at ``path``, or lengthen it to ``rows``. It is never shortened."""
     array = find_or_make(storage, path, kind, rows)
     if array.rows < rows:
-        write_metadata(storage, path, (rows, *kind.chunks[1:]), kind, array.attributes)
+        write_metadata(storage, path, kind.shape(rows), kind, array.attributes)
 
 
 def write_metadata(

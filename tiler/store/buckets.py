@@ -7,6 +7,7 @@ per cell, for later passes, in the first positions of the bucket's rows.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,8 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock, Rows, representatives
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
-from tiler.store.arrays import StoredArray, find_or_make
-from tiler.store.layout import NOWHERE, ROW_POINTS, ArrayKind, StoreMeta
+from tiler.store.arrays import Chunk, StoredArray, find_or_make
+from tiler.store.layout import ELECTED_PIECES, NOWHERE, ArrayKind, StoreMeta
 from tiler.store.points import (
     ROWS_PER_BATCH,
     Bucket,
@@ -60,16 +61,17 @@ class BucketStore(ColumnStore):
                 if name == "zarr.json":
                     continue
                 arrays.lengthen_rows(self._storage, f"{folder}/{name}", kind, after.rows)
-                self._delete_rows(f"{folder}/{name}", moved)
+                self._delete_rows(f"{folder}/{name}", moved, kind.pieces)
         after.publish(self._storage)
         for column in self._columns:
             self._delete_rows(layout.points_path(column.name), moved)
         self._index = after
 
-    def _delete_rows(self, path: str, buckets: Sequence[Bucket]) -> None:
+    def _delete_rows(self, path: str, buckets: Sequence[Bucket], pieces: int = 1) -> None:
         for bucket in buckets:
-            for row in range(bucket.row, bucket.row + bucket.rows):
-                self._storage.delete(layout.chunk_key(path, (row, 0, 0)))
+            rows = range(bucket.row, bucket.row + bucket.rows)
+            for row, piece in product(rows, range(pieces)):
+                self._storage.delete(layout.chunk_key(path, (row, 0, piece)))
 
     def write_bucket(self, cell: Cell, block: PointBlock, n_candidates: int) -> BucketInfo:
         """Write all points of a bucket, candidates first, and return the info for `publish_index`.
@@ -297,20 +299,22 @@ class LabelStore(BucketStore):
     ) -> None:
         """Write values (width, m) of elected points. Raise StoreError if the bucket's rows have no room for them.
 
-        The last row that is written has an unused position, unless it is the bucket's last row.
+        The last chunk that is written has an unused position, unless it is the bucket's last chunk.
         """
         bucket = self._bucket(cell)
-        m = values.shape[1]
-        rows = len(_places(bucket))
-        if m > rows * ROW_POINTS:
+        m, width = values.shape[1], kind.chunks[-1]
+        chunks = _chunks(bucket, kind)
+        if m > len(chunks) * width:
             raise StoreError(
                 f"bucket {cell.name}: {m} elected points do not fit the rows of {_count_of(bucket)} points; "
                 "elect at most as many points as the rows hold"
             )
-        room = min(rows, m // ROW_POINTS + 1) * ROW_POINTS
-        full = np.full((values.shape[0], room), kind.fill, values.dtype)
-        full[:, :m] = values
-        write_rows(self._made(path, kind), bucket, full)
+        array = self._made(path, kind)
+        for i, chunk in enumerate(chunks[: m // width + 1]):
+            part = np.full(kind.chunks, kind.fill, values.dtype)
+            given = values[:, i * width : (i + 1) * width]
+            part[0, :, : given.shape[1]] = given
+            array.write(chunk, part)
 
     def _made(self, path: str, kind: ArrayKind) -> StoredArray:
         """Return the array at a path, and make it if no task has written to it yet."""
@@ -322,23 +326,25 @@ class LabelStore(BucketStore):
 def _elected_rows(
     array: StoredArray, buckets: Sequence[Bucket]
 ) -> Iterator[tuple[Bucket, npt.NDArray[np.int32]]]:
-    """Yield the elected points of each bucket: int32 (3, n). Its rows are read until one has an unused position."""
-    for start in range(0, len(buckets), ROWS_PER_BATCH):
-        batch = buckets[start : start + ROWS_PER_BATCH]
-        first_rows = array.read_rows([bucket.row for bucket in batch])
-        for bucket, first in zip(batch, first_rows, strict=True):
-            rows = [first[0]]
-            for part in _places(bucket)[1:]:
-                if rows[-1][0, -1] == NOWHERE:
+    """Yield the elected points of each bucket: int32 (3, n). Its chunks are read until one has an unused position."""
+    width = array.kind.chunks[-1]
+    for start in range(0, len(buckets), ELECTED_PIECES * ROWS_PER_BATCH):
+        batch = buckets[start : start + ELECTED_PIECES * ROWS_PER_BATCH]
+        first_chunks = array.read_rows([bucket.row for bucket in batch])
+        for bucket, first in zip(batch, first_chunks, strict=True):
+            parts = [first[0]]
+            for chunk in _chunks(bucket, array.kind)[1:]:
+                if parts[-1][0, -1] == NOWHERE:
                     break
-                rows.append(array.read_rows([part.row])[0][0])
-            n = (len(rows) - 1) * ROW_POINTS + np.count_nonzero(rows[-1][0] != NOWHERE)
-            yield bucket, np.concatenate(rows, axis=1)[:, :n]
+                parts.append(array.read([chunk])[0][0])
+            n = (len(parts) - 1) * width + np.count_nonzero(parts[-1][0] != NOWHERE)
+            yield bucket, np.concatenate(parts, axis=1)[:, :n]
 
 
-def _places(bucket: Bucket) -> list[Part]:
-    """Return the rows that hold a bucket's points, each at full length.
+def _chunks(bucket: Bucket, kind: ArrayKind) -> list[Chunk]:
+    """Return the chunks that may hold elected points of a bucket, or their labels, in order.
 
     The number of elected points is not known before they are read.
     """
-    return [Part(bucket, part.row, ROW_POINTS) for part in parts_of(bucket, _count_of(bucket))]
+    rows = [part.row for part in parts_of(bucket, _count_of(bucket))]
+    return [(row, 0, piece) for row, piece in product(rows, range(kind.pieces))]

@@ -31,7 +31,7 @@ from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError, StoreError
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 ROOT_ATTRIBUTE = "tiler_store"
 
 CHUNK_SEPARATOR = "."
@@ -47,6 +47,9 @@ ROW_POINTS = 131072
 """Points in a row of the columns, which is one chunk and one object.
 
 Measurements are in docs/decisions.md, "Store layout"."""
+
+ELECTED_PIECES = 4
+"""Number of chunks in a row of elected points. A pass elects a few points in a bucket, and only they are read."""
 
 SPOOL_CHUNK = 65536
 
@@ -78,6 +81,8 @@ class ArrayKind:
         Compressor within blosc. Points, labels and spool are read so often that speed matters more than size.
     level : int
         Compression level.
+    pieces : int
+        Number of chunks next to each other in a row.
     """
 
     dtype: str
@@ -87,6 +92,11 @@ class ArrayKind:
     item: int = 0
     codec: Literal["lz4", "zstd"] = "lz4"
     level: int = 5
+    pieces: int = 1
+
+    def shape(self, rows: int) -> tuple[int, ...]:
+        """Return the shape of an array with this number of rows."""
+        return (rows, *self.chunks[1:-1], self.pieces * self.chunks[-1])
 
     @property
     def chunk_bytes(self) -> int:
@@ -140,7 +150,9 @@ LABELS = ArrayKind("uint8", (1, 1, ROW_POINTS))
 NOWHERE = -(2**31)
 """x of the unused positions in a bucket's rows of elected points. Elected points fill the first
 positions."""
-ELECTED = ArrayKind("int32", (1, 3, ROW_POINTS), fill=NOWHERE)
+ELECTED = ArrayKind(
+    "int32", (1, 3, ROW_POINTS // ELECTED_PIECES), fill=NOWHERE, pieces=ELECTED_PIECES
+)
 
 
 def columns(has_rgb: bool) -> tuple[Column, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.tiler.report import results
-from tiler.core.chances import LIDAR, REASONS, Reason
+from tiler.core.chances import LIDAR, REASONS, Counts, Reason
 from tiler.report import problems
 from tiler.report.html import write_report
 from tiler.report.problems import SOURCES, Problem, problems_of, table_rows
@@ -271,7 +271,7 @@ def test_the_table_of_chances_has_every_reason_with_a_position() -> None:
 
 def test_chances_are_those_of_the_kind_of_the_clouds(monkeypatch: pytest.MonkeyPatch) -> None:
     lake = {"water_doubts": EVERY_PROBLEM["water_doubts"], "healed": ["b1"]}
-    monkeypatch.setitem(REASONS, "doubtful water", Reason(1.0, {LIDAR: (98, 19)}))
+    monkeypatch.setitem(REASONS, "doubtful water", Reason(1.0, {LIDAR: [Counts(98, 19)]}))
     survey = {"survey": {"survey": {"kind": LIDAR}}}
     assert [p.chance for p in found(**lake, statistics=survey)] == [0.2, None]
     assert [p.chance for p in found(**lake)] == [None, None]

@@ -9,7 +9,7 @@ from tests.tiler.store.conftest import make_points, put_points
 from tiler.core.lattice import Cell
 from tiler.errors import StoreError
 from tiler.store import TileStore, open_store
-from tiler.store.layout import ROW_POINTS
+from tiler.store.layout import ELECTED, ROW_POINTS
 
 
 def test_labels_come_back_by_pass(store: TileStore) -> None:
@@ -59,8 +59,22 @@ def test_labels_that_were_not_written_are_not_read_as_zeros(filled: TileStore) -
         filled.read_labels("p", second)
 
 
+PIECE = ELECTED.chunks[-1]
+
+
 @pytest.mark.parametrize(
-    "n_elected", [0, 5, ROW_POINTS - 1, ROW_POINTS, ROW_POINTS + 2, 2 * ROW_POINTS]
+    "n_elected",
+    [
+        0,
+        5,
+        PIECE - 1,
+        PIECE,
+        PIECE + 1,
+        ROW_POINTS - 1,
+        ROW_POINTS,
+        ROW_POINTS + 2,
+        2 * ROW_POINTS,
+    ],
 )
 def test_elected_points_come_back_with_their_labels(
     local_store: TileStore, n_elected: int

@@ -251,7 +251,7 @@ def test_a_store_of_an_earlier_version_can_be_begun_anew(local_store: TileStore)
         lambda d: d["attributes"]["tiler_store"].update(schema=3),
     )
     with pytest.raises(
-        ForeignStoreError, match="store of schema 3, this version reads 5; run again with --ov"
+        ForeignStoreError, match="store of schema 3, this version reads 6; run again with --ov"
     ):
         create_store(local_store.url, FEET)
     assert create_store(local_store.url, FEET, anew=True).get_state("plan") is None

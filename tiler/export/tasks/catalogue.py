@@ -260,10 +260,18 @@ class _Catalogue:
             own_name = sheet.drawn.name
         rels = ("root", "parent", "collection")
         links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
-        item = self._item(
-            f"{self._id}_{own_name}", sheet.spec, self._rasters(rasters, ".."), links
-        )
+        assets = {**self._rasters(rasters, ".."), **self._drawn(sheet)}
+        item = self._item(f"{self._id}_{own_name}", sheet.spec, assets, links)
         return {**item, "collection": self._id}
+
+    def _drawn(self, sheet: Sheet) -> dict[str, Any]:
+        """Return the assets of the vector files of a sheet."""
+        assets = {}
+        for name in self._plan.config.drawn:
+            path = sheet_file(name, name_of(self._gridding, name, sheet))
+            if f"{key_of(name, sheet)}.gpkg" in self._written:
+                assets[name] = {**_asset(path, _GPKG), "href": f"../{quote(os.fsencode(path))}"}
+        return assets
 
     def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """Return the collection of the sheets."""

@@ -55,7 +55,7 @@ def report_changes(job: Job, gridding: Gridded) -> None:
 
 def _sheets(gridding: Gridded, changed: set[str]) -> list[str]:
     """Return the names of the terrain's sheets of which one of the files changed."""
-    products = gridding.plan.config.exported
+    products = gridding.plan.config.cut
     return sorted(
         name_of(gridding, "dtm", sheet)
         for sheet in gridding.sheets
