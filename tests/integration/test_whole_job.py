@@ -28,7 +28,7 @@ WATER = (
     "grid-water-planes",
     "grid-water-areas",
 )
-GRID = ("grid-dtm", *SURVEY, *WATER, "grid-dtm-outlined", "grid-dtm-above")
+GRID = ("grid-dtm", *SURVEY, *WATER, "grid-dtm-outlined", "grid-dtm-above", "grid-dtm-left")
 
 
 def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoScene) -> None:

@@ -57,6 +57,8 @@ REASONS: dict[str, Reason] = {
     # Most of them are the ragged border of the survey, which nobody changes, so they have no loss and come late.
     "void at the border of the survey": Reason(is_certain=True),
     "terrain above all returns": Reason(3.1, {PHOTOGRAMMETRIC: [Counts(1, 1)]}),
+    # The finder gives a chance for each place.
+    "object left in the terrain": Reason(),
     "objects suspected in the terrain": Reason(10.1, {LIDAR: [Counts(1, 1)]}),
     "place without returns": Reason(
         1.2,

@@ -489,6 +489,36 @@ class AboveResult(Record):
     worst: list[AbovePlace]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftObject(Record):
+    """Object that is probably left in the terrain.
+
+    Attributes
+    ----------
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    height_m : float
+        Largest height of its terrain above the land around.
+    steep : float
+        Share of its border that is steep.
+    ground : int
+        Number of ground points in it.
+    chance : float
+        Chance that it is an object.
+    rings : Rings
+        Outline of its cells.
+    """
+
+    bounds: list[float]
+    area_m2: float
+    height_m: float
+    steep: float
+    ground: int
+    chance: float
+    rings: Rings
+
+
 @dataclass(frozen=True, slots=True)
 class Implausible(Record):
     """Result that cannot be true: its kind, what was found, a setting to try, and its extent if it has one."""

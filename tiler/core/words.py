@@ -78,6 +78,7 @@ _FORMS = {
     "outlined": "cut at the outline",
     "below": "terrain below it",
     "above": "where it lies above all returns",
+    "left": "objects left in it",
     "open": "gaps",
     "terrain": "terrain in cells",
     "ground": "heights of the cells",

@@ -12,7 +12,7 @@ from itertools import zip_longest
 from typing import Any, NamedTuple
 
 from tiler.core.chances import chance_of
-from tiler.core.edits import TO_GROUND, VOID
+from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.points import NOISE
 from tiler.core.review import STATUSES
 from tiler.core.units import length_text, small_area_text
@@ -30,6 +30,8 @@ SMALL_M2 = 1000.0
 WITHOUT_RETURNS = "place without returns"
 INSIDE = "void inside the survey"
 AT_BORDER = "void at the border of the survey"
+LIKELY = 0.8
+"""Chance from which a place is called likely."""
 
 Run = Mapping[str, Any]
 Place = tuple[float, float, float, float]
@@ -213,6 +215,35 @@ def _above(run: Run) -> Iterator[Problem]:
         )
 
 
+def _left(run: Run) -> Iterator[Problem]:
+    """Yield the objects that are probably left in the terrain, the most probable first."""
+    for place in run.get("left_objects", ()):
+        height = length_text(round(place["height_m"], 1), _unit(run, "vertical"))
+        sure = "likely" if place["chance"] >= LIKELY else "perhaps"
+        why = (
+            f"{sure} an object: {_area(run, place['area_m2'])} of terrain stand up to {height} above the land around, "
+            f"with steep sides along {place['steep']:.0%} of the border"
+        )
+        action, remedy = NOT_GROUND, "use --edits with action not_ground if it is an object"
+        if place["ground"] == 0:
+            # Points beside it make its heights.
+            action = VOID
+            remedy = (
+                "it has no ground point: use --edits with action flat and a height, or void"
+            )
+        yield Problem(
+            "object left in the terrain",
+            place_of(place["bounds"]),
+            why,
+            remedy,
+            place["area_m2"],
+            action=action,
+            stake_m=place["height_m"],
+            chance=place["chance"],
+            rings=place["rings"],
+        )
+
+
 def _voids(run: Run) -> Iterator[Problem]:
     """Yield the voids, those inside the survey before those at its border, without small ones there."""
     found = list(_all_voids(run))
@@ -315,6 +346,7 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _tasks,
     _implausible,
     _above,
+    _left,
     _warnings,
     _objects,
     _voids,

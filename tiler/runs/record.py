@@ -30,6 +30,7 @@ from tiler.core.results import (
     FetchedBytes,
     Implausible,
     LabelCounts,
+    LeftObject,
     LeftOut,
     OutlineResult,
     PointCounts,
@@ -137,6 +138,7 @@ class Results:
     voids: VoidsResult
     without_returns: list[VoidResult]
     above_returns: AboveResult
+    left_objects: list[LeftObject]
     implausible: list[Implausible]
     review: ReviewResult
     changes: Changes

@@ -210,6 +210,28 @@ def test_a_place_is_a_link_to_the_map_and_marked_there(tmp_path: Path) -> None:
     ]
 
 
+def test_an_object_left_is_a_problem_with_an_outline_and_an_edit() -> None:
+    ring = [0.0, 0.0, 9.0, 0.0, 9.0, 5.0, 0.0, 5.0, 0.0, 0.0]
+    place = {
+        "bounds": [0.0, 0.0, 9.0, 5.0], "area_m2": 45.0, "height_m": 2.04, "steep": 0.873, "ground": 12,
+        "chance": 0.8, "rings": [ring],
+    }  # fmt: skip
+    empty = {**place, "ground": 0}
+    likely, perhaps, bare = found(left_objects=[place, {**place, "chance": 0.79}, empty])
+    assert (likely.what, likely.action, likely.stake_m) == (
+        "object left in the terrain",
+        "not_ground",
+        2.04,
+    )
+    assert (likely.chance, likely.rings) == (0.8, [ring])
+    assert likely.why.startswith("likely an object: 45 m2")
+    assert "6.56 ft (2 m) above the land around" in likely.why
+    assert "along 87% of the border" in likely.why
+    assert perhaps.why.startswith("perhaps an object")
+    assert bare.action == "void"
+    assert "action flat" in bare.remedy
+
+
 BOUNDS = [1.0, 2.0, 5.0, 8.0]
 EVERY_PROBLEM: dict[str, Any] = {
     "check": {"requirements": [results.UNMET]},
@@ -219,6 +241,9 @@ EVERY_PROBLEM: dict[str, Any] = {
         "what": "terrain below all returns", "bounds": BOUNDS, "why": "hills are cut off", "remedy": "",
     }],
     "above_returns": {"worst": [{"bounds": BOUNDS, "area_m2": 24.0, "height_m": 2.0}]},
+    "left_objects": [{
+        "bounds": BOUNDS, "area_m2": 24.0, "height_m": 2.0, "steep": 0.9, "ground": 3, "chance": 0.7, "rings": [],
+    }],
     "advice": ["a roof"], "advice_at": [[3.0, 4.0]],
     "voids": voids(void(1e5, at_border=False), void(1e5), void(1.0)),
     "without_returns": [{"bounds": BOUNDS, "area_m2": 24.0}],

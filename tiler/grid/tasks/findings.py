@@ -182,8 +182,8 @@ def places_of(
         if pixels < least:
             continue
         row, first, last = np.array(list(chain.from_iterable(spans)), np.int64).T
-        bounds = _bounds(spec, (row.min(), first.min()), (row.max(), last.max()))
-        rings = _rings(spec, row, first, row, last)
+        bounds = bounds_of(spec, (row.min(), first.min()), (row.max(), last.max()))
+        rings = rings_around(spec, row, first, row, last)
         places.append(AbovePlace(pixels, bounds, float(pixels * pixel_m2), max(heights), rings))
     return sorted(places, key=lambda place: (-place.height_m, -place.pixels, place.bounds))
 
@@ -373,11 +373,11 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
     return [
         VoidResult(
             int(pixels[i]),
-            _bounds(spec, first[i], last[i]),
+            bounds_of(spec, first[i], last[i]),
             int(pixels[i]) * pixel_m2,
             bool(at_border[i]),
-            _centre(_bounds(spec, at[i], at[i])),
-            _rings(spec, *table[void_of_cell == i, 1:5].T) if rank < MAX_LISTED else None,
+            _centre(bounds_of(spec, at[i], at[i])),
+            rings_around(spec, *table[void_of_cell == i, 1:5].T) if rank < MAX_LISTED else None,
         )
         for rank, i in enumerate(order)
     ]
@@ -406,13 +406,14 @@ def _centre(bounds: list[float]) -> list[float]:
     return [(west + east) / 2, (south + north) / 2]
 
 
-def _bounds(spec: RasterSpec, first: Any, last: Any) -> list[float]:
+def bounds_of(spec: RasterSpec, first: Any, last: Any) -> list[float]:
+    """Return the edges of the pixels from the first to the last row and column, in units of the CRS."""
     height, width = (int(last[i] - first[i] + 1) for i in (0, 1))
     bounds = spec.block_bounds(Block(int(first[0]), int(first[1]), height, width))
     return [edge / COUNTS_PER_UNIT for edge in bounds.to_json()]
 
 
-def _rings(spec: RasterSpec, top: Any, left: Any, bottom: Any, right: Any) -> Rings:
+def rings_around(spec: RasterSpec, top: Any, left: Any, bottom: Any, right: Any) -> Rings:
     """Return the closed rings around rectangles of pixels (int64, their first and last rows and columns)."""
     size = float(spec.lattice.size / COUNTS_PER_UNIT)
     east, north = (spec.west + right + 1) * size, (spec.north - top) * size

@@ -298,6 +298,8 @@ class GridContext:
 
 ABOVE = "dtm-above"
 """Step without pixels that counts where the terrain lies above all returns."""
+LEFT = "dtm-left"
+"""Step without pixels that finds objects left in the terrain."""
 CANOPY, BELOW_CANOPY = "canopy", "canopy-below"
 """Rasters of a canopy that hides the ground, and of the terrain below it."""
 CANOPY_CELLS, CANOPY_TERRAIN = "canopy-cells", "canopy-terrain"

@@ -22,6 +22,7 @@ Rasters of pixels:
 - ``<name>-outlined``: a model that ends at the outline of the survey, with level water.
 - ``canopy``: the crowns where they hide the ground, and ``canopy-below``: the terrain there.
 - ``dtm-above``: no pixels, but a record for each block of where the terrain lies above all returns.
+- ``dtm-left``: no pixels, but the objects that are probably left in the terrain.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ from tiler.grid.derived import (
     surface,
 )
 from tiler.grid.flaws import ABOVE_M, above, min_pixels
-from tiler.grid.sigma import land_margin, reach_of, sigma, sigma_result
+from tiler.grid.left_objects import left_margin, left_objects
+from tiler.grid.sigma import LASER, land_margin, reach_of, sigma, sigma_result
 from tiler.grid.steps import Counts
 from tiler.grid.tasks.findings import report_above, report_implausible
 from tiler.grid.tasks.gridding import (
@@ -61,12 +63,14 @@ from tiler.grid.tasks.gridding import (
     CANOPY_CELLS,
     CANOPY_TERRAIN,
     GAP_M,
+    LEFT,
     Grid,
     GridContext,
     canopy_cell_m,
     coarse_cell_m,
     nodata_of,
 )
+from tiler.grid.tasks.left_objects import report_left_objects
 from tiler.grid.tasks.steps import (
     NONE,
     Near,
@@ -108,7 +112,7 @@ def raster_table(plan: Plan) -> dict[str, OnTin | Step]:
 def required_rasters(plan: Plan) -> list[OnTin | Step]:
     """Return the rasters to make, each after its inputs. The terrain and its inputs come first.
 
-    Every run looks for places where the terrain is above all returns.
+    Every run looks for places where the terrain is above all returns, and for objects that are left in it.
     """
     config, table = plan.config, raster_table(plan)
     steps: dict[str, OnTin | Step] = {}
@@ -121,6 +125,7 @@ def required_rasters(plan: Plan) -> list[OnTin | Step]:
     for product in ("dtm", *(name for name in PRODUCTS if name in config.exported)):
         add(final_raster(product, config))
     add(ABOVE)
+    add(LEFT)
     return list(steps.values())
 
 
@@ -143,6 +148,7 @@ def _product_steps(plan: Plan) -> list[Step]:
     terrain, rim, survey = Read(f"raster:{dtm}"), Read(f"raster:{dtm}", 1), Read("cells:survey")
     points, waters = Read("points"), Read("waters")
     reach, land = reach_pixels(pixel_m), land_margin(float(pixel_m))
+    left = left_margin(float(pixel_m))
     support = {"reach": reach, "spike": config.spike / frame.metres_z}
     size, cap = frame.counts(pixel_m), frame.counts(config.max_edge)
     facets_near = full_halo(cap) + math.ceil((reach + 1) * size)
@@ -182,6 +188,17 @@ def _product_steps(plan: Plan) -> list[Step]:
             all_of("points"),
             {"least": min_pixels(pixel_m**2), "above_m": ABOVE_M, **support},
             _above_found,
+        ),
+        Step(
+            LEFT,
+            left_objects,
+            {
+                "points": Read("points"),
+                "terrain": Read(f"raster:{dtm}", left),
+            },
+            _of_laser_scans,
+            {"margin": left},
+            _left_found,
         ),
         Step(
             "mask",
@@ -228,6 +245,15 @@ def _surface_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
 def _above_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
     report_above(job, context.spec, of_blocks)
     report_implausible(job, context.spec, of_blocks.values())
+
+
+def _of_laser_scans(step: Step, context: GridContext, near: Near) -> Mapping[Block, Values]:
+    """Return the blocks with a terrain of a laser scan. In other clouds, the search finds too much that is right."""
+    return all_of("terrain")(step, context, near) if context.kind == LASER else {}
+
+
+def _left_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
+    report_left_objects(job, context.spec, of_blocks)
 
 
 def _mask_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:

@@ -1,0 +1,48 @@
+"""Objects left in the terrain: their entries in run.json, and a note."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tiler.core.raster import Block, RasterSpec
+from tiler.core.results import LeftObject
+from tiler.core.units import length_text
+from tiler.core.words import counted
+from tiler.grid.steps import Counts
+from tiler.grid.tasks.findings import MAX_LISTED, bounds_of, rings_around
+from tiler.runs.job import Job
+
+
+def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
+    """Add to run.json the objects that are probably left in the terrain, and note them."""
+    pixel_m2 = float(job.plan.grid.resolution**2)
+    found = [
+        _object(spec, values, pixel_m2)
+        for counts in of_blocks.values()
+        for values in counts["objects"]
+    ]
+    found.sort(key=lambda place: (-place.chance, -place.height_m, place.bounds))
+    job.results.left_objects = found[:MAX_LISTED]
+    if found:
+        (west, south, east, north), unit = found[0].bounds, job.plan.frame.units.vertical
+        job.note(
+            f"{counted(len(found), 'place')} may be objects left in the terrain; most probable at "
+            f"x {(west + east) / 2:.0f}, y {(south + north) / 2:.0f}, "
+            f"{length_text(round(found[0].height_m, 1), unit)} above the land around"
+        )
+
+
+def _object(spec: RasterSpec, values: Mapping[str, float], pixel_m2: float) -> LeftObject:
+    top, left, bottom, right = np.array(values["rectangles"], np.int64).T
+    pixels = int(((bottom - top + 1) * (right - left + 1)).sum())
+    return LeftObject(
+        bounds=bounds_of(spec, (top.min(), left.min()), (bottom.max(), right.max())),
+        area_m2=pixels * pixel_m2,
+        height_m=values["height_m"],
+        steep=values["steep"],
+        ground=int(values["ground"]),
+        chance=values["chance"],
+        rings=rings_around(spec, top, left, bottom, right),
+    )
