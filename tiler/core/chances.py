@@ -47,6 +47,8 @@ class Reason:
         return int(self.large_m2 is not None and (area_m2 or 0.0) >= self.large_m2)
 
 
+LEFT = "object left in the terrain"
+"""Reason whose places have their own chances."""
 HOLE_M = 1.0
 """Height error that a missing height counts as in the order of places."""
 
@@ -58,7 +60,7 @@ REASONS: dict[str, Reason] = {
     "void at the border of the survey": Reason(is_certain=True),
     "terrain above all returns": Reason(3.1, {PHOTOGRAMMETRIC: [Counts(1, 1)]}),
     # The finder gives a chance for each place.
-    "object left in the terrain": Reason(),
+    LEFT: Reason(),
     "objects suspected in the terrain": Reason(10.1, {LIDAR: [Counts(1, 1)]}),
     "place without returns": Reason(
         1.2,
