@@ -221,8 +221,8 @@ def _left(run: Run) -> Iterator[Problem]:
         height = length_text(round(place["height_m"], 1), _unit(run, "vertical"))
         sure = "likely" if place["chance"] >= LIKELY else "perhaps"
         why = (
-            f"{sure} an object: {_area(run, place['area_m2'])} of terrain stand up to {height} above the land around, "
-            f"with steep sides along {place['steep']:.0%} of the border"
+            f"{sure} an object: {_area(run, place['area_m2'])} of terrain rise by up to {height} above the land around "
+            f"and have steep sides along {place['steep']:.0%} of the border"
         )
         action, remedy = NOT_GROUND, "use --edits with action not_ground if it is an object"
         if place["ground"] == 0:

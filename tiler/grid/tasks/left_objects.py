@@ -29,7 +29,7 @@ def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Co
     if found:
         (west, south, east, north), unit = found[0].bounds, job.plan.frame.units.vertical
         job.note(
-            f"{counted(len(found), 'place')} may be objects left in the terrain; the worst at "
+            f"{counted(len(found), 'place')} may be objects left in the terrain; the worst is at "
             f"x {(west + east) / 2:.0f}, y {(south + north) / 2:.0f}, "
             f"{length_text(round(found[0].height_m, 1), unit)} above the land around"
         )
@@ -41,10 +41,9 @@ def _loss(place: LeftObject) -> float:
 
 def _object(spec: RasterSpec, values: Mapping[str, float], pixel_m2: float) -> LeftObject:
     top, left, bottom, right = np.array(values["rectangles"], np.int64).T
-    pixels = int(((bottom - top + 1) * (right - left + 1)).sum())
     return LeftObject(
         bounds=bounds_of(spec, (top.min(), left.min()), (bottom.max(), right.max())),
-        area_m2=pixels * pixel_m2,
+        area_m2=values["pixels"] * pixel_m2,
         height_m=values["height_m"],
         steep=values["steep"],
         ground=int(values["ground"]),
