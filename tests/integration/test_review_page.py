@@ -199,8 +199,8 @@ def test_the_chance_is_on_the_card_in_the_report_and_in_the_saved_file(
         database.execute("UPDATE review SET chance = 0.7 WHERE rank = 2")
     page = Path(write_review_page(out).page)
     write_report(out)
-    assert page.read_text("utf-8").count("likely wrong") == 1
-    assert (out / "report.html").read_text("utf-8").count("70 % likely wrong") == 1
+    assert page.read_text("utf-8").count("chance that it is wrong") == 1
+    assert (out / "report.html").read_text("utf-8").count("wrong with a chance of 70 %") == 1
     made(cloud, out, edits=str(decided(page, "open", "ok")))
     assert [(row["status"], str(row["chance"])) for row in rows(out)] == [
         ("open", "nan"), ("ok", "0.7"),

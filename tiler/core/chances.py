@@ -47,6 +47,8 @@ class Reason:
         return int(self.large_m2 is not None and (area_m2 or 0.0) >= self.large_m2)
 
 
+LEFT = "object left in the terrain"
+"""Reason whose places have their own chances."""
 HOLE_M = 1.0
 """Height error that a missing height counts as in the order of places."""
 
@@ -56,9 +58,9 @@ REASONS: dict[str, Reason] = {
     "void inside the survey": Reason(HOLE_M, is_certain=True),
     # Most of them are the ragged border of the survey, which nobody changes, so they have no loss and come late.
     "void at the border of the survey": Reason(is_certain=True),
-    "terrain above all returns": Reason(3.1, {PHOTOGRAMMETRIC: [Counts(1, 1)]}),
+    "terrain above all returns": Reason(3.1, is_certain=True),
     # The finder gives a chance for each place.
-    "object left in the terrain": Reason(),
+    LEFT: Reason(),
     "objects suspected in the terrain": Reason(10.1, {LIDAR: [Counts(1, 1)]}),
     "place without returns": Reason(
         1.2,
@@ -78,6 +80,8 @@ REASONS: dict[str, Reason] = {
 }
 """All reasons whose places have a position. The counts are of 63 scenes, simulated and real."""
 
+UNKNOWN = 0.5
+"""Chance that a place counts with in the order if its chance is not known."""
 LEAST_PLACES = 10
 """Least number of places with a known terrain from which a chance is measured."""
 SHRINK = 4
@@ -115,9 +119,10 @@ def expected_loss(
     """Return the squared height error that is expected in a place, in m2 times m2, or None if it is not known.
 
     It is the chance times the square of the height at stake times the area. A result that is wrong by definition has
-    the chance 1. The height at stake, if it is not known, is the typical error of the reason.
+    the chance 1, and a chance that is not known counts as `UNKNOWN`. The height at stake, if it is not known, is the
+    typical error of the reason.
     """
     known = REASONS.get(reason, Reason())
-    chance = 1.0 if known.is_certain else chance
+    chance = 1.0 if known.is_certain else UNKNOWN if chance is None else chance
     stake_m = known.error_m if stake_m is None else stake_m
-    return None if chance is None or stake_m is None else chance * stake_m**2 * area_m2
+    return None if stake_m is None else chance * stake_m**2 * area_m2

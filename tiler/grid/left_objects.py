@@ -37,6 +37,8 @@ Box = tuple[slice, ...]
 
 CELL_M, MAX_CELL_M = 1.0, 2.0
 """Approximate and largest side of the cells in which the terrain is examined. In coarser pixels nothing is found."""
+LEAST_PIXEL_M = 0.2
+"""Side of the smallest pixels that are examined. The land around a block has too many smaller ones."""
 WINDOW_M = 40.0
 """Side of the square of the opening."""
 WIDEST_M = 60.0
@@ -49,8 +51,10 @@ STEEP_M = 0.8
 """Fall within `FALL_CELLS` from which a cell of the border is steep."""
 FALL_CELLS, GAP_CELLS, RING_CELLS = 2, 2, 6
 """Distance in cells within which a border falls, and at which the land around begins and ends."""
-LEAST_CHANCE = 0.5
-"""Least chance of a place that is listed."""
+LEAST_CHANCE, MOST_CHANCE = 0.5, 0.9
+"""Least chance of a place that is listed, and the largest that is told, as the constants are of simulated scenes."""
+WIDER_CELLS = 2
+"""Number of cells by which the outline is wider. Points beside the place would span the object again after an edit."""
 TOUCHING = np.ones((3, 3), np.bool_)
 
 
@@ -337,11 +341,11 @@ def chosen(
 def reach_cells(cell_m: float) -> int:
     """Return the distance in cells from the first cell of a candidate within which all lies that decides on it.
 
-    A candidate that overlaps it extends at most `WIDEST_M` beyond it, and the land around reaches farther. The opening
-    there depends on heights up to the width of its square away.
+    It extends at most `WIDEST_M`. So does another candidate that takes cells of the land around it, or that overlaps
+    it and has land around of its own. The opening there depends on heights up to the width of its square away.
     """
     opening = 2 * int(WINDOW_M / cell_m / 2)
-    return int(WIDEST_M / cell_m) + RING_CELLS + opening + FALL_CELLS + 2
+    return 2 * int(WIDEST_M / cell_m) + 2 * RING_CELLS + opening + FALL_CELLS + 1
 
 
 def left_margin(pixel_m: float) -> int:
@@ -351,9 +355,9 @@ def left_margin(pixel_m: float) -> int:
 
 
 def _side(pixel_m: float) -> int | None:
-    """Return the side of a cell in pixels, or None if pixels are too coarse."""
+    """Return the side of a cell in pixels, or None if pixels are too small or too coarse."""
     side = max(round(CELL_M / pixel_m), 1)
-    return side if side * pixel_m <= MAX_CELL_M else None
+    return side if pixel_m >= LEAST_PIXEL_M and side * pixel_m <= MAX_CELL_M else None
 
 
 def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[None, Counts]:
@@ -371,8 +375,9 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     -------
     None
     counts : dict
-        ``objects``: for each its ``chance``, ``height_m``, ``steep``, number of ``ground`` points, and ``rectangles``:
-        first row, first column, last row and last column of pixels of runs of its cells.
+        ``objects``: for each its ``chance``, ``height_m``, ``steep`` and number of ``pixels``. Of its outline, which is
+        `WIDER_CELLS` wider, the number of ``ground`` points, and ``rectangles``: first row, first column, last row and
+        last column of pixels of runs of its cells.
     """
     spec, block, frame = points.spec, points.block, points.frame
     pixel_m = float(spec.lattice.size * frame.metres_xy)
@@ -397,13 +402,15 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     places = []
     for i, inside, box in chosen(found, levels, chance):
         if is_here[i]:
+            outline, wider = _widened(inside, box)
             places.append(
                 {
-                    "chance": round(float(chance[i]), 3),
+                    "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
                     "height_m": round(float(found.height_m[i]), 2),
                     "steep": round(float(found.steep[i]), 3),
-                    "ground": int(ground[box][inside].sum()),
-                    "rectangles": _rectangles(inside, box, window, side),
+                    "ground": int(ground[wider][outline].sum()),
+                    "pixels": int(inside.sum()) * side**2,
+                    "rectangles": _rectangles(outline, wider, window, side),
                 }
             )
     return None, {"objects": places}
@@ -452,9 +459,20 @@ def _counts(points: PointsNear, cells: PixelCells, box: Box) -> tuple[Int64, Int
     near = CellWindow(lattice.p, lattice.q, west, north, height, width, *points.frame.origin)
     ground, objects = np.zeros((2, window.height // side, window.width // side), np.int64)
     bounds = spec.block_bounds(part)
-    ground_xyz, object_xyz = read_ground_and_objects(points.store, points.rule, bounds)
-    ground[box], objects[box] = cell_counts(ground_xyz, near), cell_counts(object_xyz, near)
+    # The points of all buckets may not fit into memory.
+    for bucket in points.store.buckets_within(bounds):
+        its = bounds.intersection(points.store.meta.bucket.bounds(bucket))
+        ground_xyz, object_xyz = read_ground_and_objects(points.store, points.rule, its)
+        ground[box] += cell_counts(ground_xyz, near)
+        objects[box] += cell_counts(object_xyz, near)
     return ground, objects
+
+
+def _widened(inside: Bools, box: Box) -> tuple[Bools, Box]:
+    """Return cells with those around them, and the box of all."""
+    padded = np.pad(inside, WIDER_CELLS)
+    wide = scipy.ndimage.binary_dilation(padded, TOUCHING, WIDER_CELLS)
+    return wide, tuple(slice(p.start - WIDER_CELLS, p.stop + WIDER_CELLS) for p in box)
 
 
 def _rectangles(inside: Bools, box: Box, window: Block, side: int) -> list[list[int]]:

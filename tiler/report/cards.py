@@ -122,7 +122,7 @@ def card(
             if stake is None
             else length_text(round(stake, 2), high),
             "area": None if area is None else small_area_text(area, wide),
-            "likely wrong": _likely(columns),
+            "chance that it is wrong": _likely(columns),
             "middle": f"{place.middle[0]:.1f}, {place.middle[1]:.1f}",
             "sheet": columns["sheet"] or None,
         }
@@ -163,7 +163,7 @@ def small_card(place: Card, run: Mapping[str, Any], units: tuple[float, float]) 
         "article",
         el("h3", _title(columns)),
         el("p", columns["why"]),
-        el("p", f"{likely} likely wrong", class_="quiet") if likely else None,
+        el("p", f"wrong with a chance of {likely}", class_="quiet") if likely else None,
         el(
             "div",
             _picture(place, place.before, run, "terrain"),

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
-from tiler.core.chances import chance_of
+from tiler.core.chances import LEFT, chance_of
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.points import NOISE
 from tiler.core.review import STATUSES
@@ -216,13 +216,13 @@ def _above(run: Run) -> Iterator[Problem]:
 
 
 def _left(run: Run) -> Iterator[Problem]:
-    """Yield the objects that are probably left in the terrain, the most probable first."""
+    """Yield the objects that are probably left in the terrain, the worst first."""
     for place in run.get("left_objects", ()):
         height = length_text(round(place["height_m"], 1), _unit(run, "vertical"))
         sure = "likely" if place["chance"] >= LIKELY else "perhaps"
         why = (
-            f"{sure} an object: {_area(run, place['area_m2'])} of terrain stand up to {height} above the land around, "
-            f"with steep sides along {place['steep']:.0%} of the border"
+            f"{sure} an object: {_area(run, place['area_m2'])} of terrain rise by up to {height} above the land around "
+            f"and have steep sides along {place['steep']:.0%} of the border"
         )
         action, remedy = NOT_GROUND, "use --edits with action not_ground if it is an object"
         if place["ground"] == 0:
@@ -232,7 +232,7 @@ def _left(run: Run) -> Iterator[Problem]:
                 "it has no ground point: use --edits with action flat and a height, or void"
             )
         yield Problem(
-            "object left in the terrain",
+            LEFT,
             place_of(place["bounds"]),
             why,
             remedy,

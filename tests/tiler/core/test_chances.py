@@ -74,7 +74,7 @@ def test_the_loss_is_the_expected_squared_error(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(REASONS, "hole", Reason(2.0, is_certain=True))
     assert expected_loss("shed", 0.5, 3.0, 10.0) == 0.5 * 9 * 10
     assert expected_loss("shed", 0.5, None, 10.0) == 0.5 * 4 * 10
-    assert expected_loss("shed", None, 3.0, 10.0) is None
+    assert expected_loss("shed", None, 3.0, 10.0) == 0.5 * 9 * 10
     assert expected_loss("an unknown reason", 0.5, None, 10.0) is None
     assert expected_loss("an unknown reason", 0.5, 1.0, 10.0) == 5.0
     assert expected_loss("hole", None, None, 10.0) == 40.0

@@ -43,10 +43,11 @@ def test_the_first_places_have_the_largest_expected_squared_error() -> None:
     likely = row(0, chance=0.8, stake_m=1.0, area_m2=100.0)
     high = row(20, chance=0.4, stake_m=2.0, area_m2=100.0)
     wide = row(40, chance=0.1, stake_m=1.0, area_m2=1000.0)
-    unknown = [row(60), row(80, chance=0.9), row(100, stake_m=9.0)]
+    unknown = [row(60), row(80, chance=0.9)]
+    doubtful = row(100, stake_m=1.5, area_m2=100.0)
     decided = row(120, status=FIXED, chance=1.0, stake_m=9.0, area_m2=1e6)
-    assert ranked([*unknown, likely, wide, high], [decided]) == [
-        high, wide, likely, *unknown, decided,
+    assert ranked([*unknown, likely, wide, doubtful, high], [decided]) == [
+        high, doubtful, wide, likely, *unknown, decided,
     ]  # fmt: skip
 
 

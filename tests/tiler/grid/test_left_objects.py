@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import binary_dilation
 
 from tests.tiler.grid.conftest import Scene, make_block
 from tiler.core.products import Read
@@ -102,14 +103,32 @@ def town(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return heights, hidden
 
 
-@pytest.mark.parametrize("resolution", [500, 1000])
-@pytest.mark.parametrize("size", [37, 64])
-def test_places_do_not_depend_on_blocks(make_scene, resolution: int, size: int) -> None:
-    heights, hidden = town(np.random.default_rng(5))
+def scanned(make_scene, heights: np.ndarray, hidden: np.ndarray) -> Scene:
+    """Return a scene with two points in each cell, which are ground unless the cell is hidden."""
     x, y = COLUMNS.ravel() * 1000, (SIDE - 1 - ROWS.ravel()) * 1000
     z, labels = heights.ravel() * 1000, np.where(hidden, 1, 2).ravel().astype(np.uint8)
     pulses = [np.stack((x + dx, y + 500, z), axis=1) for dx in (250, 750)]
-    scene = make_scene(np.concatenate(pulses).astype(np.int64), np.tile(labels, 2))
+    return make_scene(np.concatenate(pulses).astype(np.int64), np.tile(labels, 2))
+
+
+def test_the_outline_is_wider_than_the_place(make_scene) -> None:
+    """An edit also takes the points beside the place, which would span it again."""
+    house = box(80, 80, 16, 10, 0)
+    hidden = house & ((ROWS + COLUMNS) % 5 > 0)
+    scene = scanned(make_scene, 100.0 + 4 * house, hidden)
+    (place,) = places(scene, scene.grid_into_store("dtm", Fraction(1000)), 10_000)
+    outline = np.zeros(house.shape, np.bool_)
+    for top, left, bottom, right in place["rectangles"]:
+        outline[top : bottom + 1, left : right + 1] = True
+    assert np.array_equal(outline, binary_dilation(outline & house, np.ones((3, 3)), 2))
+    assert place["pixels"] == np.count_nonzero(outline & house)
+    assert place["pixels"] >= 0.9 * np.count_nonzero(house)
+
+
+@pytest.mark.parametrize("resolution", [500, 1000])
+@pytest.mark.parametrize("size", [37, 64])
+def test_places_do_not_depend_on_blocks(make_scene, resolution: int, size: int) -> None:
+    scene = scanned(make_scene, *town(np.random.default_rng(5)))
     spec = scene.grid_into_store("dtm", Fraction(resolution))
     whole, parts = places(scene, spec, 10_000), places(scene, spec, size)
     assert whole

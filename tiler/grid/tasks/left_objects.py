@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tiler.core.chances import LEFT, expected_loss
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.results import LeftObject
 from tiler.core.units import length_text
@@ -23,23 +24,26 @@ def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Co
         for counts in of_blocks.values()
         for values in counts["objects"]
     ]
-    found.sort(key=lambda place: (-place.chance, -place.height_m, place.bounds))
+    found.sort(key=lambda place: (-_loss(place), place.bounds))
     job.results.left_objects = found[:MAX_LISTED]
     if found:
         (west, south, east, north), unit = found[0].bounds, job.plan.frame.units.vertical
         job.note(
-            f"{counted(len(found), 'place')} may be objects left in the terrain; most probable at "
+            f"{counted(len(found), 'place')} may be objects left in the terrain; the worst is at "
             f"x {(west + east) / 2:.0f}, y {(south + north) / 2:.0f}, "
             f"{length_text(round(found[0].height_m, 1), unit)} above the land around"
         )
 
 
+def _loss(place: LeftObject) -> float:
+    return expected_loss(LEFT, place.chance, place.height_m, place.area_m2) or 0.0
+
+
 def _object(spec: RasterSpec, values: Mapping[str, float], pixel_m2: float) -> LeftObject:
     top, left, bottom, right = np.array(values["rectangles"], np.int64).T
-    pixels = int(((bottom - top + 1) * (right - left + 1)).sum())
     return LeftObject(
         bounds=bounds_of(spec, (top.min(), left.min()), (bottom.max(), right.max())),
-        area_m2=pixels * pixel_m2,
+        area_m2=values["pixels"] * pixel_m2,
         height_m=values["height_m"],
         steep=values["steep"],
         ground=int(values["ground"]),

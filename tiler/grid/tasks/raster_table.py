@@ -193,7 +193,7 @@ def _product_steps(plan: Plan) -> list[Step]:
             LEFT,
             left_objects,
             {
-                "points": Read("points"),
+                "points": Read("points", math.ceil(left * size)),
                 "terrain": Read(f"raster:{dtm}", left),
             },
             _of_laser_scans,
