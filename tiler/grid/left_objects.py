@@ -152,8 +152,8 @@ class Candidates(NamedTuple):
         return is_shaped & (self.slope <= limits.slope) & (self.unknown <= limits.unknown)
 
 
-def candidates(heights: Float64, cell_m: float) -> tuple[Candidates, list[Level]]:
-    """Find the candidates in a window of cells.
+def candidates(heights: Float64, cell_m: float, rim: int = 0) -> tuple[Candidates, list[Level]]:
+    """Find the candidates in a window of cells without its outer ``rim``, which decides on their extent alone.
 
     Parameters
     ----------
@@ -174,7 +174,10 @@ def candidates(heights: Float64, cell_m: float) -> tuple[Candidates, list[Level]
     )
     is_steep = known & (above - lowest > STEEP_M)
     slope = np.nan_to_num(np.hypot(*np.gradient(heights))) / cell_m
-    levels = [Level.of(_labels_above(above, level, cell_m), known) for level in LEVELS_M]
+    labels = [_labels_above(above, level, cell_m) for level in LEVELS_M]
+    inner = tuple(slice(rim, size - rim) for size in heights.shape)
+    above, known, is_steep, slope = (a[inner] for a in (above, known, is_steep, slope))
+    levels = [Level.of(_without_gaps(of_level[inner]), known) for of_level in labels]
     columns = []
     for number, level in enumerate(levels):
         label, n = level.labels, level.n
@@ -210,7 +213,7 @@ def _opened(heights: Float64, known: Bools, cell_m: float) -> Float64:
 
 
 def _labels_above(above: Float64, level: float, cell_m: float) -> Labels:
-    """Label the parts above a level that are large enough and not too long, from 1 without gaps."""
+    """Label the parts above a level that are large enough and not too long."""
     label, n = scipy.ndimage.label(above > level, TOUCHING)
     longest = int(WIDEST_M / cell_m)
     is_kept = np.bincount(label.ravel(), minlength=n + 1) * cell_m**2 >= LEAST_M2
@@ -218,9 +221,17 @@ def _labels_above(above: Float64, level: float, cell_m: float) -> Labels:
     for number, (rows, columns) in enumerate(scipy.ndimage.find_objects(label), start=1):
         extent = max(rows.stop - rows.start, columns.stop - columns.start)
         is_kept[number] &= extent <= longest
-    numbers = np.where(is_kept, np.cumsum(is_kept), 0).astype(np.int32)
-    kept: Labels = numbers[label]
+    kept: Labels = np.where(is_kept, np.arange(n + 1), 0).astype(np.int32)[label]
     return kept
+
+
+def _without_gaps(labels: npt.NDArray[np.integer]) -> Labels:
+    """Number labels from 1, in their order. Cells with 0 keep it."""
+    is_present = np.bincount(labels.ravel()) > 0
+    is_present[0] = False
+    numbers = np.where(is_present, np.cumsum(is_present), 0).astype(np.int32)
+    numbered: Labels = numbers[labels]
+    return numbered
 
 
 Zone = tuple[Index, Labels]
@@ -345,7 +356,12 @@ def reach_cells(cell_m: float) -> int:
     it and has land around of its own. The opening there depends on heights up to the width of its square away.
     """
     opening = 2 * int(WINDOW_M / cell_m / 2)
-    return 2 * int(WIDEST_M / cell_m) + 2 * RING_CELLS + opening + FALL_CELLS + 1
+    return _near_cells(cell_m) + int(WIDEST_M / cell_m) + opening + FALL_CELLS + 1
+
+
+def _near_cells(cell_m: float) -> int:
+    """Return the distance within which candidates lie that overlap it, and those that take land around these."""
+    return int(WIDEST_M / cell_m) + 2 * RING_CELLS
 
 
 def left_margin(pixel_m: float) -> int:
@@ -384,12 +400,14 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     side = _side(pixel_m)
     if side is None:
         return None, {"objects": []}
-    cells = PixelCells(spec, block, side, reach_cells(side * pixel_m))
+    cell_m = side * pixel_m
+    wide = PixelCells(spec, block, side, reach_cells(cell_m))
+    top, left = wide.window.row - block.row + margin, wide.window.col - block.col + margin
+    pixels = terrain[top : top + wide.window.height, left : left + wide.window.width]
+    heights = wide.means(pixels, ~np.isnan(pixels)) * float(frame.units.vertical)
+    found, levels = candidates(heights, cell_m, reach_cells(cell_m) - _near_cells(cell_m))
+    cells = PixelCells(spec, block, side, _near_cells(cell_m))
     window = cells.window
-    top, left = window.row - block.row + margin, window.col - block.col + margin
-    pixels = terrain[top : top + window.height, left : left + window.width]
-    heights = cells.means(pixels, ~np.isnan(pixels)) * float(frame.units.vertical)
-    found, levels = candidates(heights, side * pixel_m)
     row = np.maximum(window.row + found.row * side, 0) - block.row
     column = np.maximum(window.col + found.column * side, 0) - block.col
     is_here = (row >= 0) & (row < block.height) & (column >= 0) & (column < block.width)
@@ -397,7 +415,7 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     if not is_judged.any():
         return None, {"objects": []}
     ground, objects = _counts(points, cells, _hull(found, levels, is_judged))
-    measures = measures_of(found, levels, ground, objects, side * pixel_m)
+    measures = measures_of(found, levels, ground, objects, cell_m)
     chance = np.where(is_judged, chances(measures), 0.0)
     places = []
     for i, inside, box in chosen(found, levels, chance):
