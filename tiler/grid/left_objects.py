@@ -21,11 +21,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptd.gridding.ground_cells import CellWindow, cell_counts
+from ptd.gridding.ground_cells import CellWindow, add_counts
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block
 from tiler.grid.block_surroundings import PixelCells, PointsNear
-from tiler.grid.ground import read_ground_and_objects
+from tiler.grid.ground import classed
 from tiler.grid.steps import Counts
 
 Bools = npt.NDArray[np.bool_]
@@ -463,26 +463,22 @@ def _hull(found: Candidates, levels: list[Level], some: Bools) -> Box:
 
 def _counts(points: PointsNear, cells: PixelCells, box: Box) -> tuple[Int64, Int64]:
     """Count the ground points and the others in each cell of a box, 0 elsewhere."""
-    window, side, spec = cells.window, cells.side, points.spec
+    pixels, side, spec = cells.window, cells.side, points.spec
     rows, columns = box
-    height, width = rows.stop - rows.start, columns.stop - columns.start
     part = Block(
-        window.row + rows.start * side,
-        window.col + columns.start * side,
-        height * side,
-        width * side,
+        pixels.row + rows.start * side,
+        pixels.col + columns.start * side,
+        (rows.stop - rows.start) * side,
+        (columns.stop - columns.start) * side,
     )
     lattice = Lattice(spec.lattice.size * side)
-    west, north = cells.west + columns.start, -cells.north - 1 - rows.start
-    near = CellWindow(lattice.p, lattice.q, west, north, height, width, *points.frame.origin)
-    ground, objects = np.zeros((2, window.height // side, window.width // side), np.int64)
-    bounds = spec.block_bounds(part)
-    # The points of all buckets may not fit into memory.
-    for bucket in points.store.buckets_within(bounds):
-        its = bounds.intersection(points.store.meta.bucket.bounds(bucket))
-        ground_xyz, object_xyz = read_ground_and_objects(points.store, points.rule, its)
-        ground[box] += cell_counts(ground_xyz, near)
-        objects[box] += cell_counts(object_xyz, near)
+    shape = pixels.height // side, pixels.width // side
+    place = cells.west, -cells.north - 1, *shape
+    window = CellWindow(lattice.p, lattice.q, *place, *points.frame.origin)
+    ground, objects = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    for bucket in classed(points.store, points.rule, spec.block_bounds(part), objects=True):
+        add_counts(ground, bucket.xyz, window, bucket.is_ground)
+        add_counts(objects, bucket.xyz, window, bucket.is_object)
     return ground, objects
 
 
