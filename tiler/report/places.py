@@ -382,8 +382,9 @@ def terrain_at(raster: Any, positions: Float64s) -> Float64s:
         if piece.size:
             top, left = rows[piece].min(), cols[piece].min()
             window = (top, rows[piece].max() + 1), (left, cols[piece].max() + 1)
-            part = raster.read(1, window=window, masked=True).astype(np.float64).filled(np.nan)
-            heights[piece] = part[rows[piece] - top, cols[piece] - left]
+            part = raster.read(1, window=window, masked=True)
+            found = part[rows[piece] - top, cols[piece] - left]
+            heights[piece] = found.astype(np.float64).filled(np.nan)
     return heights
 
 
