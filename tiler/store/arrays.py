@@ -28,6 +28,7 @@ from zarr.storage import MemoryStore
 
 from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
+from tiler.store.georeference import DIMENSIONS
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind, StoreMeta
 from tiler.store.storage import Storage, place_checksum, seal_holds, sealed
 
@@ -287,6 +288,7 @@ def write_metadata(
         filters=None,
         compressors=[blosc, Crc32cCodec()],
         attributes=dict(attributes),
+        dimension_names=attributes.get(DIMENSIONS),
         chunk_key_encoding={"name": "default", "separator": layout.CHUNK_SEPARATOR},
         zarr_format=3,
     )
@@ -294,6 +296,14 @@ def write_metadata(
     key = _metadata_key(path)
     storage.put(key, json.dumps(sealed(key, metadata)).encode())
     return StoredArray(storage, path, kind, shape, kind.fill, attributes)
+
+
+def make_group(storage: Storage, path: str) -> None:
+    """Make the folder at ``path`` a group of zarr if it is not one. The store itself needs no groups in it."""
+    key = _metadata_key(path)
+    if storage.get(key) is None:
+        group = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
+        storage.put(key, json.dumps(sealed(key, group)).encode())
 
 
 def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:
