@@ -134,6 +134,22 @@ def test_xarray_opens_rasters_of_several_pixel_sizes_and_extents(store: TileStor
         assert not set(opened["dtm"].dims) & set(opened["cells"].dims)
 
 
+@pytest.mark.parametrize("is_noise", [False, True])
+def test_other_programs_read_a_chunk(local_store: TileStore, is_noise: bool) -> None:
+    """GDAL refuses a frame of another size. Blosc refuses a larger one if it could not compress the values."""
+    bits = np.random.default_rng(0).integers(0, 2**32, (512, 512), np.uint32)
+    values = bits.view(np.float32) if is_noise else bits.astype(np.float32)
+    local_store.create_raster("dtm", pixels(512, 512))
+    local_store.write_block("dtm", Block(0, 0, 512, 512), values)
+    folder = Path(local_store.url, "rasters", "dtm")
+    frame = (folder / "c.0.0").read_bytes()[:-4]
+    assert bool(frame[2] & 0x2) == is_noise
+    assert int.from_bytes(frame[12:16], "little") == len(frame) - 4 * is_noise
+    by_zarr = zarr.open_array(folder, mode="r")[:]
+    for found in (by_zarr, local_store.read_block("dtm", Block(0, 0, 512, 512))):
+        assert found.tobytes() == values.tobytes()
+
+
 @pytest.mark.parametrize(
     "block",
     [
