@@ -120,7 +120,7 @@ def _make(
     name, stage = raster.name, raster.stage
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)
-    job.store.create_raster(name, spec.height, spec.width, raster.fill)
+    job.store.create_raster(name, spec, raster.fill)
     written = {
         spec.block_at(*first_pixel, BLOCK_PIXELS).name
         for first_pixel in job.store.stored_blocks(name)
