@@ -98,6 +98,22 @@ def warm_filters(method: str, notify: Callable[[], None], kind: str | None = Non
         )
 
 
+def warm_last_pass() -> None:
+    """Compile the kernels of the last pass of ``auto`` for laser scans.
+
+    A second process does so while the first one compiles those of earlier passes (`warm_filters`).
+    """
+    from ptd.ground.labelling import GROUND
+    from ptd.methods.auto.method import Auto, LabelPass
+    from ptd.passes import Points
+    from ptd.places import PLACES
+
+    xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
+    points = Points(xyz, np.full(xyz.shape[1], GROUND, np.uint8))
+    tile, state = Window(0, 0, 60_000, 60_000), {"run": {"sigma_m": None}, PLACES: {}}
+    LabelPass(Auto()).fit(points, tile, tile, Scale(), state).label(points)
+
+
 def filters_name(method: str, kind: str | None) -> str:
     """Return the name of the mark for the kernels of a method, and of a kind if kinds have different kernels."""
     if kind and has_kinds(method):

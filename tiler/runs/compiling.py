@@ -6,7 +6,7 @@ import functools
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -21,6 +21,7 @@ from ptd.precompile import (
     is_compiled,
     warm_filters,
     warm_gridding,
+    warm_last_pass,
     why_not_compiled,
 )
 from tiler.errors import first_line
@@ -69,6 +70,11 @@ def grid_kernels(interpolation: str) -> Kernels:
     return Kernels(
         gridding_name(how), functools.partial(warm_gridding, how), KERNELS["gridding"]
     )
+
+
+def _and_last_pass(compile_first: Callable[[Tell], None], tell: Tell) -> None:
+    compile_first(tell)
+    warm_last_pass()
 
 
 def class_kernels(plan: Plan) -> Kernels | None:
@@ -133,11 +139,18 @@ class Compiler:
         """
         if not self._apart:
             return
-        wanted = []
+        wanted, shares = [], False
         if plan.config.method != KEEP and until != "ingest":
-            wanted.append(filter_kernels(plan.config.method, likely_kind(plan)))
+            filters = filter_kernels(plan.config.method, likely_kind(plan))
+            wanted.append(filters)
+            shares = filters.name == filters_name("auto", LIDAR) and not is_compiled(
+                filters.name
+            )
         if until in ("grid", "export"):
-            wanted.append(grid_kernels(plan.config.interpolation))
+            grid = grid_kernels(plan.config.interpolation)
+            # Kernels of gridding are fewer. So their process takes a share of those of the filter.
+            both = functools.partial(_and_last_pass, grid.compile)
+            wanted.append(replace(grid, compile=both) if shares else grid)
         classes = class_kernels(plan)
         if until == "export" and classes is not None:
             wanted.append(classes)
