@@ -11,6 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from ptd.cells import sort_in_cells
+from ptd.frame import CellLattice
 from ptd.kernel import compiled_count
 from ptd.matched.evidence import DIM, LIDAR, concluded
 from ptd.precompile import (
@@ -36,7 +38,7 @@ Tell = Callable[[], None]
 
 STAGE = "compile"
 """Key of the stage in the progress while the run waits for kernels."""
-KERNELS = {"filters": 100, "gridding": 70, "classes": 4}
+KERNELS = {"filters": 100, "gridding": 70, "classes": 4, "sorting": 4}
 """Approximate numbers of kernels, for progress only."""
 SECONDS = 1800
 """Time in seconds after which a process that compiles counts as hung."""
@@ -101,6 +103,19 @@ def warm_classes(notify: Tell) -> None:
 CLASS_KERNELS = Kernels("classes", warm_classes, KERNELS["classes"])
 
 
+def warm_sorting(notify: Tell) -> None:
+    """Compile the kernels that sort the points of buckets if necessary, after a call of ``notify``."""
+    counts = np.arange(8, dtype=np.int32)
+
+    def sort() -> None:
+        sort_in_cells(counts, counts, counts, CellLattice(1, 1, 0, 0))
+
+    compile_once("sorting", notify, sort)
+
+
+SORT_KERNELS = Kernels("sorting", warm_sorting, KERNELS["sorting"])
+
+
 def likely_kind(plan: Plan) -> str:
     """Return the probable kind of the clouds, to compile kernels before the points are read."""
     if plan.method.kind is not None:
@@ -154,7 +169,7 @@ class Compiler:
         classes = class_kernels(plan)
         if until == "export" and classes is not None:
             wanted.append(classes)
-        for kernels in wanted:
+        for kernels in (SORT_KERNELS, *wanted):
             if not is_compiled(kernels.name):
                 self._start(kernels)
 
