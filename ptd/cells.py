@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ptd.frame import CellGrid, CellLattice
 from ptd.kernel import as_int64, inlined, kernel
+from ptd.sorting import sort_pairs
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -186,23 +187,6 @@ def sort_in_cells(
     return order, keys, is_repeat
 
 
-@inlined
-def _shell_sort(keys: Int64, values: Int64, first: int, end: int) -> None:
-    """Sort ``keys[first:end]``, and ``values[first:end]`` alike. Up to a few hundred keys, this is the fastest sort."""
-    gap = 1
-    while gap < (end - first) // 9:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for j in range(first + gap, end):
-            key, value = keys[j], values[j]
-            k = j
-            while k >= first + gap and keys[k - gap] > key:
-                keys[k], values[k] = keys[k - gap], values[k - gap]
-                k -= gap
-            keys[k], values[k] = key, value
-        gap //= 3
-
-
 @kernel
 def _sort_in_raster(
     keys: Int64, positions: Int64, ends: Int64, order: Int64, in_order: Int64
@@ -222,7 +206,7 @@ def _sort_in_raster(
         order[k], in_order[k] = i, positions[i]
     first = 0
     for cell in range(ends.size - 1):
-        _shell_sort(in_order, order, first, ends[cell])
+        sort_pairs(in_order, order, first, ends[cell])
         first = ends[cell]
 
 

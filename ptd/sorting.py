@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.kernel import kernel
+from ptd.kernel import inlined, kernel
+
+Int64 = npt.NDArray[np.int64]
 
 GAPS = np.array([1750, 701, 301, 132, 57, 23, 10, 4, 1])
 """Distances of the values that are compared, one after another (Ciura 2001)."""
@@ -38,3 +40,23 @@ def sort_by(index: npt.NDArray[np.integer], values: npt.NDArray[Any]) -> None:
                 index[j] = index[j - gap]
                 j -= gap
             index[j] = k
+
+
+@inlined
+def sort_pairs(keys: Int64, values: Int64, first: int, end: int) -> None:
+    """Sort ``keys[first:end]`` in place, ascending, and ``values[first:end]`` alike.
+
+    Pairs with equal keys end in any order.
+    """
+    gap = 1
+    while gap < (end - first) // 9:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for j in range(first + gap, end):
+            key, value = keys[j], values[j]
+            k = j
+            while k >= first + gap and keys[k - gap] > key:
+                keys[k], values[k] = keys[k - gap], values[k - gap]
+                k -= gap
+            keys[k], values[k] = key, value
+        gap //= 3
