@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,14 +19,27 @@ from tiler.apps.acceptance.cells import (
     examine_cells,
     needed_bytes,
 )
-from tiler.apps.acceptance.counts import CellCounter, Cells, DigestPlan, FileCounts, count_file
+from tiler.apps.acceptance.counts import (
+    CellCounter,
+    Cells,
+    DigestPlan,
+    FileCounts,
+    Int64s,
+    Keys,
+    count_file,
+)
 from tiler.apps.acceptance.duplicates import (
     DigestFiles,
     number_of_parts,
     read_digests,
     repeated,
 )
-from tiler.apps.acceptance.rows import ROWS, Found, Measurements, Row
+from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES, Found, Measurements, Row
+from tiler.apps.acceptance.separation import (
+    BYTES_PER_HEIGHT_CELL,
+    Separation,
+    separate_swaths,
+)
 from tiler.apps.acceptance.specification import Specification
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
 from tiler.core.crs import crs_name, same_horizontal, split
@@ -51,6 +64,7 @@ BOUNDS_MARGIN = 1.0
 """Width in units of the CRS by which the bounds of a file are widened, since headers may be rounded."""
 
 DIFFERENT_CRS = "the files have different CRSs"
+DIFFERENT_VERTICAL_CRS = "the files have different vertical CRSs"
 
 
 def check_clouds(
@@ -165,21 +179,28 @@ def _measure(
     files = _count(children, infos, cells, plans)
     duplicates = _duplicates(plans, files)
     limits = {} if specification is None else specification.limits
+    separation: Separation | str = DIFFERENT_CRS
+    vertical_names = _different_crs(infos, 1)
     if cells is not None:
+        of_cells = files
         findings = _examined(files, cells, metres, limits.get("pulse_density"))
         better = None if asked else _better_spacing(findings, spacing)
         if better is not None:
             cells = _cells(infos, better / metres)
-            counted_again = _count(children, infos, cells, [None] * len(infos))
-            findings = _examined(counted_again, cells, metres, limits.get("pulse_density"))
+            of_cells = _count(children, infos, cells, [None] * len(infos))
+            findings = _examined(of_cells, cells, metres, limits.get("pulse_density"))
+        separation = DIFFERENT_VERTICAL_CRS
+        if len(vertical_names) < 2:
+            separation = _separated(of_cells, cells, metres, limits.get("swath_difference_p95"))
     measured = Measurements(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
         crs_names,
-        _different_crs(infos, 1),
+        vertical_names,
         [info.path for info in infos if not _has_vertical(info.georeference.wkt)],
         metres,
         findings,
+        separation,
         sum(duplicates.values()),
         [path for path, number in duplicates.items() if number],
     )
@@ -245,7 +266,9 @@ def _count(
 ) -> list[FileCounts]:
     def count(guard: ChildProcess, item: tuple[SourceInfo, DigestPlan | None]) -> FileCounts:
         info, plan = item
-        return read_in_child(guard, count_file, info.path, cells, plan)
+        crs = info.georeference
+        height_unit_m = float(crs.vertical or crs.horizontal or METRE)
+        return read_in_child(guard, count_file, info.path, cells, plan, height_unit_m)
 
     return [result() for result in children.each(count, zip(infos, plans, strict=True))]
 
@@ -254,10 +277,7 @@ def _examined(
     files: Sequence[FileCounts], cells: Cells, metres: float, asked: float | None
 ) -> CellFindings | str:
     """Return what the cells of all files show, or why they cannot be examined."""
-    counter = CellCounter()
-    for file in files:
-        counter.add(file.keys, file.counts)
-    keys, counts = counter.merge()
+    keys, counts = _merged((file.keys, file.counts) for file in files)
     if not keys.size:
         return "no first return that is not withheld"
     needed = needed_bytes(keys)
@@ -267,6 +287,28 @@ def _examined(
             f"({needed / 1e9:,.0f} GB); give parts of the survey, or withhold points far from it"
         )
     return examine_cells(keys, counts, cells, metres, asked)
+
+
+def _separated(
+    files: Sequence[FileCounts], cells: Cells, metres: float, asked_m: float | None
+) -> Separation | str:
+    """Return the differences of the swaths of all files, or why they cannot be measured."""
+    keys, sums = _merged((file.height_keys, file.height_sums) for file in files)
+    if not any(source for file in files for source in file.sources):
+        return WITHOUT_SOURCES
+    if not keys.size:
+        return "no single return of a swath that is not withheld, noise or water"
+    needed = keys.size * BYTES_PER_HEIGHT_CELL
+    if needed > half_of_memory():
+        return f"too many cells of swaths for this machine's memory ({needed / 1e9:,.0f} GB); give parts of the survey"
+    return separate_swaths(keys, sums, cells, metres, asked_m)
+
+
+def _merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:
+    counter = CellCounter()
+    for keys, counts in pieces:
+        counter.add(keys, counts)
+    return counter.merge()
 
 
 def _digest_plans(folder: Path, infos: Sequence[SourceInfo]) -> list[DigestPlan]:

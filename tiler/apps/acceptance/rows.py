@@ -16,12 +16,14 @@ import numpy as np
 
 from tiler.apps.acceptance.cells import CellFindings, Place, Swath
 from tiler.apps.acceptance.counts import GPS_KINDS, FileCounts
+from tiler.apps.acceptance.separation import MIN_PAIR_CELLS, Separation
 from tiler.core.words import counted
 
 Limit = Literal["at least", "at most", "only"]
 
 MAX_PLACES = 5
 """Number of places and files that a row names."""
+WITHOUT_SOURCES = "the points have no point source ids"
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Measurements:
         Metres per unit of the CRS.
     cells : CellFindings or str
         Or the reason why cells were not examined.
+    separation : Separation or str
+        Differences of swaths, or the reason why they were not measured.
     n_duplicates : int
         Number of points that equal another one.
     with_duplicates : list of Path
@@ -53,6 +57,7 @@ class Measurements:
     without_vertical: list[Path]
     metres: float
     cells: CellFindings | str
+    separation: Separation | str
     n_duplicates: int
     with_duplicates: list[Path]
 
@@ -191,7 +196,7 @@ def _number_of_places(
 
 def _swath_gaps(cells: CellFindings, measured: Measurements) -> Found:
     if not _n_swaths(measured):
-        return Found(None, remark="the points have no point source ids")
+        return Found(None, remark=WITHOUT_SOURCES)
     found = _number_of_places(lambda c: c.gaps)(measured)
     if cells.parts < 2:
         return found
@@ -205,6 +210,54 @@ def _overlap(cells: CellFindings, measured: Measurements) -> Found:
     if cells.overlap_share is None or _n_swaths(measured) < 2:
         return Found(None, remark="the points have fewer than two swaths")
     return Found(100 * cells.overlap_share)
+
+
+def _of_separation(
+    find: Callable[[Separation], Found],
+) -> Callable[[Measurements], Found]:
+    """Return a function that finds a value in the differences of swaths, if they were measured."""
+
+    def found(measured: Measurements) -> Found:
+        if isinstance(measured.separation, str):
+            return Found(None, remark=measured.separation)
+        return find(measured.separation)
+
+    return found
+
+
+def _swath_difference(found: Separation) -> Found:
+    remark = (
+        f"{counted(found.difference_m.size, 'difference')} in cells of {found.side_m:.3g} m"
+    )
+    return Found(found.all["rmse"], remark=remark)
+
+
+def _swath_difference_p95(found: Separation) -> Found:
+    remark = ""
+    if found.beyond_share is not None:
+        remark = f"{100 * found.beyond_share:.2g} % are beyond {found.asked_m:g} m"
+    return Found(found.all["p95_abs"], remark=remark)
+
+
+def _swath_difference_largest(found: Separation) -> Found:
+    order = np.lexsort((found.x, found.y, -np.abs(found.difference_m)))[:MAX_PLACES].tolist()
+    where = [
+        f"{found.x[i]:.1f} {found.y[i]:.1f} ({found.difference_m[i]:+.3f} m, {found.second[i]} - {found.first[i]})"
+        for i in order
+    ]
+    return Found(found.all["max_abs"], where)
+
+
+def _swath_step(found: Separation) -> Found:
+    if not found.pairs:
+        remark = f"no two swaths share {MIN_PAIR_CELLS} cells of open, even ground"
+        return Found(None, remark=remark)
+    where = [
+        f"point source {p.second} - {p.first}: {p.mean_m:+.3f} m, RMS {p.rms_m:.3f} m, {counted(p.cells, 'cell')} "
+        f"around {p.x:.1f} {p.y:.1f}"
+        for p in found.pairs[:MAX_PLACES]
+    ]
+    return Found(abs(found.pairs[0].mean_m), where, counted(len(found.pairs), "pair"))
 
 
 def _dense_cells(cells: CellFindings, measured: Measurements) -> Found:
@@ -422,6 +475,35 @@ ROWS = (
         _of_cells(_swath_gaps),
         "places between the convex outlines of two swaths, 3 to 128 cells wide, without a first return, and "
         "separations of the survey into parts",
+    ),
+    Row(
+        "swath_difference",
+        "m",
+        "at most",
+        _of_separation(_swath_difference),
+        "root mean square of the height differences of two swaths in cells of open, even ground (RMSDz)",
+    ),
+    Row(
+        "swath_difference_p95",
+        "m",
+        "at most",
+        _of_separation(_swath_difference_p95),
+        "95th percentile of the absolute differences",
+    ),
+    Row(
+        "swath_difference_largest",
+        "m",
+        "at most",
+        _of_separation(_swath_difference_largest),
+        "largest absolute difference",
+    ),
+    Row(
+        "swath_step",
+        "m",
+        "at most",
+        _of_separation(_swath_step),
+        "largest absolute mean difference of a pair of swaths, of those that share at least "
+        f"{MIN_PAIR_CELLS} such cells",
     ),
     Row(
         "duplicates",
