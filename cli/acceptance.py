@@ -34,6 +34,8 @@ def print_acceptance(summary: AcceptanceSummary) -> None:
     for row in summary["rows"]:
         if line := _details(row):
             write_line(line)
+    if summary["difference"] is not None:
+        write_line(f"wrote   {summary['difference']}")
     for note in summary["notes"]:
         write_line(f"note    {note}")
     if summary["specification"] is not None:

@@ -357,7 +357,10 @@ class AcceptanceResult:
 
 
 def check_clouds(
-    clouds: PathLike | Iterable[PathLike], spec: PathLike | None = None
+    clouds: PathLike | Iterable[PathLike],
+    spec: PathLike | None = None,
+    *,
+    difference: PathLike | None = None,
 ) -> AcceptanceResult:
     """Measure density, distribution, swaths and records of clouds, and compare them, like ``tiler check CLOUDS``.
 
@@ -368,6 +371,8 @@ def check_clouds(
     spec : str or path, optional
         Specification of a survey: ``usgs-ql0``, ``usgs-ql1``, ``usgs-ql2``, or a TOML file (docs/acceptance.md). By
         default everything is measured and nothing is asked.
+    difference : path, optional
+        GeoTIFF that receives the largest absolute difference of two swaths in each cell, in metres.
 
     Returns
     -------
@@ -386,7 +391,8 @@ def check_clouds(
     ['1.4']
     """
     specification = None if spec is None else read_specification(_text("spec", spec))
-    summary = measure_clouds(_texts("clouds", clouds), specification)
+    target = None if difference is None else Path(_text("difference", difference))
+    summary = measure_clouds(_texts("clouds", clouds), specification, target)
     return AcceptanceResult(0 if summary["met"] else 5, summary)
 
 

@@ -238,6 +238,7 @@ class AcceptanceRow(TypedDict):
 class AcceptanceSummary(TypedDict):
     """Check of clouds: their paths and number of points, the specification, the side of the cells, and the rows.
 
+    ``difference`` is the path of the raster of differences of swaths, None if it was not written.
     ``met`` tells whether no row has the state ``fail`` or ``not measured``. ``notes`` say what was assumed.
     """
 
@@ -247,6 +248,7 @@ class AcceptanceSummary(TypedDict):
     cell_m: float | None
     met: bool
     rows: list[AcceptanceRow]
+    difference: str | None
     notes: list[str]
 
 

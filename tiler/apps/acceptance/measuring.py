@@ -54,6 +54,7 @@ from tiler.inputs import (
     validate_lengths,
 )
 from tiler.io.atomic_files import SCRATCH_PREFIX
+from tiler.io.overwrite_check import Target, check_targets
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
 
 MAX_CHILDREN = 8
@@ -63,12 +64,17 @@ SIDE_TOLERANCE = 1.25
 BOUNDS_MARGIN = 1.0
 """Width in units of the CRS by which the bounds of a file are widened, since headers may be rounded."""
 
+USUAL_LIMIT_M = 0.08
+"""Limit of the colours of differences if the specification has none: that of quality levels 1 and 2 of USGS."""
+
 DIFFERENT_CRS = "the files have different CRSs"
 DIFFERENT_VERTICAL_CRS = "the files have different vertical CRSs"
 
 
 def check_clouds(
-    inputs: Sequence[str | Path], specification: Specification | None = None
+    inputs: Sequence[str | Path],
+    specification: Specification | None = None,
+    difference: Path | None = None,
 ) -> AcceptanceSummary:
     """Measure all rows of clouds, and compare them with a specification.
 
@@ -78,16 +84,22 @@ def check_clouds(
         Files, folders, globs and virtual point clouds.
     specification : Specification, optional
         What is asked. Without it, nothing is asked.
+    difference : Path, optional
+        GeoTIFF that receives the differences of swaths.
 
     Raises
     ------
     ConfigError
-        A path does not exist.
+        A path does not exist, or ``difference`` is an input or not the name of a GeoTIFF.
     InputError
         A file cannot be read, its CRS has angles, or no file has points.
+    ProcessingError
+        The GeoTIFF cannot be written.
     """
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
+    if difference is not None:
+        check_targets([Target("--difference", difference, (".tif", ".tiff"))], paths)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
         TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
@@ -100,6 +112,13 @@ def check_clouds(
             )
         measured, cell_m = _measure(children, infos, specification, Path(folder))
     limits = {} if specification is None else specification.limits
+    notes += _notes(measured)
+    is_written = False
+    if difference is not None:
+        limit_m = limits.get("swath_difference", USUAL_LIMIT_M)
+        reason = _write_differences(difference, infos, measured.separation, limit_m)
+        is_written = reason is None
+        notes += [] if reason is None else [f"{difference}: was not written: {reason}"]
     rows = [_judged(row, row.find(measured), limits.get(row.name)) for row in ROWS]
     return {
         "clouds": [str(path) for path in paths],
@@ -108,8 +127,22 @@ def check_clouds(
         "cell_m": cell_m,
         "met": all(row["state"] in ("pass", "not asked") for row in rows),
         "rows": rows,
-        "notes": notes + _notes(measured),
+        "difference": str(difference) if is_written else None,
+        "notes": notes,
     }
+
+
+def _write_differences(
+    path: Path, infos: Sequence[SourceInfo], separation: Separation | str, limit_m: float
+) -> str | None:
+    """Write the raster of differences, or return why it is not written."""
+    # Child processes do not need its libraries.
+    from tiler.apps.acceptance.difference_raster import write_differences
+
+    if isinstance(separation, str):
+        return separation
+    crs = next((info.georeference.wkt for info in infos if info.georeference.wkt), None)
+    return write_differences(path, separation, crs, limit_m)
 
 
 def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
@@ -173,25 +206,24 @@ def _measure(
     )
     asked = None if specification is None else specification.pulse_spacing_m
     spacing = asked or _spacing_by_headers(infos) * metres
-    findings: CellFindings | str = DIFFERENT_CRS
     plans = _digest_plans(folder, infos)
     cells = None if len(crs_names) > 1 else _cells(infos, spacing / metres)
-    files = _count(children, infos, cells, plans)
+    files = _count(children, infos, cells, plans, metres)
     duplicates = _duplicates(plans, files)
     limits = {} if specification is None else specification.limits
-    separation: Separation | str = DIFFERENT_CRS
-    vertical_names = _different_crs(infos, 1)
+    of_cells = files
+    findings: CellFindings | str = DIFFERENT_CRS
     if cells is not None:
-        of_cells = files
         findings = _examined(files, cells, metres, limits.get("pulse_density"))
         better = None if asked else _better_spacing(findings, spacing)
         if better is not None:
             cells = _cells(infos, better / metres)
-            of_cells = _count(children, infos, cells, [None] * len(infos))
+            of_cells = _count(children, infos, cells, [None] * len(infos), metres)
             findings = _examined(of_cells, cells, metres, limits.get("pulse_density"))
-        separation = DIFFERENT_VERTICAL_CRS
-        if len(vertical_names) < 2:
-            separation = _separated(of_cells, cells, metres, limits.get("swath_difference_p95"))
+    vertical_names = _different_crs(infos, 1)
+    separation = _separated(
+        of_cells, cells, metres, limits.get("swath_difference_p95"), len(vertical_names)
+    )
     measured = Measurements(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
@@ -263,11 +295,12 @@ def _count(
     infos: Sequence[SourceInfo],
     cells: Cells | None,
     plans: Sequence[DigestPlan | None],
+    metres: float,
 ) -> list[FileCounts]:
     def count(guard: ChildProcess, item: tuple[SourceInfo, DigestPlan | None]) -> FileCounts:
         info, plan = item
         crs = info.georeference
-        height_unit_m = float(crs.vertical or crs.horizontal or METRE)
+        height_unit_m = float(crs.vertical or crs.horizontal or metres)
         return read_in_child(guard, count_file, info.path, cells, plan, height_unit_m)
 
     return [result() for result in children.each(count, zip(infos, plans, strict=True))]
@@ -290,9 +323,17 @@ def _examined(
 
 
 def _separated(
-    files: Sequence[FileCounts], cells: Cells, metres: float, asked_m: float | None
+    files: Sequence[FileCounts],
+    cells: Cells | None,
+    metres: float,
+    asked_m: float | None,
+    n_vertical_crs: int,
 ) -> Separation | str:
     """Return the differences of the swaths of all files, or why they cannot be measured."""
+    if cells is None:
+        return DIFFERENT_CRS
+    if n_vertical_crs > 1:
+        return DIFFERENT_VERTICAL_CRS
     keys, sums = _merged((file.height_keys, file.height_sums) for file in files)
     if not any(source for file in files for source in file.sources):
         return WITHOUT_SOURCES

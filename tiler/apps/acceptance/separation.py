@@ -68,8 +68,8 @@ class Separation:
 
     Attributes
     ----------
-    side_m : float
-        Side of the cells.
+    side, side_m : float
+        Side of the cells in units of the CRS, and in metres.
     pairs : list of SwathPair
         Pairs with at least `MIN_PAIR_CELLS` cells, the largest mean difference first.
     all : Spread
@@ -84,6 +84,7 @@ class Separation:
         Absolute difference that the specification asks for.
     """
 
+    side: float
     side_m: float
     pairs: list[SwathPair]
     all: Spread
@@ -144,7 +145,16 @@ def separate_swaths(
     of_first, of_second = source[first], source[second]
     pairs = _pairs(of_first, of_second, x, y, difference)
     return Separation(
-        side_m, pairs, spread(difference), of_first, of_second, x, y, difference, asked_m
+        lattice.side,
+        side_m,
+        pairs,
+        spread(difference),
+        of_first,
+        of_second,
+        x,
+        y,
+        difference,
+        asked_m,
     )
 
 

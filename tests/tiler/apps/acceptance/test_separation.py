@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import rasterio
 
 from tests.tiler.apps.acceptance.pulses import Pulses
-from tests.tiler.apps.acceptance.test_measuring import FEET, found, rows
-from tiler.apps.acceptance import Specification
+from tests.tiler.apps.acceptance.test_measuring import ASKED, FEET, found, rows
+from tiler.apps.acceptance import Specification, check_clouds
 from tiler.apps.acceptance.counts import OFFSET_STEPS, STEPS_PER_METRE, Cells, count_file
 from tiler.apps.acceptance.separation import Separation, separate_swaths
+from tiler.errors import ConfigError
 from tiler.io.las.reader import PointReader
 
 Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -247,3 +250,52 @@ def test_differences_are_those_of_planes_of_least_squares() -> None:
         expected = heights[1] - heights[0]
         rounding = 1 / STEPS_PER_METRE + 0.2 * side / OFFSET_STEPS
         assert separation.difference_m[i] == pytest.approx(expected, abs=rounding)
+
+
+def test_the_raster_has_the_differences_of_the_cells(tmp_path: Path) -> None:
+    x0, y0 = 500_000, 5_000_000
+    path = two(lambda x, y: np.where(y < 30, 100.0, plants(x, y)), 0.1).write(
+        tmp_path / "a.laz"
+    )
+    target = tmp_path / "swaths.tif"
+    summary = check_clouds([path], ASKED, target)
+    assert summary["difference"] == str(target)
+    with rasterio.open(target) as raster:
+        assert raster.crs.to_epsg() == 25832 or "25832" in raster.crs.to_wkt()
+        assert (raster.units[0], raster.nodata, raster.res) == ("metre", -9999, (2, 2))
+        values = raster.read(1)
+        # Open ground of both strips, without the cells next to plants.
+        assert tuple(raster.bounds) == (x0 + 40, y0, x0 + 60, y0 + 28)
+    known = values[values != -9999]
+    assert known.size >= 0.95 * values.size
+    assert known == pytest.approx(0.1, abs=0.05)
+    largest = next(r for r in summary["rows"] if r["name"] == "swath_difference_largest")
+    assert float(known.max()) == pytest.approx(largest["found"])
+    x, y = map(float, largest["where"][0].split()[:2])
+    with rasterio.open(target) as raster:
+        assert next(raster.sample([(x, y)]))[0] == known.max()
+
+
+def test_the_style_has_the_limits_and_is_kept(tmp_path: Path) -> None:
+    path = two(plane(0)).write(tmp_path / "a.laz")
+    asked = Specification("made", {"pulse_spacing": 0.5, "swath_difference": 0.04})
+    style = tmp_path / "swaths.qml"
+    check_clouds([path], asked, tmp_path / "swaths.tif")
+    items = list(ElementTree.fromstring(style.read_text()).iter("item"))
+    assert [item.get("value") for item in items] == ["0.04", "0.08", "inf"]
+    style.write_text("mine")
+    check_clouds([path], None, tmp_path / "swaths.tif")
+    assert style.read_text() == "mine"
+
+
+def test_a_raster_of_nothing_is_not_written(tmp_path: Path) -> None:
+    path = strip(plane(0), 0, 60, 1).write(tmp_path / "a.laz")
+    target = tmp_path / "swaths.tif"
+    summary = check_clouds([path], ASKED, target)
+    assert summary["difference"] is None
+    assert summary["notes"] == [
+        f"{target}: was not written: the points have fewer than two swaths"
+    ]
+    assert not target.exists()
+    with pytest.raises(ConfigError, match=r"its suffix does not match"):
+        check_clouds([path], ASKED, tmp_path / "swaths.png")
