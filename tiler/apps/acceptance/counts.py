@@ -125,12 +125,14 @@ class Cells:
         near = _inside(column) & _inside(row) & (np.abs(height_m) <= MAX_HEIGHT_M)
         x, y, column, row = x[near], y[near], column[near], row[near]
         height = np.rint(height_m[near] * STEPS_PER_METRE).astype(np.int64)
-        offsets = (
-            ((at - cell) * OFFSET_STEPS).astype(np.int64)
-            for at, cell in ((x, column), (y, row))
-        )
-        sums = np.stack((np.ones_like(height), height, height**2, *offsets), axis=1)
-        return summed_by_key(self._encoded(column, row, source[near]), sums)
+        offset_x = ((x - column) * OFFSET_STEPS).astype(np.int64)
+        offset_y = ((y - row) * OFFSET_STEPS).astype(np.int64)
+        keys = self._encoded(column, row, source[near])
+        order, first = _grouped(keys)
+        sums = [np.diff(first, append=keys.size)]
+        for values in (height, height**2, offset_x, offset_y):
+            sums.append(np.add.reduceat(values[order], first))
+        return keys[order][first], np.stack(sums, axis=1)
 
     @staticmethod
     def _encoded(column: Floats, row: Floats, source: npt.NDArray[np.uint16]) -> Keys:
@@ -154,14 +156,12 @@ def decoded(keys: Keys) -> tuple[Int64s, Int64s, Int64s]:
     return source, column, row
 
 
-def summed_by_key(keys: Keys, sums: Int64s) -> tuple[Keys, Int64s]:
-    """Return the distinct keys, sorted, and the sums of their values, which are rows of ``sums``."""
-    if not keys.size:
-        return keys, sums
+def _grouped(keys: Keys) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the order that sorts keys, and the position of the first of each distinct key in it."""
     order = np.argsort(keys, kind="stable")  # It is fast for sorted pieces.
-    keys, sums = keys[order], sums[order]
-    first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-    return keys[first], np.add.reduceat(sums, first, axis=0)
+    sorted_keys = keys[order]
+    is_first = np.r_[True, sorted_keys[1:] != sorted_keys[:-1]][: keys.size]
+    return order, np.flatnonzero(is_first)
 
 
 class CellCounter:
@@ -190,10 +190,10 @@ class CellCounter:
         if not self._keys:
             return np.empty(0, np.uint64), np.empty(0, np.int64)
         if len(self._keys) > 1:
-            keys, counts = summed_by_key(
-                np.concatenate(self._keys), np.concatenate(self._counts)
-            )
-            self._keys, self._counts = [keys], [counts]
+            keys, counts = np.concatenate(self._keys), np.concatenate(self._counts)
+            order, first = _grouped(keys)
+            self._keys = [keys[order][first]]
+            self._counts = [np.add.reduceat(counts[order], first, axis=0)]
             self._waiting = 0
         return self._keys[0], self._counts[0]
 
