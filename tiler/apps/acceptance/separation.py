@@ -37,8 +37,8 @@ MAX_ROUGH_M = 0.1
 noise of a scanner less."""
 MIN_PAIR_CELLS = 30
 """Number of cells below which the mean difference of two swaths is not reported."""
-BYTES_PER_HEIGHT_CELL = 400
-"""Memory that `separate_swaths` needs per cell of a swath."""
+BYTES_PER_HEIGHT_CELL = 500
+"""Memory that `separate_swaths` needs per cell of a swath, if most are shared by two swaths."""
 
 _PLANE_PARAMETERS = 3
 
