@@ -146,11 +146,13 @@ def warm_gridding(
             tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window
         )
         nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
-        above_ground.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
-        above_ground.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
         cells = ground_cells.CellWindow(1000, 1, 0, 59, 60, 60)
+        highest = above_ground.HighestReturns(cells, np.full(60 * 60, np.inf))
+        highest.add(xyz, np.ones(xyz.shape[1], np.bool_))
+        above_ground.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
         ground_cells.plane_variance(xyz, cells, (2, 5))
         ground_cells.cell_counts(xyz, cells)
+        ground_cells.cell_numbers(xyz, cells)
 
     compile_once(gridding_name(interpolation), notify, make_rasters)
 

@@ -86,7 +86,8 @@ def grid(
     report_voids(job, gridding, gridding.made["dtm-outlined"])
     for raster in rasters:
         if isinstance(raster, Step) and raster.finish is not None:
-            raster.finish(job, gridding, gridding.counts(raster.name, raster.grid))
+            counts = gridding.counts(raster.name, raster.grid, raster.side)
+            raster.finish(job, gridding, counts)
     return gridding.found()
 
 

@@ -199,6 +199,7 @@ def _product_steps(plan: Plan) -> list[Step]:
             _of_laser_scans,
             {"margin": left},
             _left_found,
+            side=2 * BLOCK_PIXELS,
         ),
         Step(
             "mask",
