@@ -34,8 +34,9 @@ def print_acceptance(summary: AcceptanceSummary) -> None:
     for row in summary["rows"]:
         if line := _details(row):
             write_line(line)
-    if summary["difference"] is not None:
-        write_line(f"wrote   {summary['difference']}")
+    for path in (summary["difference"], summary["style"]):
+        if path is not None:
+            write_line(f"wrote   {path}")
     for note in summary["notes"]:
         write_line(f"note    {note}")
     if summary["specification"] is not None:

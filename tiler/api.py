@@ -342,7 +342,8 @@ class AcceptanceResult:
     Attributes
     ----------
     exit_code : int
-        0, or 5 if a row that the specification asks for is not met or could not be measured.
+        0, or 5 if a row that the specification asks for is not met or could not be measured, or 4 if ``difference`` was
+        asked and there is nothing to write.
     summary : mapping
         Output of ``tiler check CLOUDS --json``: ``rows`` with what is asked and found, and more.
     """
@@ -393,7 +394,10 @@ def check_clouds(
     specification = None if spec is None else read_specification(_text("spec", spec))
     target = None if difference is None else Path(_text("difference", difference))
     summary = measure_clouds(_texts("clouds", clouds), specification, target)
-    return AcceptanceResult(0 if summary["met"] else 5, summary)
+    if not summary["met"]:
+        return AcceptanceResult(5, summary)
+    is_missing = target is not None and summary["difference"] is None
+    return AcceptanceResult(ProcessingError.exit_code if is_missing else 0, summary)
 
 
 def _against(

@@ -1,4 +1,4 @@
-"""Mean, RMSE and percentiles of height differences, exact or in bounded memory, and sums and pairs per cell."""
+"""Mean, RMSE and percentiles of height differences, exact or estimated in bounded memory, and sums per cell."""
 
 from __future__ import annotations
 
@@ -167,23 +167,3 @@ def summed(cells: Int64s, sums: npt.NDArray[Figure]) -> tuple[Int64s, npt.NDArra
     cells = cells[:, order]
     first = np.flatnonzero(np.r_[True, np.any(cells[:, 1:] != cells[:, :-1], axis=0)])
     return cells[:, first], np.add.reduceat(sums[:, order], first, axis=1)
-
-
-def pairs_in_cells(cells: Int64s) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the positions of the first and the second item of each pair of items in the same cell.
-
-    Parameters
-    ----------
-    cells : int64, shape (k, n)
-        Indices of the cell of each item, one row per axis. Items of a cell are consecutive.
-    """
-    firsts, seconds = [np.empty(0, np.intp)], [np.empty(0, np.intp)]
-    step = 1
-    while True:
-        # The items of a pair are ``step`` apart.
-        first = np.flatnonzero(np.all(cells[:, step:] == cells[:, :-step], axis=0))
-        if not first.size:
-            return np.concatenate(firsts), np.concatenate(seconds)
-        firsts.append(first)
-        seconds.append(first + step)
-        step += 1

@@ -64,7 +64,7 @@ has a few points of each swath."""
 STEPS_PER_METRE = 1000
 """Heights are rounded to millimetres, so that sums of them do not depend on their order."""
 MAX_HEIGHT_M = 16_000
-"""Largest absolute height that is summed. The squares of 30,000 such heights have a sum below 2**63."""
+"""Largest absolute height that is summed."""
 OFFSET_STEPS = 1024
 """Steps per cell to which the position of a point inside its cell is rounded down."""
 
@@ -119,6 +119,7 @@ class Cells:
 
         The sums are the number of points, those of their heights in millimetres and of the squares, and those of their
         offsets from the lowest corner along x and y in `OFFSET_STEPS`. Points too far away or too high are left out.
+        Sums of squares beyond 2**63 wrap around.
         """
         x, y = x / self.side + _EDGE - self.column, y / self.side + _EDGE - self.row
         column, row = np.floor(x), np.floor(y)
@@ -234,6 +235,8 @@ class FileCounts:
         Cells with these points (`Cells`), and their numbers.
     height_keys, height_sums : array
         Cells of single returns of swaths on land, and their sums (`Cells.height_sums`).
+    too_high : int
+        Number of such returns with heights beyond `MAX_HEIGHT_M`, which are not summed.
     duplicates : int
         Number of points that equal an earlier one of this file, without those in the bounds of other files.
     """
@@ -259,6 +262,7 @@ class FileCounts:
     counts: Int64s = field(default_factory=lambda: np.empty(0, np.int64))
     height_keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
     height_sums: Int64s = field(default_factory=lambda: np.empty((0, 5), np.int64))
+    too_high: int = 0
     duplicates: int = 0
 
     @property
@@ -332,6 +336,7 @@ def count_file(
                 of_swath = records["point_source_id"]
                 first_returns.add(cells.keys(x[first], y[first], of_swath[first]))
                 height_m = z[single] * height_unit_m
+                found.too_high += int(np.count_nonzero(np.abs(height_m) > MAX_HEIGHT_M))
                 heights.add(
                     *cells.of_heights.height_sums(
                         x[single], y[single], height_m, of_swath[single]

@@ -20,6 +20,7 @@ from tiler.apps.acceptance.cells import (
     needed_bytes,
 )
 from tiler.apps.acceptance.counts import (
+    MAX_HEIGHT_M,
     CellCounter,
     Cells,
     DigestPlan,
@@ -36,9 +37,10 @@ from tiler.apps.acceptance.duplicates import (
 )
 from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES, Found, Measurements, Row
 from tiler.apps.acceptance.separation import (
-    BYTES_PER_HEIGHT_CELL,
+    NO_OVERLAP,
     Separation,
     separate_swaths,
+    share_cells,
 )
 from tiler.apps.acceptance.specification import Specification
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
@@ -54,7 +56,7 @@ from tiler.inputs import (
     validate_lengths,
 )
 from tiler.io.atomic_files import SCRATCH_PREFIX
-from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.overwrite_check import check_difference
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
 
 MAX_CHILDREN = 8
@@ -90,7 +92,7 @@ def check_clouds(
     Raises
     ------
     ConfigError
-        A path does not exist, or ``difference`` is an input or not the name of a GeoTIFF.
+        A path does not exist, or ``difference`` is an input or not the name of a GeoTIFF in a folder.
     InputError
         A file cannot be read, its CRS has angles, or no file has points.
     ProcessingError
@@ -99,7 +101,7 @@ def check_clouds(
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
     if difference is not None:
-        check_targets([Target("--difference", difference, (".tif", ".tiff"))], paths)
+        check_difference(difference, paths)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
         TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
@@ -113,12 +115,11 @@ def check_clouds(
         measured, cell_m = _measure(children, infos, specification, Path(folder))
     limits = {} if specification is None else specification.limits
     notes += _notes(measured)
-    is_written = False
+    separation = measured.separation
+    written: list[str] = []
     if difference is not None:
         limit_m = limits.get("swath_difference", USUAL_LIMIT_M)
-        reason = _write_differences(difference, infos, measured.separation, limit_m)
-        is_written = reason is None
-        notes += [] if reason is None else [f"{difference}: was not written: {reason}"]
+        written = _write_differences(difference, infos, separation, limit_m, notes)
     rows = [_judged(row, row.find(measured), limits.get(row.name)) for row in ROWS]
     return {
         "clouds": [str(path) for path in paths],
@@ -127,29 +128,45 @@ def check_clouds(
         "cell_m": cell_m,
         "met": all(row["state"] in ("pass", "not asked") for row in rows),
         "rows": rows,
-        "difference": str(difference) if is_written else None,
+        "swath_pairs": [] if isinstance(separation, str) else separation.pairs,
+        "difference": written[0] if written else None,
+        "style": written[1] if len(written) > 1 else None,
         "notes": notes,
     }
 
 
 def _write_differences(
-    path: Path, infos: Sequence[SourceInfo], separation: Separation | str, limit_m: float
-) -> str | None:
-    """Write the raster of differences, or return why it is not written."""
+    path: Path,
+    infos: Sequence[SourceInfo],
+    separation: Separation | str,
+    limit_m: float,
+    notes: list[str],
+) -> list[str]:
+    """Write the raster of differences and its style, note what is not written, and return the written files."""
     # Child processes do not need its libraries.
-    from tiler.apps.acceptance.difference_raster import write_differences
+    from tiler.apps.acceptance.difference_raster import write_differences, write_style
 
     if isinstance(separation, str):
-        return separation
-    crs = next((info.georeference.wkt for info in infos if info.georeference.wkt), None)
-    return write_differences(path, separation, crs, limit_m)
+        reason: str | None = separation
+    else:
+        wkt = next((info.georeference.wkt for info in infos if info.georeference.wkt), None)
+        reason = write_differences(path, separation, wkt)
+    if reason is not None:
+        older = "; the file that is there is older" if path.exists() else ""
+        notes.append(f"{path}: was not written: {reason}{older}")
+        return []
+    style = path.with_suffix(".qml")
+    if not write_style(style, limit_m):
+        notes.append(f"{style}: was kept, because it is not a style of this command")
+        return [str(path)]
+    return [str(path), str(style)]
 
 
 def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
     if asked is None:
         state = "not asked"
     elif found.value is None:
-        state = "not measured"
+        state = "pass" if found.has_nothing else "not measured"
     elif row.limit == "only":
         state = "pass" if set(found.value) <= set(asked) else "fail"
     elif row.limit == "at least":
@@ -170,6 +187,15 @@ def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
 
 def _notes(measured: Measurements) -> list[str]:
     notes = []
+    if too_high := measured.total(lambda file: file.too_high):
+        notes.append(
+            f"{counted(too_high, 'single return')} with heights beyond {MAX_HEIGHT_M:,} m left out of the "
+            "differences of swaths"
+        )
+    if not isinstance(measured.separation, str) and (pairs := measured.separation.uncompared):
+        notes.append(
+            f"swaths overlap without a cell that can be compared: {listed(pairs, 5, 'pairs')}"
+        )
     if measured.without_crs:
         names = listed([str(path) for path in measured.without_crs], 3, "files")
         notes.append(
@@ -221,9 +247,7 @@ def _measure(
             of_cells = _count(children, infos, cells, [None] * len(infos), metres)
             findings = _examined(of_cells, cells, metres, limits.get("pulse_density"))
     vertical_names = _different_crs(infos, 1)
-    separation = _separated(
-        of_cells, cells, metres, limits.get("swath_difference_p95"), len(vertical_names)
-    )
+    separation = _separated(of_cells, cells, metres, len(vertical_names))
     measured = Measurements(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
@@ -326,7 +350,6 @@ def _separated(
     files: Sequence[FileCounts],
     cells: Cells | None,
     metres: float,
-    asked_m: float | None,
     n_vertical_crs: int,
 ) -> Separation | str:
     """Return the differences of the swaths of all files, or why they cannot be measured."""
@@ -334,15 +357,19 @@ def _separated(
         return DIFFERENT_CRS
     if n_vertical_crs > 1:
         return DIFFERENT_VERTICAL_CRS
-    keys, sums = _merged((file.height_keys, file.height_sums) for file in files)
     if not any(source for file in files for source in file.sources):
         return WITHOUT_SOURCES
-    if not keys.size:
-        return "no single return of a swath that is not withheld, noise or water"
-    needed = keys.size * BYTES_PER_HEIGHT_CELL
-    if needed > half_of_memory():
-        return f"too many cells of swaths for this machine's memory ({needed / 1e9:,.0f} GB); give parts of the survey"
-    return separate_swaths(keys, sums, cells, metres, asked_m)
+    keys, sums = _merged((file.height_keys, file.height_sums) for file in files)
+    found = separate_swaths(keys, sums, cells, metres, half_of_memory())
+    if found != NO_OVERLAP:
+        return found
+    if n_without := sum(file.sources.get(0, 0) for file in files):
+        return (
+            f"no overlap of swaths, but {counted(n_without, 'point')} without a point source id"
+        )
+    if share_cells(_merged((file.keys, file.counts) for file in files)[0]):
+        return "no single returns of two swaths in the same cell, although they overlap"
+    return NO_OVERLAP
 
 
 def _merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:

@@ -16,14 +16,22 @@ import numpy as np
 
 from tiler.apps.acceptance.cells import CellFindings, Place, Swath
 from tiler.apps.acceptance.counts import GPS_KINDS, FileCounts
-from tiler.apps.acceptance.separation import MIN_PAIR_CELLS, Separation
-from tiler.core.words import counted
+from tiler.apps.acceptance.separation import (
+    FAULTS,
+    MIN_PAIR_CELLS,
+    NO_OVERLAP,
+    Separation,
+    is_judged,
+)
+from tiler.apps.results import SwathPair
+from tiler.core.words import counted, listed
 
 Limit = Literal["at least", "at most", "only"]
 
 MAX_PLACES = 5
 """Number of places and files that a row names."""
 WITHOUT_SOURCES = "the points have no point source ids"
+NO_CELLS = "no shared cell of swaths can be compared"
 
 
 @dataclass(frozen=True)
@@ -82,11 +90,14 @@ class Found:
         Files, or places in the CRS.
     remark : str
         More about the value, or the reason why it was not measured.
+    has_nothing : bool
+        Whether there is nothing to measure, so that every limit is met.
     """
 
     value: Any
     where: list[str] = field(default_factory=list)
     remark: str = ""
+    has_nothing: bool = False
 
 
 @dataclass(frozen=True)
@@ -218,46 +229,79 @@ def _of_separation(
     """Return a function that finds a value in the differences of swaths, if they were measured."""
 
     def found(measured: Measurements) -> Found:
-        if isinstance(measured.separation, str):
-            return Found(None, remark=measured.separation)
-        return find(measured.separation)
+        separation = measured.separation
+        if isinstance(separation, str):
+            return Found(None, remark=separation, has_nothing=separation == NO_OVERLAP)
+        return find(separation)
 
     return found
 
 
-def _swath_difference(found: Separation) -> Found:
-    remark = (
-        f"{counted(found.difference_m.size, 'difference')} in cells of {found.side_m:.3g} m"
+def _worst(found: Separation, figure: Literal["rmse", "p95_abs"], more: str = "") -> Found:
+    """Return the largest figure of a pair of swaths, with its name and more in the remark."""
+    if not found.judged:
+        return Found(None, remark=more or NO_CELLS)
+    name, figures = max(found.judged, key=lambda pair: pair[1][figure] or 0.0)
+    return Found(figures[figure], remark=f"{name}; {more}" if more else name)
+
+
+def _coverage(found: Separation) -> str:
+    """Return how much of the overlaps was compared, and why the rest was not."""
+    shared = sum(pair["shared_cells"] for pair in found.pairs)
+    cells = sum(pair["cells"] for pair in found.pairs)
+    different = sum(pair["different_surfaces"] for pair in found.pairs)
+    n_pairs = len(found.pairs) - len(found.uncompared)
+    text = (
+        f"even surfaces (ground and flat roofs) compared in {cells:,} of {shared:,} shared cells of "
+        f"{found.side_m:.3g} m, {n_pairs:,} of {counted(len(found.pairs), 'pair')}"
     )
-    return Found(found.all["rmse"], remark=remark)
-
-
-def _swath_difference_p95(found: Separation) -> Found:
-    remark = ""
-    if found.beyond_share is not None:
-        remark = f"{100 * found.beyond_share:.2g} % are beyond {found.asked_m:g} m"
-    return Found(found.all["p95_abs"], remark=remark)
+    if cells < shared:
+        reasons = [f"{n:,} {fault}" for n, fault in zip(found.faults, FAULTS, strict=True) if n]
+        text += f"; the other cells: {', '.join(reasons)}"
+    if found.uncompared:
+        text += f"; not compared: {listed(found.uncompared, MAX_PLACES, 'pairs')}"
+    if different:
+        text += f"; {counted(different, 'compared cell')} with different surfaces left out"
+    return text
 
 
 def _swath_difference_largest(found: Separation) -> Found:
-    order = np.lexsort((found.x, found.y, -np.abs(found.difference_m)))[:MAX_PLACES].tolist()
+    if not found.judged:
+        return Found(None, remark=NO_CELLS)
+    size_m = np.abs(found.difference_m)
     where = [
-        f"{found.x[i]:.1f} {found.y[i]:.1f} ({found.difference_m[i]:+.3f} m, {found.second[i]} - {found.first[i]})"
-        for i in order
+        f"{found.x[i]:.1f} {found.y[i]:.1f} ({_signed(found.difference_m[i])}, {found.second[i]} - {found.first[i]})"
+        for i in np.lexsort((found.x, found.y, -size_m))[:MAX_PLACES].tolist()
     ]
-    return Found(found.all["max_abs"], where)
+    return Found(float(size_m.max()), where)
 
 
 def _swath_step(found: Separation) -> Found:
-    if not found.pairs:
-        remark = f"no two swaths share {MIN_PAIR_CELLS} cells of open, even ground"
-        return Found(None, remark=remark)
-    where = [
-        f"point source {p.second} - {p.first}: {p.mean_m:+.3f} m, RMS {p.rms_m:.3f} m, {counted(p.cells, 'cell')} "
-        f"around {p.x:.1f} {p.y:.1f}"
-        for p in found.pairs[:MAX_PLACES]
-    ]
-    return Found(abs(found.pairs[0].mean_m), where, counted(len(found.pairs), "pair"))
+    compared = [pair for pair in found.pairs if pair["cells"]]
+    if not compared:
+        return Found(None, remark=NO_CELLS)
+    large = [pair for pair in compared if is_judged(pair)]
+    small = [pair for pair in compared if not is_judged(pair)]
+    remarks = [counted(len(large), "pair")] if large else []
+    if small:
+        remarks.append(
+            f"{counted(len(small), 'pair')} with fewer than {MIN_PAIR_CELLS} cells not judged, the largest: "
+            f"point source {_step(small[0])}"
+        )
+    where = [f"point source {_step(pair)}" for pair in large[:MAX_PLACES]]
+    return Found(abs(large[0]["mean_m"] or 0.0) if large else None, where, "; ".join(remarks))
+
+
+def _step(pair: SwathPair) -> str:
+    return (
+        f"{pair['second']} - {pair['first']}: {_signed(pair['mean_m'] or 0.0)}, RMS {pair['rms_m']:.3f} m, "
+        f"{counted(pair['cells'], 'cell')} around {pair['x']:.1f} {pair['y']:.1f}"
+    )
+
+
+def _signed(metres: float) -> str:
+    """Return a length with its sign, and zero without a negative one."""
+    return f"{round(metres, 3) + 0.0:+.3f} m"
 
 
 def _dense_cells(cells: CellFindings, measured: Measurements) -> Found:
@@ -480,22 +524,22 @@ ROWS = (
         "swath_difference",
         "m",
         "at most",
-        _of_separation(_swath_difference),
-        "root mean square of the height differences of two swaths in cells of open, even ground (RMSDz)",
+        _of_separation(lambda s: _worst(s, "rmse", _coverage(s))),
+        "root mean square of the height differences of the worst pair of swaths in cells of even surfaces (RMSDz)",
     ),
     Row(
         "swath_difference_p95",
         "m",
         "at most",
-        _of_separation(_swath_difference_p95),
-        "95th percentile of the absolute differences",
+        _of_separation(lambda s: _worst(s, "p95_abs")),
+        "95th percentile of the absolute differences of the worst pair",
     ),
     Row(
         "swath_difference_largest",
         "m",
         "at most",
         _of_separation(_swath_difference_largest),
-        "largest absolute difference",
+        "largest absolute difference, also of cells with different surfaces",
     ),
     Row(
         "swath_step",

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
-from tiler.apps.difference_statistics import pairs_in_cells, spread, summed
+from tiler.apps.difference_statistics import spread, summed
 from tiler.apps.evaluate.rasters import (
     blocks_with_files,
     horizontal_unit,
@@ -401,10 +401,19 @@ def _compared(
     mean = total / n
     deviation = np.sqrt(np.maximum(squares / n - mean**2, 0.0))
     fit = (n >= MIN_POINTS) & (deviation <= max_rough)
-    first, second = pairs_in_cells(keys[1:])
-    usable = fit[first] & fit[second]
-    rough = int((~usable).sum())
-    first, second = first[usable], second[usable]
+    firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    rough, step = 0, 1
+    while True:
+        # Strips of a cell are consecutive, so the strips of a pair are ``step`` apart.
+        same = np.all(keys[1:, step:] == keys[1:, :-step], axis=0)
+        if not same.any():
+            break
+        usable = same & fit[step:] & fit[:-step]
+        rough += int(same.sum() - usable.sum())
+        firsts.append(np.flatnonzero(usable))
+        seconds.append(firsts[-1] + step)
+        step += 1
+    first, second = np.concatenate(firsts), np.concatenate(seconds)
     difference = mean[second] - mean[first]
     of_first, of_second = keys[0, first], keys[0, second]
     pairs: list[StripPair] = []
