@@ -222,7 +222,8 @@ def test_differences_of_swaths_are_written(
     arguments = ["check", str(both.write(tmp_path / "a.laz")), "--difference", str(target)]
     assert main(arguments) == 0
     out = capsys.readouterr().out.splitlines()
-    assert f"wrote   {target}" in out
+    for path in (target, target.with_suffix(".qml")):
+        assert f"wrote   {path}" in out
     assert any(line.startswith("swath step: 1 pair; point source 2 - 1: ") for line in out)
     assert target.is_file()
 

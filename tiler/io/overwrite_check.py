@@ -81,7 +81,7 @@ def check_difference(path: str | Path, reads: Iterable[str | Path]) -> None:
     """
     target = Path(path)
     # A URL as a path has only one slash, and a drive of Windows has one letter.
-    if ":/" in target.as_posix()[2:]:
+    if re.match("[A-Za-z][A-Za-z0-9+.-]+:/", target.as_posix()):
         raise ConfigError(f"--difference {path}: is a URL; give a file on this machine")
     check_targets([Target("--difference", path, (".tif", ".tiff"))], reads)
     if target.is_dir():

@@ -37,6 +37,7 @@ from tiler.apps.acceptance.duplicates import (
 )
 from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES, Found, Measurements, Row
 from tiler.apps.acceptance.separation import (
+    MAX_NAMES,
     NO_OVERLAP,
     Separation,
     separate_swaths,
@@ -194,7 +195,7 @@ def _notes(measured: Measurements) -> list[str]:
         )
     if not isinstance(measured.separation, str) and (pairs := measured.separation.uncompared):
         notes.append(
-            f"swaths overlap without a cell that can be compared: {listed(pairs, 5, 'pairs')}"
+            f"swaths overlap without a cell that can be compared: {listed(pairs, MAX_NAMES, 'pairs')}"
         )
     if measured.without_crs:
         names = listed([str(path) for path in measured.without_crs], 3, "files")

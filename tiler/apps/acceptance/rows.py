@@ -18,10 +18,12 @@ from tiler.apps.acceptance.cells import CellFindings, Place, Swath
 from tiler.apps.acceptance.counts import GPS_KINDS, FileCounts
 from tiler.apps.acceptance.separation import (
     FAULTS,
+    MAX_NAMES,
     MIN_PAIR_CELLS,
     NO_OVERLAP,
     Separation,
     is_judged,
+    pair_name,
 )
 from tiler.apps.results import SwathPair
 from tiler.core.words import counted, listed
@@ -259,7 +261,7 @@ def _coverage(found: Separation) -> str:
         reasons = [f"{n:,} {fault}" for n, fault in zip(found.faults, FAULTS, strict=True) if n]
         text += f"; the other cells: {', '.join(reasons)}"
     if found.uncompared:
-        text += f"; not compared: {listed(found.uncompared, MAX_PLACES, 'pairs')}"
+        text += f"; not compared: {listed(found.uncompared, MAX_NAMES, 'pairs')}"
     if different:
         text += f"; {counted(different, 'compared cell')} with different surfaces left out"
     return text
@@ -294,7 +296,7 @@ def _swath_step(found: Separation) -> Found:
 
 def _step(pair: SwathPair) -> str:
     return (
-        f"{pair['second']} - {pair['first']}: {_signed(pair['mean_m'] or 0.0)}, RMS {pair['rms_m']:.3f} m, "
+        f"{pair_name(pair)}: {_signed(pair['mean_m'] or 0.0)}, RMS {pair['rms_m']:.3f} m, "
         f"{counted(pair['cells'], 'cell')} around {pair['x']:.1f} {pair['y']:.1f}"
     )
 

@@ -26,6 +26,7 @@ from tiler.apps.acceptance.counts import (
 )
 from tiler.apps.difference_statistics import Spread, spread
 from tiler.apps.results import SwathPair
+from tiler.core.words import listed
 
 MIN_POINTS = 3
 """Least number of points of a swath in a cell."""
@@ -56,6 +57,8 @@ BYTES_PER_HEIGHT_CELL = 200
 """Memory that `separate_swaths` needs per cell of a swath, if most are shared by two swaths."""
 BYTES_PER_COMPARISON = 100
 """Memory per pair of cells of one swath and all later ones."""
+MAX_NAMES = 5
+"""Number of pairs that a remark or note names."""
 _BLOCK_CELLS = 1 << 16
 """Number of cells whose planes are fitted together."""
 _CELL_MASK = np.uint64((1 << 2 * SIDE_BITS) - 1)
@@ -102,7 +105,7 @@ class Separation:
     @property
     def uncompared(self) -> list[str]:
         """Names of the pairs that share cells, but none that can be compared."""
-        return [f"{p['second']} - {p['first']}" for p in self.pairs if not p["cells"]]
+        return [pair_name(pair) for pair in self.pairs if not pair["cells"]]
 
 
 def separate_swaths(
@@ -205,7 +208,7 @@ class _Comparison:
         self._faults = np.zeros(1 + len(FAULTS), np.int64)
         self._pairs: list[SwathPair] = []
         self._judged: list[tuple[str, Spread]] = []
-        self._small: list[Floats] = []
+        self._small: list[tuple[str, Floats]] = []
         n_cells = int(cell[-1]) + 1
         self._largest_m = np.full(n_cells, np.nan)
         self._of_largest = np.zeros((2, n_cells), np.intp)
@@ -234,9 +237,9 @@ class _Comparison:
         }
         self._pairs.append(pair)
         if is_judged(pair):
-            self._judged.append((f"point source {b} - {a}", figures))
+            self._judged.append((f"point source {pair_name(pair)}", figures))
         elif difference.size:
-            self._small.append(difference)
+            self._small.append((pair_name(pair), difference))
         cell = self._cell[first]
         is_larger = ~(np.abs(difference) <= np.abs(self._largest_m[cell]))
         cell = cell[is_larger]
@@ -247,8 +250,9 @@ class _Comparison:
         """Return the differences of all pairs, in cells with a side in units of the CRS."""
         judged = self._judged
         if self._small:
-            of_small = spread(np.concatenate(self._small))
-            name = f"all pairs with fewer than {MIN_PAIR_CELLS} cells ({len(self._small):,})"
+            names = listed([name for name, _ in self._small], MAX_NAMES)
+            name = f"all pairs with fewer than {MIN_PAIR_CELLS} cells ({names})"
+            of_small = spread(np.concatenate([difference for _, difference in self._small]))
             judged = [*judged, (name, of_small)]
         known = ~np.isnan(self._largest_m)
         first, second = self._of_largest[:, known]
@@ -264,6 +268,11 @@ class _Comparison:
             self._y[first],
             self._largest_m[known],
         )
+
+
+def pair_name(pair: SwathPair) -> str:
+    """Return the point source ids of a pair in the order of the subtraction."""
+    return f"{pair['second']} - {pair['first']}"
 
 
 def is_judged(pair: SwathPair) -> bool:

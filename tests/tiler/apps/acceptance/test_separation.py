@@ -199,7 +199,9 @@ def test_small_pairs_are_judged_together_and_named(tmp_path: Path) -> None:
     found_rows = {row["name"]: row for row in summary["rows"]}
     difference = found_rows["swath_difference"]
     assert difference["found"] == pytest.approx(0.5, abs=0.02)
-    assert difference["remark"].startswith("all pairs with fewer than 30 cells (2); ")
+    assert difference["remark"].startswith(
+        "all pairs with fewer than 30 cells (3 - 2, 4 - 2); "
+    )
     step = found_rows["swath_step"]
     assert step["found"] < 0.005
     assert (
