@@ -14,8 +14,10 @@ from ptd.kernel import inlined, kernel
 
 Int64 = npt.NDArray[np.int64]
 
-GAPS = np.array([1750, 701, 301, 132, 57, 23, 10, 4, 1])
-"""Distances of the values that are compared, one after another (Ciura 2001)."""
+GAPS = np.array(
+    [227011, 100894, 44842, 19930, 8858, 3937, 1750, 701, 301, 132, 57, 23, 10, 4, 1]
+)
+"""Distances of the values that are compared, one after another (Ciura 2001, extended by 2.25)."""
 
 
 @kernel

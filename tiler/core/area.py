@@ -27,8 +27,8 @@ Runs = list[list[int]]
 """Runs of neighbouring cells in rows of a lattice: [iy, first ix, end ix], row by row from the
 south-west."""
 
-EDGES_AT_ONCE = 1 << 12
-"""Number of edges that are compared with all rows of a grid at a time, which limits the memory."""
+CROSSINGS_AT_ONCE = 1 << 18
+"""Number of crossings of a row and an edge that are computed at a time, which limits the memory."""
 
 MAX_EDGE = 1 << 30
 """Longest edge of a polygon, in counts along each axis, for which the exact test of a point
@@ -305,17 +305,21 @@ def _odd_crossings_of_rows(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[n
     """Return `_odd_crossings` for a grid: columns at ascending ``x`` and rows at ``y``, bool (rows, columns)."""
     x0, y0, x1, y1 = edges
     edges = edges[:, (y0 <= y.max()) & (y1 > y.min()) & (np.maximum(x0, x1) > x[0])]
+    if not edges.shape[1]:
+        return np.zeros((len(y), len(x)), np.bool_)
     order = np.argsort(y, kind="stable")
+    first, last = (np.searchsorted(y[order], ends) for ends in (edges[1], edges[3]))
+    n_rows = last - first
+    ends = np.cumsum(n_rows)
+    cuts = np.searchsorted(ends, np.arange(CROSSINGS_AT_ONCE, ends[-1], CROSSINGS_AT_ONCE))
     # By row and by number of columns west of an edge: whether an odd number of edges is there.
     wide = len(x) + 1
     crossed = np.zeros(len(y) * wide, np.uint8)
-    for start in range(0, edges.shape[1], EDGES_AT_ONCE):
-        some = edges[:, start : start + EDGES_AT_ONCE]
-        first, last = (np.searchsorted(y[order], ends) for ends in (some[1], some[3]))
-        n = last - first
-        edge = np.repeat(np.arange(len(n)), n)
-        row = order[np.arange(len(edge)) - np.repeat(np.cumsum(n) - n, n) + first[edge]]
-        ax, ay, bx, by = some[:, edge]
+    for some in np.split(np.arange(edges.shape[1]), cuts):
+        n = n_rows[some]
+        edge = np.repeat(some, n)
+        row = order[np.arange(edge.size) - np.repeat(np.cumsum(n) - n, n) + first[edge]]
+        ax, ay, bx, by = edges[:, edge]
         # A column is west of the edge if (bx - ax) * (y - ay) > (x - ax) * (by - ay).
         columns = np.searchsorted(x, ax - (ax - bx) * (y[row] - ay) // (by - ay))
         crossed ^= (np.bincount(row * wide + columns, minlength=crossed.size) & 1).astype(

@@ -96,7 +96,8 @@ class Bucket:
         Rows of the points that get the label of another point at the same position, and of these other points, among
         all points that are read. None without such points.
     edge : Points, optional
-        Points within `Pass.label_margin_m` of a side of the bucket, which its neighbours read. None without a margin.
+        Points within `Pass.label_margin_m` of a side of the bucket, which its neighbours read. None without a margin, and if
+        the margin holds the whole bucket.
     """
 
     points: Points
@@ -245,7 +246,8 @@ class TileReader:
         points, edge = self._as_points(block), None
         if self._margin:
             inner = self._store.meta.bucket.bounds(cell).pad(-self._margin)
-            edge = points.take(~block.inside(inner, self._store.meta.frame.origin))
+            if not inner.empty:
+                edge = points.take(~block.inside(inner, self._store.meta.frame.origin))
         return Bucket(points, mask, _any_uncertified(block), repeats, edge)
 
     def _repeats(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows] | None:

@@ -23,7 +23,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.grid.block import pixels_of
 from tiler.grid.coarse import padded
-from tiler.grid.ground import classed, read_ground, read_objects, surface_points
+from tiler.grid.ground import classed, read_ground, read_ground_and_objects, surface_points
 from tiler.grid.records import GroundSelection
 from tiler.store import TileStore, read_cells
 
@@ -34,6 +34,8 @@ Int32 = npt.NDArray[np.int32]
 Heights = npt.NDArray[np.float32]
 Index = npt.NDArray[np.intp]
 
+CELLS_AT_ONCE = 64
+"""Number of rows of cells whose pixels are summed at a time, which saves memory."""
 TALLEST_M = 1000
 """No structure is taller. Returns above are of clouds, aircraft or errors, however many support one another."""
 
@@ -67,9 +69,9 @@ class PointsNear:
         """Return the ground points in ``bounds`` (absolute counts), int32 (3, n) in local counts."""
         return read_ground(self.store, self.rule, bounds).xyz
 
-    def objects(self, bounds: Bounds) -> Int32:
-        """Return the points in ``bounds`` that are neither ground nor noise, int32 (3, n) in local counts."""
-        return read_objects(self.store, self.rule, bounds)
+    def ground_and_objects(self, bounds: Bounds) -> tuple[Int32, Int32]:
+        """Return the points of `ground`, and those that are neither ground nor noise, each int32 (3, n)."""
+        return read_ground_and_objects(self.store, self.rule, bounds)
 
     def ground_per_pixel(self) -> Int64:
         """Count the ground points in each pixel of the block, int64 (height, width)."""
@@ -252,8 +254,16 @@ class PixelCells:
 
         Values are rounded to counts, as sums of whole numbers are the same for any start of the block.
         """
-        counts = np.rint(np.where(known, values, 0.0).astype(np.float64) * COUNTS_PER_UNIT)
-        total, n = self.sums(counts.astype(np.int64)), self.sums(known.astype(np.int64))
+        total, n = np.zeros(
+            (2, values.shape[0] // self.side, values.shape[1] // self.side), np.int64
+        )
+        for row in range(0, len(total), CELLS_AT_ONCE):
+            cells = slice(row, row + CELLS_AT_ONCE)
+            pixels = slice(row * self.side, (row + CELLS_AT_ONCE) * self.side)
+            counts = np.where(known[pixels], values[pixels], 0.0).astype(np.float64)
+            counts = np.rint(counts * COUNTS_PER_UNIT)
+            total[cells] = self.sums(counts.astype(np.int64))
+            n[cells] = self.sums(known[pixels].astype(np.int64))
         means: Float64 = np.where(n > 0, total / np.maximum(n, 1) / COUNTS_PER_UNIT, np.nan)
         return means
 

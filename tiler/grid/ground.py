@@ -133,17 +133,10 @@ def read_ground(
     return Ground(np.concatenate(parts, axis=1), read, marked)
 
 
-def read_objects(
-    store: TileStore, rule: GroundSelection, bounds: Bounds
-) -> npt.NDArray[np.int32]:
-    """Read the points in ``bounds`` (absolute counts) that are neither ground nor noise, int32 (3, n)."""
-    return read_ground_and_objects(store, rule, bounds)[1]
-
-
 def read_ground_and_objects(
     store: TileStore, rule: GroundSelection, bounds: Bounds
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Return the points of `read_ground` and of `read_objects`."""
+    """Return the ground points in ``bounds``, and those that are neither ground nor noise, int32 (3, n)."""
     ground, others = [np.empty((3, 0), np.int32)], [np.empty((3, 0), np.int32)]
     for part in classed(store, rule, bounds, objects=True):
         ground.append(part.xyz.compress(part.is_ground, axis=1))

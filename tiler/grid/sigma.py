@@ -157,7 +157,7 @@ def measures_of(points: PointsNear, terrain: Float64, margin: int, cap: Fraction
     pixel_m = spec.lattice.size * frame.metres_xy
     land = _Land(terrain, margin, float(pixel_m), spec, block)
     cells = _Cells(_lattice(frame, spec.lattice.size), spec, block)
-    ground, objects = points.ground(cells.bounds), points.objects(cells.bounds)
+    ground, objects = points.ground_and_objects(cells.bounds)
     window = cells.window(frame.origin)
     variance = plane_variance(ground, window, PLANE_HALVES)
     counts = cell_counts(ground, window), cell_counts(objects, window)

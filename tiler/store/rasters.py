@@ -54,8 +54,8 @@ class RasterStore(StorePart):
             array = None
         if array is None or {**array.attributes, **attributes} != array.attributes:
             array = arrays.write_metadata(self._storage, path, shape, kind, attributes)
+            arrays.make_group(self._storage, layout.RASTERS)
         self._open[path] = array
-        arrays.make_group(self._storage, layout.RASTERS)
 
     def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:
         """Write a whole block as one chunk: 512 x 512 pixels, or fewer at the south and east edge.

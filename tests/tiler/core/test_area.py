@@ -80,11 +80,11 @@ def test_a_grid_has_the_same_places_inside(
     assert area.inside_grid(x, y).ravel().tolist() == by_definition(area, wide, high)
 
 
-def test_a_grid_takes_many_edges_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_grid_takes_many_crossings_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     corners = np.random.default_rng(5).integers(0, 1000, (300, 2))
     area, x, y = Area(((corners,),)), np.arange(0, 1000, 7), np.arange(1000, 0, -9)
     usual = area.inside_grid(x, y)
-    monkeypatch.setattr("tiler.core.area.EDGES_AT_ONCE", 7)
+    monkeypatch.setattr("tiler.core.area.CROSSINGS_AT_ONCE", 7)
     assert np.array_equal(usual, area.inside_grid(x, y))
     wide, high = (grid.ravel() for grid in np.meshgrid(x, y))
     assert np.array_equal(usual.ravel(), area.inside(wide, high))
