@@ -96,8 +96,8 @@ class Bucket:
         Rows of the points that get the label of another point at the same position, and of these other points, among
         all points that are read. None without such points.
     edge : Points, optional
-        Points within `Pass.label_margin_m` of a side of the bucket, which its neighbours read. None without a margin, and if
-        the margin holds the whole bucket.
+        Points within `Pass.label_margin_m` of a side of the bucket, which its neighbours read. None without a margin,
+        and if the margin holds the whole bucket.
     """
 
     points: Points
