@@ -374,7 +374,8 @@ def terrain_at(raster: Any, positions: Float64s) -> Float64s:
     -------
     float64, shape (n,)
     """
-    rows, cols = map(np.asarray, rowcol(raster.transform, *positions.T))
+    # Older versions of rasterio return whole numbers as floats.
+    rows, cols = (np.asarray(n, np.int64) for n in rowcol(raster.transform, *positions.T))
     heights = np.full(len(positions), np.nan)
     is_there = (rows >= 0) & (rows < raster.height) & (cols >= 0) & (cols < raster.width)
     # The windows of pieces hold far fewer pixels than one around a whole slanted line.
