@@ -364,8 +364,9 @@ def _planes(
         n += is_there
         total += position
         products += position[:, None] * position[None]
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = products - total[:, None] * total[None] / n
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Without points around, n is 0 and all figures are NaN.
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = products - total[:, None] * total[None] / n
         determinant = xx * yy - xy**2
         slope_x = (xz * yy - yz * xy) / determinant
         slope_y = (yz * xx - xz * xy) / determinant
