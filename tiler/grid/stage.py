@@ -86,8 +86,7 @@ def grid(
     report_voids(job, gridding, gridding.made["dtm-outlined"])
     for raster in rasters:
         if isinstance(raster, Step) and raster.finish is not None:
-            counts = gridding.counts(raster.name, raster.grid, raster.side)
-            raster.finish(job, gridding, counts)
+            raster.finish(job, gridding, gridding.counts(raster.name, raster.grid))
     return gridding.found()
 
 
@@ -120,7 +119,7 @@ def _make(
     name, stage = raster.name, raster.stage
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)
-    job.store.create_raster(name, spec, raster.fill)
+    job.store.create_raster(name, spec.height, spec.width, raster.fill)
     written = {
         spec.block_at(*first_pixel, BLOCK_PIXELS).name
         for first_pixel in job.store.stored_blocks(name)
