@@ -34,6 +34,9 @@ def print_acceptance(summary: AcceptanceSummary) -> None:
     for row in summary["rows"]:
         if line := _details(row):
             write_line(line)
+    for path in (summary["difference"], summary["style"]):
+        if path is not None:
+            write_line(f"wrote   {path}")
     for note in summary["notes"]:
         write_line(f"note    {note}")
     if summary["specification"] is not None:
@@ -61,7 +64,7 @@ def _with_unit(value: Any, unit: str) -> str:
 
 def _details(row: AcceptanceRow) -> str:
     """Return a line with the remark and the places of a row, without files of a number that nobody asks for."""
-    is_shown = row["state"] == "fail" or row["unit"] in ("places", "%", "per m2")
+    is_shown = row["state"] == "fail" or row["unit"] in ("places", "%", "per m2", "m")
     parts = [row["remark"]] if row["remark"] else []
     parts += [listed(row["where"], _MAX_WHERE)] if row["where"] and is_shown else []
     return f"{row['name'].replace('_', ' ')}: {'; '.join(parts)}" if parts else ""

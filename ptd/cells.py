@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ptd.frame import CellGrid, CellLattice
 from ptd.kernel import as_int64, inlined, kernel
+from ptd.sorting import sort_pairs
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -26,6 +27,8 @@ class Xyz(NamedTuple):
 DENSE_CELLS_PER_POINT = 16
 """A raster of cells is made if it has at most this many cells per point. Otherwise the points
 are sorted."""
+POSITION_BITS = 63
+"""Bits of an int64 that is not negative."""
 
 
 @kernel
@@ -136,6 +139,75 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
         lowest = lowest_by_key(x, y, z, keys, n_cells)
         return lowest[lowest >= 0]
     return _lowest_sorted(x, y, z, keys, np.argsort(keys, kind="stable"))
+
+
+def sort_in_cells(
+    x: Int32, y: Int32, z: Int32, cells: CellLattice
+) -> tuple[Int64, Int64, npt.NDArray[np.bool_]]:
+    """Sort points by cell in row-major order, and within a cell by z, x, y.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts, at least one.
+    cells : CellLattice
+        The rectangle of cells around the points must have less than 2**63 cells.
+
+    Returns
+    -------
+    order : int64 [n]
+        Indices of the sorted points. The order of points at the same position is arbitrary.
+    keys : int64 [n]
+        Key of each point's cell, which increases in row-major order of the cells.
+    is_repeat : bool [n]
+        Mask, in the order, of the points at the position of the point before them.
+    """
+    low = int(x.min()), int(y.min()), int(z.min())
+    high = int(x.max()), int(y.max()), int(z.max())
+    col0, row0 = cells.column(low[0]), cells.row(low[1])
+    width = cells.column(high[0]) - col0 + 1
+    n_cells = width * (cells.row(high[1]) - row0 + 1)
+    keys = cell_keys(x, y, cells, col0, row0, width)
+    x_bits, y_bits, z_bits = ((b - a).bit_length() for a, b in zip(low, high, strict=True))
+    dense = n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024
+    is_repeat = np.zeros(x.size, np.bool_)
+    if dense and x_bits + y_bits + z_bits <= POSITION_BITS:
+        positions = z.astype(np.int64) - low[2]
+        for bits, values, lowest in ((x_bits, x, low[0]), (y_bits, y, low[1])):
+            positions <<= bits
+            positions += values
+            positions -= lowest
+        order, in_order = np.empty(x.size, np.int64), np.empty(x.size, np.int64)
+        _sort_in_raster(keys, positions, np.zeros(n_cells + 1, np.int64), order, in_order)
+        is_repeat[1:] = in_order[1:] == in_order[:-1]
+    else:
+        order = np.lexsort((y, x, z, keys))
+        sorted_xyz = np.stack((x, y, z))[:, order]
+        is_repeat[1:] = (sorted_xyz[:, 1:] == sorted_xyz[:, :-1]).all(axis=0)
+    return order, keys, is_repeat
+
+
+@kernel
+def _sort_in_raster(
+    keys: Int64, positions: Int64, ends: Int64, order: Int64, in_order: Int64
+) -> None:
+    """Sort points by cell with a counting sort, and by position within each cell.
+
+    ``ends`` has one more entry than there are cells, all 0. ``order`` and ``in_order`` receive
+    the sorted points and their positions.
+    """
+    for key in keys:
+        ends[key + 1] += 1
+    for cell in range(ends.size - 1):
+        ends[cell + 1] += ends[cell]
+    for i in range(keys.size):
+        k = ends[keys[i]]
+        ends[keys[i]] = k + 1
+        order[k], in_order[k] = i, positions[i]
+    first = 0
+    for cell in range(ends.size - 1):
+        sort_pairs(in_order, order, first, ends[cell])
+        first = ends[cell]
 
 
 def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:

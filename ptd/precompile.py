@@ -98,6 +98,22 @@ def warm_filters(method: str, notify: Callable[[], None], kind: str | None = Non
         )
 
 
+def warm_last_pass() -> None:
+    """Compile the kernels of the last pass of ``auto`` for laser scans.
+
+    A second process does so while the first one compiles those of earlier passes (`warm_filters`).
+    """
+    from ptd.ground.labelling import GROUND
+    from ptd.methods.auto.method import Auto, LabelPass
+    from ptd.passes import Points
+    from ptd.places import PLACES
+
+    xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
+    points = Points(xyz, np.full(xyz.shape[1], GROUND, np.uint8))
+    tile, state = Window(0, 0, 60_000, 60_000), {"run": {"sigma_m": None}, PLACES: {}}
+    LabelPass(Auto()).fit(points, tile, tile, Scale(), state).label(points)
+
+
 def filters_name(method: str, kind: str | None) -> str:
     """Return the name of the mark for the kernels of a method, and of a kind if kinds have different kernels."""
     if kind and has_kinds(method):
@@ -146,11 +162,13 @@ def warm_gridding(
             tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window
         )
         nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
-        above_ground.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
-        above_ground.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
         cells = ground_cells.CellWindow(1000, 1, 0, 59, 60, 60)
+        highest = above_ground.HighestReturns(cells, np.full(60 * 60, np.inf))
+        highest.add(xyz, np.ones(xyz.shape[1], np.bool_))
+        above_ground.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
         ground_cells.plane_variance(xyz, cells, (2, 5))
         ground_cells.cell_counts(xyz, cells)
+        ground_cells.cell_numbers(xyz, cells)
 
     compile_once(gridding_name(interpolation), notify, make_rasters)
 

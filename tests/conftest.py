@@ -21,7 +21,6 @@ COMPILE_NOTHING = tuple(
         "tiler/apps/check",
         "tiler/core",
         "tiler/export",
-        "tiler/ingest",
         "tiler/io",
         "tiler/observe",
         "tiler/config",

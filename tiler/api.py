@@ -342,7 +342,8 @@ class AcceptanceResult:
     Attributes
     ----------
     exit_code : int
-        0, or 5 if a row that the specification asks for is not met or could not be measured.
+        0, or 5 if a row that the specification asks for is not met or could not be measured, or 4 if ``difference`` was
+        asked and there is nothing to write.
     summary : mapping
         Output of ``tiler check CLOUDS --json``: ``rows`` with what is asked and found, and more.
     """
@@ -357,7 +358,10 @@ class AcceptanceResult:
 
 
 def check_clouds(
-    clouds: PathLike | Iterable[PathLike], spec: PathLike | None = None
+    clouds: PathLike | Iterable[PathLike],
+    spec: PathLike | None = None,
+    *,
+    difference: PathLike | None = None,
 ) -> AcceptanceResult:
     """Measure density, distribution, swaths and records of clouds, and compare them, like ``tiler check CLOUDS``.
 
@@ -368,6 +372,8 @@ def check_clouds(
     spec : str or path, optional
         Specification of a survey: ``usgs-ql0``, ``usgs-ql1``, ``usgs-ql2``, or a TOML file (docs/acceptance.md). By
         default everything is measured and nothing is asked.
+    difference : path, optional
+        GeoTIFF that receives the largest absolute difference of two swaths in each cell, in metres.
 
     Returns
     -------
@@ -386,8 +392,12 @@ def check_clouds(
     ['1.4']
     """
     specification = None if spec is None else read_specification(_text("spec", spec))
-    summary = measure_clouds(_texts("clouds", clouds), specification)
-    return AcceptanceResult(0 if summary["met"] else 5, summary)
+    target = None if difference is None else Path(_text("difference", difference))
+    summary = measure_clouds(_texts("clouds", clouds), specification, target)
+    if not summary["met"]:
+        return AcceptanceResult(5, summary)
+    is_missing = target is not None and summary["difference"] is None
+    return AcceptanceResult(ProcessingError.exit_code if is_missing else 0, summary)
 
 
 def _against(

@@ -51,6 +51,9 @@ def stored(value: Any) -> Any:
     """Return a JSON-able value for a file, with `without_secrets` applied to all its texts and names."""
     if isinstance(value, str):
         return without_secrets(value)
+    # Most values are numbers, and the other checks take longer.
+    if value is None or isinstance(value, float | int):
+        return value
     if isinstance(value, Mapping):
         return {stored(name): stored(item) for name, item in value.items()}
     if isinstance(value, list | tuple):

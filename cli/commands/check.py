@@ -101,7 +101,8 @@ HEADINGS = (
     "--difference",
     type=click.Path(path_type=Path),
     metavar="FILE.tif",
-    help="write DTM minus earlier DTM on the pixels of DTM [default: none]",
+    help="write DTM minus earlier DTM on the pixels of DTM, or of clouds the largest difference of two swaths in each "
+    "cell [unit: of the DTM, or m of clouds; default: none]",
 )
 @json_option
 @click.pass_context
@@ -126,9 +127,9 @@ def command(
     DTM is a raster, or the OUT folder of a run. For OUT, the results are also written to
     OUT/check.json and replace those of the last check, and OUT/report.html is updated.
 
-    CLOUD is a LAS or LAZ file, a folder, a glob or a .vpc. Header, classes, flags, swaths,
-    density, distribution, voids and duplicates of all clouds together are measured. With clouds
-    only --spec and --json have a meaning.
+    CLOUD is a LAS or LAZ file, a folder, a glob or a .vpc. Header, classes, flags, swaths and
+    their differences, density, distribution, voids and duplicates of all clouds together are
+    measured. With clouds only --spec, --difference and --json have a meaning.
     """
     from tiler.api import check, check_clouds
     from tiler.apps.acceptance import are_clouds
@@ -136,14 +137,15 @@ def command(
     given = [
         f"--{name.replace('_', '-')}"
         for name in options
-        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+        if name != "difference"
+        and context.get_parameter_source(name) is ParameterSource.COMMANDLINE
     ]
     if are_clouds(paths):
         if given:
             raise ConfigError(
                 f"{given[0]}: is for a DTM, {paths[0]} is a cloud; leave it out, or give a DTM"
             )
-        accepted = check_clouds(paths, spec)
+        accepted = check_clouds(paths, spec, difference=options["difference"])
         if as_json:
             print_json(accepted.summary)
         else:

@@ -16,8 +16,11 @@ import scipy
 
 from ptd.cells import CellIndex, CellTable, Xyz, find_slot
 from ptd.frame import CellLattice
+from ptd.gridding.ground_cells import CellWindow, cell_number
 from ptd.kernel import as_int64, kernel
 
+Bools = npt.NDArray[np.bool_]
+Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
@@ -37,10 +40,25 @@ def _higher(ax: int, ay: int, az: int, bx: int, by: int, bz: int) -> bool:
 
 
 @kernel
-def _update(top: Int32, pixels: Int64, x: Int32, y: Int32, z: Int32) -> None:
-    for i in range(pixels.size):
-        first, second = top[pixels[i], 0], top[pixels[i], 1]
+def _update(
+    top: Int32,
+    lowest: Int32,
+    points: Xyz,
+    wanted: Bools,
+    limits: Float64,
+    window: tuple[int, ...],
+) -> None:
+    x, y, z = points
+    inverse = 1.0 / window[0]
+    for i in range(x.size):
+        if not wanted[i]:
+            continue
         px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
+        pixel = cell_number(px, py, window, inverse)
+        if pixel < 0 or pz > limits[pixel]:
+            continue
+        lowest[pixel] = min(lowest[pixel], z[i])
+        first, second = top[pixel, 0], top[pixel, 1]
         if pz == first[2] and px == first[0] and py == first[1]:
             continue  # a repeated return does not count as the second
         if _higher(px, py, pz, as_int64(first[0]), as_int64(first[1]), as_int64(first[2])):
@@ -51,33 +69,42 @@ def _update(top: Int32, pixels: Int64, x: Int32, y: Int32, z: Int32) -> None:
 
 
 class HighestReturns:
-    """The two highest returns of each pixel of a block, whatever the order in which points come.
+    """The lowest and the two highest returns of each pixel of a block, whatever the order in which points come.
 
     Parameters
     ----------
-    rows, columns : int
+    window : CellWindow
+        Pixels of the block.
+    limits : float64 [rows * columns]
+        Greatest height in counts of each pixel. Higher returns do not count.
 
     Attributes
     ----------
     top : int32 [rows * columns, 2, 3]
         x, y, z of the highest return, and of the next highest at another position or height; z is `NOTHING` without a
         return.
+    lowest : int32 [rows, columns]
+        Height of the lowest return, defined where there is a highest one.
     """
 
-    def __init__(self, rows: int, columns: int) -> None:
-        self.rows, self.columns = rows, columns
-        self.top = np.full((rows * columns, 2, 3), NOTHING, np.int32)
+    def __init__(self, window: CellWindow, limits: Float64) -> None:
+        self.window, self.limits = window, limits
+        self.rows, self.columns = window.rows, window.columns
+        self.top = np.full((self.rows * self.columns, 2, 3), NOTHING, np.int32)
+        self.lowest = np.full((self.rows, self.columns), np.iinfo(np.int32).max, np.int32)
 
-    def add(self, pixels: Int64, xyz: Int32) -> None:
-        """Enter points.
+    def add(self, xyz: Int32, wanted: Bools) -> None:
+        """Enter the wanted points that lie in the block.
 
         Parameters
         ----------
-        pixels : int64 [n]
-            Pixel of each point: ``row * columns + column``.
         xyz : int32 [3, n]
+            Local counts.
+        wanted : bool [n]
         """
-        _update(self.top, pixels, *xyz)
+        points = Xyz(*(np.ascontiguousarray(axis) for axis in xyz))
+        lowest = self.lowest.reshape(-1)
+        _update(self.top, lowest, points, wanted, self.limits, tuple(self.window))
 
     def supported(self, reach: int, spike: float) -> Int32:
         """The highest return of each pixel that is not a spike.

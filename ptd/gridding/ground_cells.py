@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.kernel import as_int64, kernel
+from ptd.cells import quotient
+from ptd.kernel import as_int64, inlined, kernel
 
+Bools = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
@@ -50,6 +52,15 @@ class CellWindow(NamedTuple):
     columns: int
     origin_x: int = 0
     origin_y: int = 0
+
+
+@inlined
+def cell_number(x: int, y: int, window: tuple[int, ...], inverse: float) -> int:
+    """Return ``row * columns + column`` of a position in a `CellWindow`, -1 outside. ``inverse`` is 1 / p."""
+    p, q, west, north, rows, columns, ox, oy = window
+    column = quotient((x + ox) * q, p, inverse) - west
+    row = north - quotient((y + oy) * q, p, inverse)
+    return row * columns + column if 0 <= column < columns and 0 <= row < rows else -1
 
 
 @kernel
@@ -168,23 +179,52 @@ def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -
     return variances
 
 
-def cell_counts(xyz: Int32, window: CellWindow) -> Int64:
-    """Count the points (int32 [3, n]) in each cell: int64 [rows, columns]. Points outside are ignored."""
+def cell_numbers(xyz: Int32, window: CellWindow) -> Int64:
+    """Return ``row * columns + column`` of the cell of each point (int32 [3, n]), -1 outside: int64 [n]."""
     x, y = (np.ascontiguousarray(axis) for axis in xyz[:2])
-    counts: Int64 = _counts(x, y, tuple(window))
-    return counts
+    numbers: Int64 = _numbers(x, y, tuple(window))
+    return numbers
 
 
 @kernel
-def _counts(x: Int32, y: Int32, window: tuple[int, ...]) -> Int64:
-    p, q, west, north, rows, columns, ox, oy = window
-    counts = np.zeros((rows, columns), np.int64)
+def _numbers(x: Int32, y: Int32, window: tuple[int, ...]) -> Int64:
+    numbers, inverse = np.empty(x.size, np.int64), 1.0 / window[0]
     for i in range(x.size):
-        column = ((as_int64(x[i]) + ox) * q) // p - west
-        row = north - ((as_int64(y[i]) + oy) * q) // p
-        if 0 <= column < columns and 0 <= row < rows:
-            counts[row, column] += 1
+        numbers[i] = cell_number(as_int64(x[i]), as_int64(y[i]), window, inverse)
+    return numbers
+
+
+def cell_counts(xyz: Int32, window: CellWindow) -> Int64:
+    """Count the points (int32 [3, n]) in each cell: int64 [rows, columns]. Points outside are ignored."""
+    counts = np.zeros((window.rows, window.columns), np.int64)
+    add_counts(counts, xyz, window, np.ones(xyz.shape[1], np.bool_))
     return counts
+
+
+def add_counts(counts: Int64, xyz: Int32, window: CellWindow, wanted: Bools) -> None:
+    """Add the number of wanted points in each cell to counts. Points outside are ignored.
+
+    Parameters
+    ----------
+    counts : int64 [rows, columns]
+        Contiguous.
+    xyz : int32 [3, n]
+        Local counts.
+    window : CellWindow
+    wanted : bool [n]
+    """
+    x, y = (np.ascontiguousarray(axis) for axis in xyz[:2])
+    _count(counts.reshape(-1), x, y, wanted, tuple(window))
+
+
+@kernel
+def _count(counts: Int64, x: Int32, y: Int32, wanted: Bools, window: tuple[int, ...]) -> None:
+    inverse = 1.0 / window[0]
+    for i in range(x.size):
+        if wanted[i]:
+            cell = cell_number(as_int64(x[i]), as_int64(y[i]), window, inverse)
+            if cell >= 0:
+                counts[cell] += 1
 
 
 def _integral(cells: Int64) -> Int64:

@@ -12,6 +12,7 @@ import scipy
 from ptd.cells import Int32, Int64, Xyz
 from ptd.frame import Scale
 from ptd.kernel import inlined, kernel
+from ptd.sorting import sort
 
 CELL_M = 1.0
 """Side of the cells in which neighbours are searched."""
@@ -34,7 +35,6 @@ MIN_DEPTH_M, MIN_RMS = 0.3, 4.0
 """Least height of a layer above the point, in metres and in deviations from its plane."""
 MIN_SLOPE = 0.1
 """Slope from which on a layer is searched again along it."""
-MANY = 40
 EMPTY = 2**31 - 1
 """Height of the lowest point of an empty cell; that of the highest is -`EMPTY`."""
 AROUND = np.array([7, 3, 2, 6, 4, 0, 1, 5])
@@ -247,20 +247,6 @@ def _gather(p: int, hood: Neighbourhood, radius: float, work: Float64) -> int:
 
 
 @kernel
-def _sort(values: Float64) -> None:
-    """Sort a few values in place; `np.sort` would copy them."""
-    if values.size > MANY:
-        values[:] = np.sort(values)
-        return
-    for i in range(1, values.size):
-        value, j = values[i], i
-        while j > 0 and values[j - 1] > value:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = value
-
-
-@kernel
 def _lowest_layer(
     n: int, east: float, north: float, metres: float, metres_z: float, work: Float64
 ) -> _Plane:
@@ -276,7 +262,7 @@ def _lowest_layer(
     if above < MIN_POINTS:
         return nothing
     rises, first = work[4, :above], 0
-    _sort(rises)
+    sort(rises)
     thickest = THICKNESSES_M[0]
     while first + MIN_POINTS <= above:
         if rises[first + MIN_POINTS - 1] - rises[first] > thickest:

@@ -34,6 +34,7 @@ from ptd.ground.layers import (
 )
 from ptd.ground.morphology import BLOCK_CELLS, blocks
 from ptd.kernel import inlined, kernel
+from ptd.sorting import sort_by
 
 LEVEL_M, LEVEL_CELLS = 2.0, 3
 """Least radius of the level of a point, which is the points as high as it, and the largest radius in
@@ -265,6 +266,7 @@ def _search(hood: Neighbourhood, todo: Int64, known: Bool, room: int) -> tuple[B
     tests of the round, so the order of cells does not matter.
     """
     noise, reached = known.copy(), np.zeros(hood.low.size, np.bool_)
+    order = np.empty(room, np.int64)
     space = _Space(
         np.full(known.size, -1, np.int32),
         np.empty((5, room)),
@@ -272,17 +274,19 @@ def _search(hood: Neighbourhood, todo: Int64, known: Bool, room: int) -> tuple[B
         np.empty(room, np.int64),
     )
     for cell in todo:
-        heights = hood.z[hood.starts[cell] : hood.starts[cell + 1]]
-        highest = EMPTY
-        for k in np.argsort(heights):
-            p = hood.starts[cell] + k
-            if heights[k] > highest:
+        first, end, highest = hood.starts[cell], hood.starts[cell + 1], EMPTY
+        rising = order[: end - first]
+        for k in range(rising.size):
+            rising[k] = first + k
+        sort_by(rising, hood.z)
+        for p in rising:
+            if hood.z[p] > highest:
                 break
             if known[p]:
                 continue
             found = _noise_at(p, hood, space)
             if found == NO_NOISE:
-                highest = heights[k]  # Points of the same height are tested too, in any order.
+                highest = hood.z[p]  # Points of the same height are tested too, in any order.
             if found != NO_NOISE:
                 noise[p] = True
                 _reach_beside(cell, hood, reached)

@@ -34,6 +34,7 @@ from ptd.cells import Int32, Int64, cell_keys, lowest_by_key, occupied
 from ptd.frame import CellLattice, Scale, Window
 from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
+from ptd.sorting import sort_by
 
 CELL_M, BIN_M = 2.0, 1.0
 GAP_BINS, MIN_OF_9 = 2, 7
@@ -79,12 +80,18 @@ def _gaps(z: Int32, slot: Int64, low: Int32, bin_counts: float) -> Bool:
 
 
 @kernel
-def _parted(x: Int64, y: Int64, below: int) -> bool:
+def _parted(x: Int64, y: Int64, below: int, n: int) -> bool:
     """Return whether a line in one of eight directions separates the first ``below`` points from the others."""
     for east, north in ((1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)):
-        lower = east * x[:below] + north * y[:below]
-        upper = east * x[below:] + north * y[below:]
-        if lower.max() <= upper.min() or upper.max() <= lower.min():
+        lowest = first = east * x[0] + north * y[0]
+        last = highest = east * x[below] + north * y[below]
+        for i in range(below):
+            at = east * x[i] + north * y[i]
+            lowest, first = min(lowest, at), max(first, at)
+        for i in range(below, n):
+            at = east * x[i] + north * y[i]
+            last, highest = min(last, at), max(highest, at)
+        if first <= last or highest <= lowest:
             return True
     return False
 
@@ -96,17 +103,19 @@ def _mixed(
     """Return masks of the wide cells with the right number of points, of those with a gap, and of mixed cells."""
     n = starts.size - 1
     asked, gap, mixed = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    px, py = np.empty(MAX_POINTS, np.int64), np.empty(MAX_POINTS, np.int64)
     for k in range(n):
-        points = order[starts[k] : starts[k + 1]]
-        if not MIN_POINTS <= points.size <= MAX_POINTS:
+        if not MIN_POINTS <= starts[k + 1] - starts[k] <= MAX_POINTS:
             continue
-        rising = points[np.argsort(z[points], kind="mergesort")]
         asked[k] = True
-        px, py = x[rising].astype(np.int64), y[rising].astype(np.int64)
+        rising = order[starts[k] : starts[k + 1]].copy()
+        sort_by(rising, z)
+        for i in range(rising.size):
+            px[i], py[i] = x[rising[i]], y[rising[i]]
         for i in range(1, rising.size):
             if as_int64(z[rising[i]]) - z[rising[i - 1]] >= gap_counts:
                 gap[k] = True
-                mixed[k] |= i >= BELOW and not _parted(px, py, i)
+                mixed[k] |= i >= BELOW and not _parted(px, py, i, rising.size)
     return asked, gap, mixed
 
 
@@ -124,9 +133,10 @@ def _hanging(z: Int32, starts: Int64, order: Int32, gap_counts: float) -> tuple[
             low, high = min(low, as_int64(z[i])), max(high, as_int64(z[i]))
         if high - low <= gap_counts:
             continue
-        rising = np.sort(z[order[starts[k] : starts[k + 1]]])
+        rising = order[starts[k] : starts[k + 1]].copy()
+        sort_by(rising, z)
         for i in range(2, rising.size - 1):
-            hanging[k] |= as_int64(rising[i]) - rising[i - 1] > gap_counts
+            hanging[k] |= as_int64(z[rising[i]]) - z[rising[i - 1]] > gap_counts
     return asked, hanging
 
 

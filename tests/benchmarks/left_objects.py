@@ -1,4 +1,4 @@
-"""Fits the constants of `tiler.grid.left_objects`, and scores each scene with those of the other scenes.
+"""Fits the constants of `tiler.grid.object_candidates`, and scores each scene with those of the other scenes.
 
 ``python -m tests.benchmarks.left_objects FOLDER [--scenes als_city,samp11] [--seeds 900,950,990]``
 
@@ -28,7 +28,7 @@ from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.points import LABELS, STRAY_FLAG, WITHHELD_FLAG
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.block_surroundings import PointsNear
-from tiler.grid.left_objects import (
+from tiler.grid.object_candidates import (
     Candidates,
     Level,
     Measures,

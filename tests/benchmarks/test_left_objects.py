@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.left_objects import Sample, fitted, report, sample_of, scored
-from tiler.grid.left_objects import Candidates, Measures, Weights, chances
+from tiler.grid.object_candidates import Candidates, Measures, Weights, chances
 
 N = 3000
 

@@ -214,6 +214,20 @@ def test_clouds_are_compared_with_a_specification(
     )
 
 
+def test_differences_of_swaths_are_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = Pulses(*lattice(0, 40, 0, 30), 1) + Pulses(*lattice(20, 60, 0, 30), 2)
+    target = tmp_path / "swaths.tif"
+    arguments = ["check", str(both.write(tmp_path / "a.laz")), "--difference", str(target)]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out.splitlines()
+    for path in (target, target.with_suffix(".qml")):
+        assert f"wrote   {path}" in out
+    assert any(line.startswith("swath step: 1 pair; point source 2 - 1: ") for line in out)
+    assert target.is_file()
+
+
 def test_options_of_the_other_kind_of_input_are_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -206,8 +206,10 @@ def test_a_difference_takes_no_file_beside_it_along(
         assert not found.read().any()
     target.unlink()
     target.mkdir()
-    assert main([str(a) for a in arguments]) == 4
-    assert capsys.readouterr().err.count("\n") == 1
+    assert main([str(a) for a in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "is a folder; give a file" in error
     assert not list(tmp_path.glob(".tiler-*"))
 
 

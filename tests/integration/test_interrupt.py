@@ -20,6 +20,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
 from tests.scenes.running import IS_WINE, wait_for, wait_until_gone
 from tests.waiting import PATIENCE_SECONDS
+from tiler.runs.compiling import warm_sorting
 
 pytestmark = pytest.mark.processes
 
@@ -30,6 +31,7 @@ OPTIONS = "--method classic --workers 2 --resolution 1 --tile-size 64 --halo 80 
 @pytest.fixture(scope="module")
 def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of some tiles; the kernels are compiled."""
+    warm_sorting(lambda: None)
     warm_filters("classic", lambda: None)
     warm_gridding("linear", lambda: None)
     return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(160.0, 1.5))

@@ -29,7 +29,7 @@ from tiler.core.points import GROUND
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import POLYGONS, read_in_crs
 from tiler.report.html import write_report
-from tiler.report.places import bridged, points_near, section_ends
+from tiler.report.places import bridged, points_near, section_ends, terrain_at
 from tiler.store import open_store
 
 DATUM = CRS.from_proj4("+proj=tmerc +lat_0=47 +lon_0=9 +x_0=1 +ellps=bessel +units=us-ft")
@@ -271,6 +271,28 @@ def test_sections_cross_the_shorter_side(
     )
     direction = (ends[1] - ends[0]) / length
     assert abs(direction @ [np.cos(angle), np.sin(angle)]) == pytest.approx(1, abs=1e-5)
+
+
+def test_sections_have_the_terrain_at_their_positions(tmp_path: Path) -> None:
+    heights = np.random.default_rng(4).normal(300, 20, (60, 90)).astype(np.float32)
+    heights[20:30, 40:50] = -9999
+    transform = rasterio.Affine(0.3, 0, EAST, 0, -0.3, NORTH)
+    profile = {"width": 90, "height": 60, "count": 1, "dtype": "float32", "nodata": -9999}
+    path = tmp_path / "dtm.tif"
+    with rasterio.open(path, "w", driver="GTiff", transform=transform, **profile) as raster:
+        raster.write(heights, 1)
+    middle = np.array([EAST + 13.5, NORTH - 9])
+    with rasterio.open(path) as raster:
+        for angle in (0.0, 0.6, np.pi / 2, 2.5, 4.0):
+            along = np.linspace(-20, 20, 401)[:, np.newaxis]
+            positions = middle + along * [np.cos(angle), np.sin(angle)]
+            samples = raster.sample(positions, masked=True)
+            expected = [np.nan if sample.mask[0] else sample[0] for sample in samples]
+            found = terrain_at(raster, positions)
+            assert np.array_equal(found, expected, equal_nan=True)
+            assert 0 < np.isfinite(found).sum() < len(found)
+        beyond = terrain_at(raster, middle + [[100.0, 0], [0, 100.0]])
+    assert np.isnan(beyond).all()
 
 
 def test_a_plane_is_bridged_exactly() -> None:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import random
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ptd.cells import CellIndex, lowest_per_cell, occupied, quotient, slot_of
+from ptd.cells import (
+    CellIndex,
+    lowest_per_cell,
+    occupied,
+    quotient,
+    slot_of,
+    sort_in_cells,
+)
 from ptd.frame import CellLattice, Scale
 
 FEET = Fraction(3048, 10**7)
@@ -52,6 +61,59 @@ def test_the_lowest_of_each_cell(
         got = lowest_per_cell(x, y, z, cells)
         assert [(int(x[i]), int(y[i]), int(z[i])) for i in got] == want
         shuffle.shuffle(points)  # type: ignore[attr-defined]
+
+
+full = st.integers(-(2**31) + 1, 2**31 - 1)
+tall = st.tuples(st.integers(0, 9), st.integers(0, 9), full)
+anywhere = st.tuples(full, full, full)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    points=st.one_of(*(st.lists(kind, min_size=1) for kind in (near, far, tall, anywhere))),
+    repeats=st.integers(1, 3),
+    extra=st.integers(0, 10**6),
+    q=st.sampled_from([1, 7, 381]),
+    origin=st.tuples(st.integers(-(10**9), 10**9), st.integers(-(10**9), 10**9)),
+    shuffle=st.randoms(use_true_random=False),
+)
+def test_points_are_sorted_by_row_column_z_x_and_y(
+    points: Points,
+    repeats: int,
+    extra: int,
+    q: int,
+    origin: tuple[int, int],
+    shuffle: random.Random,
+) -> None:
+    p, points = 2 * q + extra, points * repeats
+    shuffle.shuffle(points)
+    order, keys, is_repeat = sort_in_cells(*columns(points), CellLattice(p, q, *origin))
+    cells = [((y + origin[1]) * q // p, (x + origin[0]) * q // p) for x, y, _ in points]
+    expected_order = sorted(
+        (*cell, z, x, y) for cell, (x, y, z) in zip(cells, points, strict=True)
+    )
+    assert sorted(order.tolist()) == list(range(len(points)))
+    in_order = [(*cells[i], points[i][2], *points[i][:2]) for i in order]
+    assert in_order == expected_order
+    assert is_repeat.tolist() == [False, *(a == b for a, b in pairwise(in_order))]
+    assert [len(set(cells)), sorted(set(cells))] == [
+        len(set(keys.tolist())),
+        [cells[i] for i in np.unique(keys, return_index=True)[1]],
+    ]
+
+
+@pytest.mark.parametrize("size", [1, 50, 5000])
+def test_many_points_in_a_cell_are_sorted(size: int) -> None:
+    rng = np.random.default_rng(5)
+    x, y, z = rng.integers(0, 100, (3, 20_000)).astype(np.int32)
+    order, _, is_repeat = sort_in_cells(x, y, z, CellLattice(size, 1, 0, 0))
+    assert np.array_equal(
+        np.stack([x, y, z])[:, order],
+        np.stack([x, y, z])[:, np.lexsort((y, x, z, x // size, y // size))],
+    )
+    assert is_repeat.sum() == x.size - len(
+        set(zip(x.tolist(), y.tolist(), z.tolist(), strict=True))
+    )
 
 
 @pytest.mark.parametrize("spread", [1, 100_000])

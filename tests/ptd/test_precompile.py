@@ -50,6 +50,39 @@ def test_the_scene_is_recognised_as_the_requested_kind(
     assert {state["survey"]["kind"] for state in done} == {kind}
 
 
+LAST_PASS = """
+from pathlib import Path
+from ptd import precompile
+from ptd.ground import fine_planes, fine_surface, labelling
+
+modules = fine_planes, fine_surface, labelling
+named = {f"{m.__name__}.{n}": k for m in modules for n, k in vars(m).items() if hasattr(k, "signatures")}
+precompile.warm_last_pass()
+first = {name: len(kernel.signatures) for name, kernel in named.items() if kernel.signatures}
+precompile.cache_folder = lambda: Path(".")
+precompile.warm_filters("auto", lambda: None, "lidar")
+print(len(first), [name for name, n in first.items() if len(named[name].signatures) != n])
+"""
+
+
+@pytest.mark.processes
+def test_all_passes_use_the_kernels_of_the_last_pass_as_it_is_compiled_alone(
+    tmp_path: Path,
+) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(ptd.__file__).parents[1])}
+    told = subprocess.run(
+        [sys.executable, "-c", LAST_PASS],
+        cwd=tmp_path,
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+    number, _, others = told.strip().partition(" ")
+    assert int(number) > 10
+    assert others == "[]"
+
+
 @pytest.mark.parametrize("interpolation", ["linear", "natural"])
 def test_gridding(interpolation: str, folder: Path) -> None:
     told: list[str] = []

@@ -235,9 +235,30 @@ class AcceptanceRow(TypedDict):
     remark: str
 
 
+class SwathPair(TypedDict):
+    """Two swaths by their point source ids, and the differences of the second minus the first in metres.
+
+    Of the cells that they share, ``cells`` were compared. ``different_surfaces`` of them do not count in the figures,
+    which are None without a compared cell. ``x`` and ``y`` are the middle of the shared cells in units of the CRS.
+    """
+
+    first: int
+    second: int
+    shared_cells: int
+    cells: int
+    different_surfaces: int
+    mean_m: float | None
+    rms_m: float | None
+    p95_m: float | None
+    x: float
+    y: float
+
+
 class AcceptanceSummary(TypedDict):
     """Check of clouds: their paths and number of points, the specification, the side of the cells, and the rows.
 
+    ``swath_pairs`` are all pairs of swaths that share cells, the largest mean difference first. ``difference`` is the
+    path of the raster of differences of swaths, and ``style`` that of its style, None if they were not written.
     ``met`` tells whether no row has the state ``fail`` or ``not measured``. ``notes`` say what was assumed.
     """
 
@@ -247,6 +268,9 @@ class AcceptanceSummary(TypedDict):
     cell_m: float | None
     met: bool
     rows: list[AcceptanceRow]
+    swath_pairs: list[SwathPair]
+    difference: str | None
+    style: str | None
     notes: list[str]
 
 

@@ -13,6 +13,7 @@ from tiler.plan.memory import cores
 from tiler.runs.compiling import (
     CLASS_KERNELS,
     SECONDS,
+    SORT_KERNELS,
     filter_kernels,
     grid_kernels,
     kinds_of,
@@ -35,7 +36,7 @@ class WarmResult:
 
 
 def warm(methods: Sequence[str]) -> WarmResult:
-    """Compile the kernels of methods, rasters and classified clouds, in as many processes as there are cores.
+    """Compile the kernels of ingest, methods, rasters and classified clouds, in as many processes as there are cores.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def warm(methods: Sequence[str]) -> WarmResult:
     for method in methods:
         needed_kernels += [filter_kernels(method, kind) for kind in kinds_of(method)]
     needed_kernels += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
-    needed_kernels.append(CLASS_KERNELS)
+    needed_kernels += [CLASS_KERNELS, SORT_KERNELS]
     todo = [kernels for kernels in needed_kernels if not is_compiled(kernels.name)]
     try:
         with ChildPool(max(min(cores(), len(todo)), 1), None) as guards:

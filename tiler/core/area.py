@@ -27,6 +27,9 @@ Runs = list[list[int]]
 """Runs of neighbouring cells in rows of a lattice: [iy, first ix, end ix], row by row from the
 south-west."""
 
+CROSSINGS_AT_ONCE = 1 << 18
+"""Number of crossings of a row and an edge that are computed at a time, which limits the memory."""
+
 MAX_EDGE = 1 << 30
 """Longest edge of a polygon, in counts along each axis, for which the exact test of a point
 fits int64."""
@@ -99,6 +102,19 @@ class Area:
         xs, ys = x[order], y[order]
         for edges in self.edges:
             is_inside[order] |= _odd_crossings(edges, xs, ys)
+        return is_inside
+
+    def inside_grid(self, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+        """Return the mask of the positions of a grid inside the area, bool (n rows, n columns).
+
+        Parameters
+        ----------
+        x, y : int64 (n columns,), int64 (n rows,)
+            Positions of the columns, ascending, and of the rows, in absolute counts.
+        """
+        is_inside = np.zeros((len(y), len(x)), np.bool_)
+        for edges in self.edges if is_inside.size else ():
+            is_inside |= _odd_crossings_of_rows(edges, x, y)
         return is_inside
 
     def covers(self, bounds: Bounds) -> bool:
@@ -283,6 +299,34 @@ def _odd_crossings(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]
         else:
             odd[rows] ^= (bx - ax) * (y[rows] - ay) > (x[rows] - ax) * (by - ay)
     return odd
+
+
+def _odd_crossings_of_rows(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+    """Return `_odd_crossings` for a grid: columns at ascending ``x`` and rows at ``y``, bool (rows, columns)."""
+    x0, y0, x1, y1 = edges
+    edges = edges[:, (y0 <= y.max()) & (y1 > y.min()) & (np.maximum(x0, x1) > x[0])]
+    if not edges.shape[1]:
+        return np.zeros((len(y), len(x)), np.bool_)
+    order = np.argsort(y, kind="stable")
+    first, last = (np.searchsorted(y[order], ends) for ends in (edges[1], edges[3]))
+    n_rows = last - first
+    ends = np.cumsum(n_rows)
+    cuts = np.searchsorted(ends, np.arange(CROSSINGS_AT_ONCE, ends[-1], CROSSINGS_AT_ONCE))
+    # By row and by number of columns west of an edge: whether an odd number of edges is there.
+    wide = len(x) + 1
+    crossed = np.zeros(len(y) * wide, np.uint8)
+    for some in np.split(np.arange(edges.shape[1]), cuts):
+        n = n_rows[some]
+        edge = np.repeat(some, n)
+        row = order[np.arange(edge.size) - np.repeat(np.cumsum(n) - n, n) + first[edge]]
+        ax, ay, bx, by = edges[:, edge]
+        # A column is west of the edge if (bx - ax) * (y - ay) > (x - ax) * (by - ay).
+        columns = np.searchsorted(x, ax - (ax - bx) * (y[row] - ay) // (by - ay))
+        crossed ^= (np.bincount(row * wide + columns, minlength=crossed.size) & 1).astype(
+            np.uint8
+        )
+    odd = np.bitwise_xor.accumulate(crossed.reshape(-1, wide)[:, :0:-1], axis=1)[:, ::-1]
+    return odd.astype(np.bool_)
 
 
 def _few_crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:

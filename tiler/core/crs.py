@@ -87,8 +87,18 @@ def vertical_name(wkt: str | None) -> str | None:
         return None
     if not vertical.is_vertical and vertical.geodetic_crs is not None:
         return f"ellipsoidal height ({vertical.geodetic_crs.name})"
-    authority = vertical.to_authority()
+    authority = code_of(vertical)
     return vertical.name if authority is None else f"{vertical.name} ({':'.join(authority)})"
+
+
+@lru_cache(maxsize=64)
+def code_of(crs: CRS) -> tuple[str, str] | None:
+    """Return the authority and the code that match a CRS best, or None if it has no code.
+
+    PROJ searches a tenth of a second for a CRS without a code.
+    """
+    code: tuple[str, str] | None = crs.to_authority()
+    return code
 
 
 def same_horizontal(one: CRS, other: CRS) -> bool:
@@ -231,7 +241,7 @@ def _projected_area(crs: CRS, horizontal: CRS, projection: Proj) -> AreaOfUse | 
 
 def _area_of_use(crs: CRS) -> AreaOfUse | None:
     """Return the area of use of a CRS, by its code if the text does not contain the area, as in WKT 1."""
-    if crs.area_of_use is None and (code := crs.to_authority()) is not None:
+    if crs.area_of_use is None and (code := code_of(crs)) is not None:
         crs = CRS.from_authority(*code)
     return None if crs.area_of_use is None else crs.area_of_use.bounds
 

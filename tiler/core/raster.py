@@ -153,14 +153,18 @@ class RasterSpec:
             first(west), first(north - block.height), first(west + block.width), first(north)
         )
 
-    def centres(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Return x and y of the pixel centres of a block, in absolute counts rounded down, each (height, width)."""
+    def axes(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Return x of the columns and y of the rows of a block at pixel centres, in absolute counts rounded down."""
         p, q = self.lattice.p, self.lattice.q
         west = self.west + block.col
         north = self.north - block.row
         cols = np.arange(west, west + block.width, dtype=np.int64)
         rows = np.arange(north - 1, north - 1 - block.height, -1, dtype=np.int64)
-        x, y = np.meshgrid(((2 * cols + 1) * p) // (2 * q), ((2 * rows + 1) * p) // (2 * q))
+        return ((2 * cols + 1) * p) // (2 * q), ((2 * rows + 1) * p) // (2 * q)
+
+    def centres(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Return x and y of the pixel centres of a block, in absolute counts rounded down, each (height, width)."""
+        x, y = np.meshgrid(*self.axes(block))
         return x, y
 
     @property
@@ -202,8 +206,7 @@ class RasterSpec:
                 return np.ones(shape, np.bool_)
             if not area.touches(bounds):
                 return is_inside
-        x, y = self.centres(part)
-        is_inside[within(part, block)] = area.inside(x.ravel(), y.ravel()).reshape(x.shape)
+        is_inside[within(part, block)] = area.inside_grid(*self.axes(part))
         return is_inside
 
     def part(self, block: Block, bounds: Bounds) -> Block:

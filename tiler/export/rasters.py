@@ -43,7 +43,7 @@ from tiler.export.output_files import (
     write_bytes,
 )
 from tiler.io.atomic_files import clear_partial, partial_path, replace_different, sync_folder
-from tiler.io.raster_files import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
+from tiler.io.raster_files import CACHE_BYTES, RasterMetadata, plain_geotiff, raster_errors
 from tiler.store import TileStore
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -259,7 +259,7 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) ->
         "NUM_THREADS": 1,
         "STATISTICS": "AUTO",  # The statistics of the plain file are kept.
     }
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, GDAL_NUM_THREADS=1), raster_errors(partial):
         partial.unlink(missing_ok=True)
         rasterio.shutil.copy(plain, partial, driver="COG", **options)
 

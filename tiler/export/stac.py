@@ -13,7 +13,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from shapely.geometry import polygon
 
-from tiler.core.crs import split
+from tiler.core.crs import code_of, split
 from tiler.io.las.point_formats import RGB_FORMATS, is_legacy
 
 Box = tuple[float, float, float, float]
@@ -33,19 +33,10 @@ _MIN_STEPS = 8
 
 
 def horizontal_code(wkt: str | None) -> str | None:
-    """Return the code of the horizontal part of a CRS, such as ``EPSG:25832``, or None if it has no code.
-
-    The search takes a tenth of a second.
-    """
-    if wkt is None:
-        return None
-    horizontal, _ = split(CRS.from_wkt(wkt))
-    authority = None
-    if horizontal is not None:
-        authority = horizontal.to_authority()
-    if authority is None:
-        return None
-    return ":".join(authority)
+    """Return the code of the horizontal part of a CRS, such as ``EPSG:25832``, or None if it has no code."""
+    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    authority = None if horizontal is None else code_of(horizontal)
+    return None if authority is None else ":".join(authority)
 
 
 class Globe:

@@ -95,17 +95,22 @@ class Bucket:
     repeats : (intp [m], intp [m]), optional
         Rows of the points that get the label of another point at the same position, and of these other points, among
         all points that are read. None without such points.
+    edge : Points, optional
+        Points within `Pass.label_margin_m` of a side of the bucket, which its neighbours read. None without a margin,
+        and if the margin holds the whole bucket.
     """
 
     points: Points
     mask: npt.NDArray[np.bool_]
     uncertified: bool
     repeats: tuple[Rows, Rows] | None = None
+    edge: Points | None = None
 
     @property
     def size_bytes(self) -> int:
         """Bytes of the columns of the bucket."""
-        columns = (getattr(self.points, f.name) for f in dataclasses.fields(Points))
+        parts, names = [self.points, self.edge], [f.name for f in dataclasses.fields(Points)]
+        columns = [getattr(part, name, None) for part in parts for name in names]
         arrays = (self.mask, *(self.repeats or ()), *(c for c in columns if c is not None))
         return sum(int(array.nbytes) for array in arrays)
 
@@ -195,7 +200,7 @@ class TileReader:
         """
         if not self._margin:
             return [], False
-        lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin
+        lattice = self._store.meta.bucket
         if self._near is None:  # The index is read only once for all buckets.
             self._near = self._store.buckets_within(
                 lattice.hull(self._work.cells).pad(self._margin)
@@ -207,11 +212,10 @@ class TileReader:
             if other == cell:
                 continue
             bucket = self.bucket(other)
-            x = bucket.points.xyz[0].astype(np.int64) + ox
-            y = bucket.points.xyz[1].astype(np.int64) + oy
-            near = (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
+            edge = bucket.points if bucket.edge is None else bucket.edge
+            near = PointBlock(edge.xyz).inside(bounds, self._store.meta.frame.origin)
             if near.any():
-                parts.append(bucket.points.take(near))
+                parts.append(edge.take(near))
                 uncertified |= bucket.uncertified
         return parts, uncertified
 
@@ -239,7 +243,12 @@ class TileReader:
             mask, repeats = self._participating(block), self._repeats(cell, block)
         if not mask.all():
             block = block.take(mask)
-        return Bucket(self._as_points(block), mask, _any_uncertified(block), repeats)
+        points, edge = self._as_points(block), None
+        if self._margin:
+            inner = self._store.meta.bucket.bounds(cell).pad(-self._margin)
+            if not inner.empty:
+                edge = points.take(~block.inside(inner, self._store.meta.frame.origin))
+        return Bucket(points, mask, _any_uncertified(block), repeats, edge)
 
     def _repeats(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows] | None:
         """Return `Bucket.repeats` of a bucket: its repeated points that would take part otherwise."""

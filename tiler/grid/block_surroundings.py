@@ -13,16 +13,17 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.gridding.above_ground import NOTHING, HighestReturns
+from ptd.gridding.above_ground import HighestReturns
+from ptd.gridding.ground_cells import CellWindow, add_counts, cell_numbers
 from ptd.gridding.nearest import nearest_points
 from tiler.core.edits import FLAT, OF_PIXELS, Edit
-from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, CoordFrame
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, CoordFrame
 from tiler.core.points import WATER
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.grid.block import pixels_of
 from tiler.grid.coarse import padded
-from tiler.grid.ground import read_ground, read_objects, surface_points
+from tiler.grid.ground import classed, read_ground, read_ground_and_objects, surface_points
 from tiler.grid.records import GroundSelection
 from tiler.store import TileStore, read_cells
 
@@ -33,6 +34,8 @@ Int32 = npt.NDArray[np.int32]
 Heights = npt.NDArray[np.float32]
 Index = npt.NDArray[np.intp]
 
+CELLS_AT_ONCE = 64
+"""Number of rows of cells whose pixels are summed at a time, which saves memory."""
 TALLEST_M = 1000
 """No structure is taller. Returns above are of clouds, aircraft or errors, however many support one another."""
 
@@ -66,42 +69,30 @@ class PointsNear:
         """Return the ground points in ``bounds`` (absolute counts), int32 (3, n) in local counts."""
         return read_ground(self.store, self.rule, bounds).xyz
 
-    def objects(self, bounds: Bounds) -> Int32:
-        """Return the points in ``bounds`` that are neither ground nor noise, int32 (3, n) in local counts."""
-        return read_objects(self.store, self.rule, bounds)
+    def ground_and_objects(self, bounds: Bounds) -> tuple[Int32, Int32]:
+        """Return the points of `ground`, and those that are neither ground nor noise, each int32 (3, n)."""
+        return read_ground_and_objects(self.store, self.rule, bounds)
 
     def ground_per_pixel(self) -> Int64:
         """Count the ground points in each pixel of the block, int64 (height, width)."""
-        block = self.block
-        counts = np.zeros(block.height * block.width, np.int64)
-
-        def count(cell: Cell, points: Int32) -> npt.NDArray[np.intp]:
-            """Count the points of a bucket, and keep none: a block of large cells may hold too many."""
-            pixels = pixel_indices(points, self.frame.origin, self.spec, block)
-            counts[:] += np.bincount(pixels, minlength=counts.size)
-            return np.empty(0, np.intp)
-
-        read_ground(self.store, self.rule, self.spec.block_bounds(block), count)
-        return counts.reshape(block.height, block.width)
+        window = cell_window(self.spec, self.block, self.frame.origin)
+        counts = np.zeros((window.rows, window.columns), np.int64)
+        for part in classed(self.store, self.rule, self.spec.block_bounds(self.block)):
+            add_counts(counts, part.xyz, window, part.is_ground)
+        return counts
 
     def surface_per_pixel(self) -> tuple[Int64, Int64]:
         """Count the surface points in each pixel, and those that the input classifies as water (height, width)."""
-        shape, bounds = (
-            (self.block.height, self.block.width),
-            self.spec.block_bounds(self.block),
-        )
-        counts, water = np.zeros((2, shape[0] * shape[1]), np.int64)
-        for cell in self.store.buckets_within(bounds):
+        window = cell_window(self.spec, self.block, self.frame.origin)
+        counts, water = np.zeros((2, window.rows, window.columns), np.int64)
+        for cell in self.store.buckets_within(self.spec.block_bounds(self.block)):
             points, chosen = surface_points(self.store, self.rule, cell)
-            chosen &= points.inside(bounds, self.frame.origin)
-            pixels = pixel_indices(
-                points.xyz[:, chosen], self.frame.origin, self.spec, self.block
-            )
-            counts += np.bincount(pixels, minlength=len(counts))
+            add_counts(counts, points.xyz, window, chosen)
             if points.classification is not None:
-                wet = points.classification[chosen] == WATER
-                water += np.bincount(pixels[wet], minlength=len(counts))
-        return counts.reshape(shape), water.reshape(shape)
+                chosen &= points.classification == WATER
+                if chosen.any():
+                    add_counts(water, points.xyz, window, chosen)
+        return counts, water
 
     def ground_distance(self, reach: Fraction) -> Float64:
         """Return plan distances from pixels' centres to ground, in counts, infinite beyond ``reach`` counts."""
@@ -141,23 +132,14 @@ class PointsNear:
             Height of the lowest return, defined where there is a highest one.
         """
         wider = padded(block, reach)
-        bounds, limits = self.spec.block_bounds(wider), self._limits(wider)
-        lowest_limit = limits.min()
-        highest = HighestReturns(wider.height, wider.width)
-        lowest = np.full(wider.height * wider.width, np.iinfo(np.int32).max, np.int32)
-        for cell in self.store.buckets_within(bounds):
+        window = cell_window(self.spec, wider, self.frame.origin)
+        highest = HighestReturns(window, self._limits(wider))
+        for cell in self.store.buckets_within(self.spec.block_bounds(wider)):
             points, chosen = surface_points(self.store, self.rule, cell)
-            chosen &= points.inside(bounds, self.frame.origin)
-            xyz = np.ascontiguousarray(points.xyz[:, chosen])
-            pixels = pixel_indices(xyz, self.frame.origin, self.spec, wider)
-            if xyz[2].max(initial=NOTHING) > lowest_limit:
-                possible = xyz[2] <= limits[pixels]
-                pixels, xyz = pixels[possible], xyz[:, possible]
-            highest.add(pixels, xyz)
-            np.minimum.at(lowest, pixels, xyz[2])
+            highest.add(points.xyz, chosen)
         supported = highest.supported(reach, float(spike))
         inner = np.s_[reach : reach + block.height, reach : reach + block.width]
-        return supported[inner], lowest.reshape(wider.height, wider.width)[inner]
+        return supported[inner], highest.lowest[inner]
 
     def _limits(self, block: Block) -> Float64:
         """Return the greatest height in counts that a return may have in each pixel, infinite without terrain."""
@@ -172,12 +154,16 @@ def reach_pixels(pixel_m: Fraction) -> int:
     return max(math.ceil(1 / pixel_m), 1)
 
 
+def cell_window(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> CellWindow:
+    """Return the pixels of a block for points in local counts of ``origin``."""
+    west, north = spec.west + block.col, spec.north - 1 - block.row
+    p, q = spec.lattice.p, spec.lattice.q
+    return CellWindow(p, q, west, north, block.height, block.width, *origin)
+
+
 def pixel_indices(xyz: Int32, origin: tuple[int, int], spec: RasterSpec, block: Block) -> Int64:
-    """Return ``row * width + col`` within the block for each point. All points have to lie in the block."""
-    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
-    col = spec.lattice.index(x) - (spec.west + block.col)
-    row = (spec.north - 1 - block.row) - spec.lattice.index(y)
-    return row * block.width + col
+    """Return ``row * width + col`` within the block for each point, -1 outside."""
+    return cell_numbers(xyz, cell_window(spec, block, origin))
 
 
 @dataclass(frozen=True)
@@ -268,15 +254,25 @@ class PixelCells:
 
         Values are rounded to counts, as sums of whole numbers are the same for any start of the block.
         """
-        counts = np.rint(np.where(known, values, 0.0).astype(np.float64) * COUNTS_PER_UNIT)
-        total, n = self.sums(counts.astype(np.int64)), self.sums(known.astype(np.int64))
+        total, n = np.zeros(
+            (2, values.shape[0] // self.side, values.shape[1] // self.side), np.int64
+        )
+        for row in range(0, len(total), CELLS_AT_ONCE):
+            cells = slice(row, row + CELLS_AT_ONCE)
+            pixels = slice(row * self.side, (row + CELLS_AT_ONCE) * self.side)
+            counts = np.where(known[pixels], values[pixels], 0.0).astype(np.float64)
+            counts = np.rint(counts * COUNTS_PER_UNIT)
+            total[cells] = self.sums(counts.astype(np.int64))
+            n[cells] = self.sums(known[pixels].astype(np.int64))
         means: Float64 = np.where(n > 0, total / np.maximum(n, 1) / COUNTS_PER_UNIT, np.nan)
         return means
 
     def sums(self, pixels: Int64) -> Int64:
         """Return the sum of the pixels of each cell."""
         rows, columns = (n // self.side for n in pixels.shape)
-        sums: Int64 = pixels.reshape(rows, self.side, columns, self.side).sum(axis=(1, 3))
+        sums = np.zeros((rows, columns), np.int64)
+        for row, column in np.ndindex(self.side, self.side):
+            sums += pixels[row :: self.side, column :: self.side]
         return sums
 
     def between(self, pixels: Index, first: int = 0) -> tuple[Index, Float64]:

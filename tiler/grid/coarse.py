@@ -228,14 +228,35 @@ def components(nodes: Iterable[Node], pairs: Iterable[tuple[Node, Node]]) -> lis
     """Return groups of connected nodes. Groups and their nodes are in the order of the nodes."""
     listed = list(nodes)
     node_index = {node: i for i, node in enumerate(listed)}
-    ends = np.array([[node_index[a], node_index[b]] for a, b in pairs], np.int64).reshape(-1, 2)
-    graph = scipy.sparse.coo_array((np.ones(len(ends)), ends.T), (len(listed), len(listed)))
+    # Each node points to an earlier node of its group, and the first one to itself. Workers wait while the command
+    # runs this, and importing the graphs of scipy would take longer.
+    earlier = list(range(len(listed)))
+
+    def first(i: int) -> int:
+        while earlier[i] != i:
+            earlier[i] = earlier[earlier[i]]
+            i = earlier[i]
+        return i
+
+    for a, b in pairs:
+        low, high = sorted((first(node_index[a]), first(node_index[b])))
+        earlier[high] = low
     groups: dict[int, list[Node]] = {}
-    if listed:
-        _, numbers = scipy.sparse.csgraph.connected_components(graph, directed=False)
-        for node, number in zip(listed, numbers.tolist(), strict=True):
-            groups.setdefault(number, []).append(node)
+    for i, node in enumerate(listed):
+        groups.setdefault(first(i), []).append(node)
     return list(groups.values())
+
+
+def touching_cells(cells: Iterable[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+    """Return groups of cells that touch, also at corners, in the order of the cells, given as row and column."""
+    listed = dict.fromkeys(cells)
+    pairs = (
+        ((row, col), (row + down, col + right))
+        for row, col in listed
+        for down, right in ((0, 1), (1, -1), (1, 0), (1, 1))
+        if (row + down, col + right) in listed
+    )
+    return components(listed, pairs)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ If points are dense or noisy, one per cell is chosen.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,9 +22,15 @@ from tiler.errors import StoreError
 from tiler.grid.records import GridBlock, GroundSelection
 from tiler.store import TileStore
 
+Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int32]
 Index = npt.NDArray[np.intp]
 Int64 = npt.NDArray[np.int64]
+
+_NOISE_CLASSES = np.isin(np.arange(256), NOISE)
+"""Table of the classes of the input that are noise."""
+_NOISE_LABELS = np.isin(np.arange(256) & ~UNCERTIFIED_BIT, NOISE)
+"""Table of the labels of the filter that are noise."""
 
 Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
 """Function from a bucket and some of its points, int32 (3, n), to indices of the chosen
@@ -50,6 +56,59 @@ class Ground:
     marked: int
 
 
+@dataclass(frozen=True)
+class Classed:
+    """Points of a bucket, with masks of those in some bounds that no flag excludes.
+
+    Attributes
+    ----------
+    cell : Cell
+    xyz : int32 (3, n)
+        Local counts.
+    classes : uint8 (n,)
+        Labels of the filter, or classes of the input if there are none.
+    is_ground : bool (n,)
+        Mask of the ground points.
+    is_object : bool (n,)
+        Mask of the points that are neither ground nor noise, if it was asked for.
+    """
+
+    cell: Cell
+    xyz: npt.NDArray[np.int32]
+    classes: npt.NDArray[np.uint8]
+    is_ground: Bools
+    is_object: Bools
+
+
+def classed(
+    store: TileStore, rule: GroundSelection, bounds: Bounds, objects: bool = False
+) -> Iterator[Classed]:
+    """Yield the points of each bucket that overlaps ``bounds`` (absolute counts), in the lattice's order.
+
+    Parameters
+    ----------
+    store : TileStore
+    rule : GroundSelection
+    bounds : Bounds
+    objects : bool
+        Whether masks of the objects are needed.
+    """
+    edges = _objects_at_edges(store, rule, bounds) if rule.erode else {}
+    needs_objects = objects or bool(rule.erode)
+    for cell in store.buckets_within(bounds):
+        block, classes, is_ground = read_classes(store, rule, cell, needs_objects)
+        inside = block.inside(bounds, store.meta.frame.origin)
+        found = is_ground & _used(block, rule, store, cell) & inside
+        is_object = np.zeros(len(block), np.bool_)
+        if needs_objects:
+            is_object = _is_object(block, classes, is_ground, rule, store, cell)
+        if rule.erode:
+            own, index = block.xyz[:, is_object], np.flatnonzero(found)
+            beside = _beside_objects(store, rule, cell, block.xyz[:, index], own, edges)
+            found[index[beside]] = False
+        yield Classed(cell, block.xyz, classes, found, is_object & inside)
+
+
 def read_ground(
     store: TileStore, rule: GroundSelection, bounds: Bounds, choose: Choose | None = None
 ) -> Ground:
@@ -63,57 +122,26 @@ def read_ground(
     choose : callable, optional
         Function that chooses the ground points of a bucket to keep, so that the others need no memory.
     """
-    edges = _objects_at_edges(store, rule, bounds) if rule.erode else {}
-    parts, marks = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)]
-    read = 0
-    for cell in store.buckets_within(bounds):
-        block, classes, is_ground = read_classes(
-            store, rule, cell, needs_input=bool(rule.erode)
-        )
-        chosen = is_ground & _used(block, rule, store, cell)
-        chosen &= block.inside(bounds, store.meta.frame.origin)
-        index = np.flatnonzero(chosen)
-        if rule.erode and len(index):
-            own_objects = block.xyz[:, _is_object(block, classes, is_ground, rule, store, cell)]
-            index = index[
-                ~_beside_objects(store, rule, cell, block.xyz[:, index], own_objects, edges)
-            ]
-        points = block.xyz.take(index, axis=1)
+    parts, read, marked = [np.empty((3, 0), np.int32)], 0, 0
+    for part in classed(store, rule, bounds):
+        points = part.xyz.compress(part.is_ground, axis=1)
         read += points.shape[1]
-        parts.append(points if choose is None else points[:, choose(cell, points)])
-        marks.append((classes[index] >= UNCERTIFIED_BIT) & (rule.labels is not None))
-    return Ground(np.concatenate(parts, axis=1), read, int(np.concatenate(marks).sum()))
-
-
-def read_objects(
-    store: TileStore, rule: GroundSelection, bounds: Bounds
-) -> npt.NDArray[np.int32]:
-    """Read the points in ``bounds`` (absolute counts) that are neither ground nor noise, int32 (3, n)."""
-    parts = [np.empty((3, 0), np.int32)]
-    for cell in store.buckets_within(bounds):
-        block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
-        chosen = _is_object(block, classes, is_ground, rule, store, cell)
-        chosen &= block.inside(bounds, store.meta.frame.origin)
-        parts.append(block.xyz[:, chosen])
-    return np.concatenate(parts, axis=1)
+        parts.append(points if choose is None else points[:, choose(part.cell, points)])
+        if rule.labels is not None:
+            is_marked = part.is_ground & (part.classes >= UNCERTIFIED_BIT)
+            marked += int(np.count_nonzero(is_marked))
+    return Ground(np.concatenate(parts, axis=1), read, marked)
 
 
 def read_ground_and_objects(
     store: TileStore, rule: GroundSelection, bounds: Bounds
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Return the points of `read_ground` and of `read_objects`. Each bucket is read once if nothing is eroded."""
-    if rule.erode:
-        return read_ground(store, rule, bounds).xyz, read_objects(store, rule, bounds)
-    ground_parts, object_parts = [np.empty((3, 0), np.int32)], [np.empty((3, 0), np.int32)]
-    for cell in store.buckets_within(bounds):
-        block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
-        used = block.inside(bounds, store.meta.frame.origin) & _used(block, rule, store, cell)
-        ground_parts.append(block.xyz[:, used & is_ground])
-        labels = None if rule.labels is None else classes
-        object_parts.append(
-            block.xyz[:, used & ~is_ground & ~_is_noise(block, labels, store, cell)]
-        )
-    return np.concatenate(ground_parts, axis=1), np.concatenate(object_parts, axis=1)
+    """Return the ground points in ``bounds``, and those that are neither ground nor noise, int32 (3, n)."""
+    ground, others = [np.empty((3, 0), np.int32)], [np.empty((3, 0), np.int32)]
+    for part in classed(store, rule, bounds, objects=True):
+        ground.append(part.xyz.compress(part.is_ground, axis=1))
+        others.append(part.xyz.compress(part.is_object, axis=1))
+    return np.concatenate(ground, axis=1), np.concatenate(others, axis=1)
 
 
 def read_classes(
@@ -191,10 +219,8 @@ def _is_noise(
     block: PointBlock, labels: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the points that are noise by the input, or by the filter if there are labels."""
-    noise = np.isin(_required(block.classification, store, cell), NOISE)
-    return (
-        noise if labels is None else noise | np.isin(labels & ~np.uint8(UNCERTIFIED_BIT), NOISE)
-    )
+    noise: Bools = _NOISE_CLASSES[_required(block.classification, store, cell)]
+    return noise if labels is None else noise | _NOISE_LABELS[labels]
 
 
 def count_edited_points(

@@ -157,7 +157,7 @@ def measures_of(points: PointsNear, terrain: Float64, margin: int, cap: Fraction
     pixel_m = spec.lattice.size * frame.metres_xy
     land = _Land(terrain, margin, float(pixel_m), spec, block)
     cells = _Cells(_lattice(frame, spec.lattice.size), spec, block)
-    ground, objects = points.ground(cells.bounds), points.objects(cells.bounds)
+    ground, objects = points.ground_and_objects(cells.bounds)
     window = cells.window(frame.origin)
     variance = plane_variance(ground, window, PLANE_HALVES)
     counts = cell_counts(ground, window), cell_counts(objects, window)
@@ -199,9 +199,8 @@ class _Cells:
     """Cells of a lattice that contain the centres of a block's pixels, and `MARGIN` more cells on each side."""
 
     def __init__(self, lattice: Lattice, spec: RasterSpec, block: Block) -> None:
-        x, _ = spec.centres(Block(block.row, block.col, 1, block.width))
-        _, y = spec.centres(Block(block.row, block.col, block.height, 1))
-        columns, rows = lattice.index(x[0]), lattice.index(y[:, 0])
+        x, y = spec.axes(block)
+        columns, rows = lattice.index(x), lattice.index(y)
         self._lattice = lattice
         self._west, self._north = int(columns[0]) - MARGIN, int(rows[0]) + MARGIN
         self._height = int(rows[0] - rows[-1]) + 1 + 2 * MARGIN

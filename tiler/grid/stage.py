@@ -86,7 +86,8 @@ def grid(
     report_voids(job, gridding, gridding.made["dtm-outlined"])
     for raster in rasters:
         if isinstance(raster, Step) and raster.finish is not None:
-            raster.finish(job, gridding, gridding.counts(raster.name, raster.grid))
+            counts = gridding.counts(raster.name, raster.grid, raster.side)
+            raster.finish(job, gridding, counts)
     return gridding.found()
 
 
@@ -119,7 +120,7 @@ def _make(
     name, stage = raster.name, raster.stage
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)
-    job.store.create_raster(name, spec.height, spec.width, raster.fill)
+    job.store.create_raster(name, spec, raster.fill)
     written = {
         spec.block_at(*first_pixel, BLOCK_PIXELS).name
         for first_pixel in job.store.stored_blocks(name)

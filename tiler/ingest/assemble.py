@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from ptd.cells import sort_in_cells
+from ptd.frame import CellLattice
 from tiler.core.lattice import Bounds, Cell, CoordFrame, Lattice
 from tiler.core.points import (
     NOISE,
@@ -100,7 +102,7 @@ def assemble_buckets(
             block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
         participating = _participating(block, keep_classes, skip_flags)
         measured = _measured(block, participating, skip_flags)
-        ordering = bucket_order(block, participating, meta.frame, meta.bucket, meta.fine, cell)
+        ordering = bucket_order(block, participating, meta.frame, meta.fine)
         records.append(
             _record(cell, block, participating, measured, strays, ordering, meta.frame)
         )
@@ -141,9 +143,7 @@ def bucket_order(
     block: PointBlock,
     participating: npt.NDArray[np.bool_],
     frame: CoordFrame,
-    bucket: Lattice,
     fine: Lattice,
-    cell: Cell,
 ) -> BucketOrder:
     """Find the order in which a bucket stores its points.
 
@@ -152,63 +152,24 @@ def bucket_order(
     them is first. The result depends only on the points and not on their order.
     """
     origin = block.origin if block.origin is not None else np.arange(len(block), dtype=np.int64)
-    keys, fine_of = _sort_keys(block.xyz, frame, bucket, fine, cell)
-    # A stable sort would take three times as long. So `_ties_sorted` sorts equal points.
-    order = np.lexsort(keys[::-1]) if len(keys) > 1 else np.argsort(keys[0])
-    is_repeat = np.ones(len(order), dtype=np.bool_)
-    is_repeat[:1] = False
-    for key in keys:
-        is_repeat[1:] &= key[order[1:]] == key[order[:-1]]
-    within, between = _duplicates(order, is_repeat, origin >> SOURCE_SHIFT)
+    # Cells keep their order when the origin moves by whole cells, and small numbers cannot overflow.
+    cells = CellLattice(fine.p, fine.q, *(count % fine.p for count in frame.origin))
+    x, y, z = block.xyz
+    order, cell_of, is_repeat = sort_in_cells(x, y, z, cells)
+    within, between = _duplicates(order, is_repeat, origin)
     order = _ties_sorted(order, is_repeat, replace(block, origin=origin), participating)
     repeated = np.zeros(len(order), dtype=np.bool_)
     repeated[order[is_repeat]] = True
     ranked = order[participating[order]]
-    cells = fine_of[ranked]
+    cell_of_ranked = cell_of[ranked]
     first = np.ones(len(ranked), dtype=np.bool_)
-    first[1:] = cells[1:] != cells[:-1]
+    first[1:] = cell_of_ranked[1:] != cell_of_ranked[:-1]
     chosen = ranked[first]
     rest = np.ones(len(order), dtype=np.bool_)
     rest[chosen] = False
     return BucketOrder(
         np.concatenate((chosen, order[rest[order]])), len(chosen), repeated, within, between
     )
-
-
-def _sort_keys(
-    xyz: npt.NDArray[np.int32], frame: CoordFrame, bucket: Lattice, fine: Lattice, cell: Cell
-) -> tuple[list[npt.NDArray[np.uint64] | npt.NDArray[np.int64]], npt.NDArray[np.int64]]:
-    """Return keys that sort by fine cell, z, x, y, major key first, and the points' fine cells.
-
-    If 64 bits suffice, the keys are packed into one key, which sorts faster. 64 bits nearly
-    always suffice: x and y in a bucket of 100 m take 34 bits, so 30 bits are left for z.
-    """
-    bounds = bucket.bounds(cell)
-    x = xyz[0].astype(np.int64) + (frame.origin[0] - bounds.x0)
-    y = xyz[1].astype(np.int64) + (frame.origin[1] - bounds.y0)
-    z = xyz[2].astype(np.int64)
-    z = z - (z.min() if z.size else 0)
-    west = fine.index_of(bounds.x0)
-    south = fine.index_of(bounds.y0)
-    across = fine.index_of(bounds.x1 - 1) - west + 1
-    fine_x = fine.index(x + bounds.x0)
-    fine_y = fine.index(y + bounds.y0)
-    fine_of = (fine_y - south) * across + (fine_x - west)
-    # A coordinate relative to its fine cell needs few bits. If a cell has a size of
-    # p / q counts, cell i starts at count ceil(i * p / q).
-    parts = [
-        fine_of,
-        z,
-        x + bounds.x0 + (-fine_x * fine.p) // fine.q,
-        y + bounds.y0 + (-fine_y * fine.p) // fine.q,
-    ]
-    bits = [int(p.max()).bit_length() if p.size else 0 for p in parts]
-    if sum(bits) > 64:
-        return list(parts), fine_of
-    key = np.zeros(xyz.shape[1], dtype=np.uint64)
-    for part, width in zip(parts, bits, strict=True):
-        key = (key << np.uint64(width)) | part.astype(np.uint64)
-    return [key], fine_of
 
 
 def _ties_sorted(
@@ -235,13 +196,13 @@ def _ties_sorted(
 def _duplicates(
     order: npt.NDArray[np.intp],
     is_repeat: npt.NDArray[np.bool_],
-    sources: npt.NDArray[np.int64],
+    origin: npt.NDArray[np.int64],
 ) -> tuple[int, int]:
     """Count the points that repeat a point of the same source, and of another source."""
     if not is_repeat.any():
         return 0, 0
     tied, runs = _ties(is_repeat)
-    sources_of_ties = sources[order[tied]]
+    sources_of_ties = origin[order[tied]] >> SOURCE_SHIFT
     by_source = np.lexsort((sources_of_ties, runs))
     same_run = np.diff(runs) == 0  # Runs ascend, so the sort does not change them.
     between = int(np.count_nonzero(same_run & (np.diff(sources_of_ties[by_source]) != 0)))

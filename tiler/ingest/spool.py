@@ -355,7 +355,7 @@ def to_local_counts(
         shifted = converted.counts - origins[axis]
         fits = fits_int32(shifted)
         framed &= fits
-        local[axis] = np.where(fits, shifted, 0)
+        local[axis] = shifted if fits.all() else np.where(fits, shifted, 0)
     dropped = {
         NOT_FINITE: int(np.count_nonzero(~finite)),
         BEYOND_FRAME: int(np.count_nonzero(finite & ~framed)),

@@ -27,6 +27,7 @@ from tiler.inputs import FAR
 from tiler.io.locations import is_url, with_slashes
 from tiler.observe.events import Detail, Note, TaskFailed, Warned
 from tiler.plan import KEEP, Plan, bounds_of, settled_by_points, sparse_raster_remedy
+from tiler.runs.compiling import SORT_KERNELS
 from tiler.runs.found import IngestResult, Source, by_source, source_of
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -231,7 +232,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
         {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
     )
     _bring_back(job, sources, [task for task in tasks if task.key not in done])
-    commits = run_stage(job, "assemble", tasks)
+    commits = run_stage(job, "assemble", tasks, SORT_KERNELS)
     assembled = IngestResult.of(commits)
     if not commits:
         raise ProcessingError(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,7 @@ class AxisCounts:
     largest_rounding: float
 
 
+@cache
 def decimal_terms(scale: float, offset: float) -> tuple[int, int, int] | None:
     """Return integers ``(a, c, d)`` such that a record's integer X is ``(X*a + c) / d`` counts.
 
@@ -73,13 +75,17 @@ def to_counts(values: npt.NDArray[np.integer], scale: float, offset: float) -> A
     if terms is None:
         return _in_floats(values, scale, offset)
     a, c, d = terms
-    exact = values.astype(np.int64) * a + c
+    exact = values.astype(np.int64)
+    exact *= a
+    exact += c
     counts = exact if d == 1 else (2 * exact + d) // (2 * d)
     largest = 0.0
     if d != 1 and counts.size:
         largest = int(np.abs(exact - counts * d).max()) / d / COUNTS_PER_UNIT
     usable = np.abs(counts) < BEYOND
-    return AxisCounts(np.where(usable, counts, 0), usable, largest)
+    if not usable.all():
+        counts = np.where(usable, counts, 0)
+    return AxisCounts(counts, usable, largest)
 
 
 def _in_floats(values: npt.NDArray[np.integer], scale: float, offset: float) -> AxisCounts:

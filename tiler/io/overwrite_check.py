@@ -70,6 +70,28 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
                 )
 
 
+def check_difference(path: str | Path, reads: Iterable[str | Path]) -> None:
+    """Raise ConfigError if ``--difference`` is not the name of a GeoTIFF in a folder of this machine, or is an input.
+
+    Parameters
+    ----------
+    path : str or Path
+    reads : iterable of str or Path
+        Paths and URLs of all files that the command reads.
+    """
+    target = Path(path)
+    # A URL as a path has only one slash, and a drive of Windows has one letter.
+    if re.match("[A-Za-z][A-Za-z0-9+.-]+:/", target.as_posix()):
+        raise ConfigError(f"--difference {path}: is a URL; give a file on this machine")
+    check_targets([Target("--difference", path, (".tif", ".tiff"))], reads)
+    if target.is_dir():
+        raise ConfigError(f"--difference {path}: is a folder; give a file")
+    if not target.parent.is_dir():
+        raise ConfigError(
+            f"--difference {path}: its folder does not exist; make it, or give another file"
+        )
+
+
 def check_names(option: str, place: str | Path) -> None:
     """Raise ConfigError if the system does not allow a part of a path as a name."""
     text = without_local_scheme(plain_scheme(str(place)))

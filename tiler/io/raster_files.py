@@ -22,8 +22,9 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.errors import write_error
 from tiler.io.atomic_files import atomic_path, cause_of
 
-CACHE_MB = 64
-"""Limit of GDAL's block cache in MB. GDAL's default is a share of the machine's memory."""
+CACHE_BYTES = 64
+"""Limit of GDAL's block cache, with which it keeps no block. Files are read and written once, so a larger cache takes
+memory and no less time. GDAL's default is a share of the machine's memory."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def plain_geotiff(
         profile["photometric"] = "palette"
     with (
         any_place(),
-        rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
+        rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES),
         raster_errors(path),
         rasterio.open(
             path, "w", **tiled_profile(height, width, transform), **profile

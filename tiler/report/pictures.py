@@ -40,9 +40,10 @@ the range."""
 
 LEGEND_STEPS = 5
 
-CACHE_MB = 16
+CACHE_BYTES = 16 << 20
 """GDAL's cache while a raster is read. Two rows of blocks of an overview twice as wide as a
-picture fit into it."""
+picture fit into it. rasterio takes bytes; with less than a block, GDAL decodes each block again for
+every read."""
 
 STRIP_ROWS = 128
 """Number of rows of a picture whose slopes or colours are computed together."""
@@ -128,7 +129,7 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
         return None
     longer = LONGER_SIDE
     while True:
-        with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
+        with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
             extent = _extent(rasters["dtm"])
             pictures = Pictures(extent, tuple(_each(rasters, extent, run, longer)))
         taken = sum(len(picture.uri) * 3 // 4 for picture in pictures.pictures)
@@ -142,7 +143,7 @@ def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
 
     It raises the same errors as `draw`.
     """
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
         heights = _read(dtm, longer, Resampling.average)
         return hillshade(heights, _extent(dtm), run)
 

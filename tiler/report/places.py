@@ -14,6 +14,7 @@ import numpy.typing as npt
 import rasterio
 import shapely
 from rasterio.enums import Resampling
+from rasterio.transform import rowcol
 
 from tiler.core.crs import crs_in_file
 from tiler.core.edits import FLAT, NOT_GROUND, VOID
@@ -26,7 +27,7 @@ from tiler.io.result_folder import STORE
 from tiler.io.vector import POLYGONS, Feature, read_in_crs
 from tiler.io.vector.reading import read_features
 from tiler.report.cards import Card, Section
-from tiler.report.pictures import CACHE_MB, Extent
+from tiler.report.pictures import CACHE_BYTES, Extent
 from tiler.store import TileStore, open_store
 
 MARGIN = 0.75
@@ -40,6 +41,8 @@ PIECE_M = 20.0
 """Length of the pieces in which the points of a section are read, so that a slanted section reads few others."""
 SAMPLES = 400
 """Number of positions of the terrain in a section."""
+PIECES = 4
+"""Number of windows in which the terrain of a section is read."""
 CERTIFIED = np.uint8(~UNCERTIFIED_BIT & 0xFF)
 """Bits of a label that are its class."""
 MOST_CORNERS = 20_000
@@ -118,7 +121,7 @@ def read_open_places(
         kept = [*(_kept_edit(row) for row in own), *kept]
     settings = run.get("configuration") or {}
     classes = settings.get("ground_classes") if settings.get("method") == "keep" else None
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB), rasterio.open(dtm) as raster:
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), rasterio.open(dtm) as raster:
         survey = _Survey(raster, _opened(store_url), classes, units_of(run)[0], detail)
         cards = [_card(feature, survey) for feature in features[: detail.places]]
     return OpenPlaces(cards, len(features), found.crs, kept)
@@ -339,9 +342,8 @@ def _section(
     at = (np.arange(SAMPLES) + 0.5) * length / SAMPLES
     positions = ends[0] + np.outer(at / length, ends[1] - ends[0])
     inside = shapely.contains_xy(shape, *positions.T)
-    # Pictures of wide places have large pixels.
-    samples = survey.terrain.sample(positions, masked=True)
-    line = np.ma.filled(np.ma.stack(list(samples)).astype(np.float64), np.nan)[:, 0]
+    # Pictures of wide places have large pixels, so the heights come from the raster.
+    line = terrain_at(survey.terrain, positions)
     edited = None
     if after is not None and columns["action"] != VOID:
         edited = np.where(inside, _sampled(after, extent, positions), np.nan)
@@ -357,6 +359,34 @@ def _section(
         others=points[1],
         width=width if survey.store is not None and points[0].size + points[1].size else 0.0,
     )
+
+
+def terrain_at(raster: Any, positions: Float64s) -> Float64s:
+    """Return the height of the pixel at each position along a line, NaN where there is none.
+
+    Parameters
+    ----------
+    raster : rasterio.DatasetReader
+    positions : float64, shape (n, 2)
+        x and y. Each window that is read contains a quarter of them.
+
+    Returns
+    -------
+    float64, shape (n,)
+    """
+    # Older versions of rasterio return whole numbers as floats.
+    rows, cols = (np.asarray(n, np.int64) for n in rowcol(raster.transform, *positions.T))
+    heights = np.full(len(positions), np.nan)
+    is_there = (rows >= 0) & (rows < raster.height) & (cols >= 0) & (cols < raster.width)
+    # The windows of pieces hold far fewer pixels than one around a whole slanted line.
+    for piece in np.array_split(np.flatnonzero(is_there), PIECES):
+        if piece.size:
+            top, left = rows[piece].min(), cols[piece].min()
+            window = (top, rows[piece].max() + 1), (left, cols[piece].max() + 1)
+            part = raster.read(1, window=window, masked=True)
+            found = part[rows[piece] - top, cols[piece] - left]
+            heights[piece] = found.astype(np.float64).filled(np.nan)
+    return heights
 
 
 def _points(survey: _Survey, ends: Float64s, width: float) -> tuple[Float64s, Float64s]:

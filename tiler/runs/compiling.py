@@ -6,11 +6,13 @@ import functools
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from ptd.cells import sort_in_cells
+from ptd.frame import CellLattice
 from ptd.kernel import compiled_count
 from ptd.matched.evidence import DIM, LIDAR, concluded
 from ptd.precompile import (
@@ -21,6 +23,7 @@ from ptd.precompile import (
     is_compiled,
     warm_filters,
     warm_gridding,
+    warm_last_pass,
     why_not_compiled,
 )
 from tiler.errors import first_line
@@ -35,7 +38,7 @@ Tell = Callable[[], None]
 
 STAGE = "compile"
 """Key of the stage in the progress while the run waits for kernels."""
-KERNELS = {"filters": 100, "gridding": 70, "classes": 4}
+KERNELS = {"filters": 100, "gridding": 70, "classes": 4, "sorting": 4}
 """Approximate numbers of kernels, for progress only."""
 SECONDS = 1800
 """Time in seconds after which a process that compiles counts as hung."""
@@ -71,6 +74,11 @@ def grid_kernels(interpolation: str) -> Kernels:
     )
 
 
+def _and_last_pass(compile_first: Callable[[Tell], None], tell: Tell) -> None:
+    compile_first(tell)
+    warm_last_pass()
+
+
 def class_kernels(plan: Plan) -> Kernels | None:
     """Return the kernels that encode classes, or None if no classified cloud of the run may need them."""
     layered = any(
@@ -93,6 +101,19 @@ def warm_classes(notify: Tell) -> None:
 
 
 CLASS_KERNELS = Kernels("classes", warm_classes, KERNELS["classes"])
+
+
+def warm_sorting(notify: Tell) -> None:
+    """Compile the kernels that sort the points of buckets if necessary, after a call of ``notify``."""
+    counts = np.arange(8, dtype=np.int32)
+
+    def sort() -> None:
+        sort_in_cells(counts, counts, counts, CellLattice(1, 1, 0, 0))
+
+    compile_once("sorting", notify, sort)
+
+
+SORT_KERNELS = Kernels("sorting", warm_sorting, KERNELS["sorting"])
 
 
 def likely_kind(plan: Plan) -> str:
@@ -133,15 +154,22 @@ class Compiler:
         """
         if not self._apart:
             return
-        wanted = []
+        wanted, shares = [], False
         if plan.config.method != KEEP and until != "ingest":
-            wanted.append(filter_kernels(plan.config.method, likely_kind(plan)))
+            filters = filter_kernels(plan.config.method, likely_kind(plan))
+            wanted.append(filters)
+            shares = filters.name == filters_name("auto", LIDAR) and not is_compiled(
+                filters.name
+            )
         if until in ("grid", "export"):
-            wanted.append(grid_kernels(plan.config.interpolation))
+            grid = grid_kernels(plan.config.interpolation)
+            # Kernels of gridding are fewer. So their process takes a share of those of the filter.
+            both = functools.partial(_and_last_pass, grid.compile)
+            wanted.append(replace(grid, compile=both) if shares else grid)
         classes = class_kernels(plan)
         if until == "export" and classes is not None:
             wanted.append(classes)
-        for kernels in wanted:
+        for kernels in (SORT_KERNELS, *wanted):
             if not is_compiled(kernels.name):
                 self._start(kernels)
 

@@ -2,7 +2,8 @@
 
 Zarr makes the metadata, and the calling thread reads and writes whole chunks.
 The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them. Between the two is the
-checksum of the chunk's key, which blosc skips: a valid chunk at another place is damage.
+checksum of the chunk's key, which blosc skips: a valid chunk at another place is damage. The size in blosc's frame
+includes it, since GDAL compares this size with that of the chunk.
 They do not go through zarr itself, whose event loop and thread pool need more than a
 millisecond of CPU time per chunk of any size. See docs/decisions.md.
 """
@@ -28,12 +29,17 @@ from zarr.storage import MemoryStore
 
 from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
+from tiler.store.georeference import DIMENSIONS
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind, StoreMeta
 from tiler.store.storage import Storage, place_checksum, seal_holds, sealed
 
 _CHECKSUM_BYTES = 4
 _UNPACKED = slice(4, 8)
 """Bytes of a blosc frame that contain its uncompressed size (C-Blosc, README_CHUNK_FORMAT)."""
+_PACKED = slice(12, 16)
+"""Bytes of a blosc frame that contain its own size."""
+_FLAGS, _IS_COPY = 2, 0x2
+"""Byte of a blosc frame with flags, and the flag of values that are not compressed. Their frame has a fixed size."""
 
 RECENT_BYTES = 48 << 20
 """Bytes of unpacked chunks that a process keeps, see docs/decisions.md."""
@@ -198,7 +204,12 @@ def _encoded(key: str, values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
     packed: bytes = numcodecs.blosc.compress(
         items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE
     )
-    body = packed + _place(key)
+    place = _place(key)
+    if not packed[_FLAGS] & _IS_COPY:
+        # GDAL refuses a frame that is shorter than the chunk, so the frame includes the place.
+        size = (len(packed) + len(place)).to_bytes(4, "little")
+        packed = packed[: _PACKED.start] + size + packed[_PACKED.stop :]
+    body = packed + place
     checksum: int = google_crc32c.value(body)
     return body + checksum.to_bytes(_CHECKSUM_BYTES, "little")
 
@@ -287,6 +298,7 @@ def write_metadata(
         filters=None,
         compressors=[blosc, Crc32cCodec()],
         attributes=dict(attributes),
+        dimension_names=attributes.get(DIMENSIONS),
         chunk_key_encoding={"name": "default", "separator": layout.CHUNK_SEPARATOR},
         zarr_format=3,
     )
@@ -294,6 +306,14 @@ def write_metadata(
     key = _metadata_key(path)
     storage.put(key, json.dumps(sealed(key, metadata)).encode())
     return StoredArray(storage, path, kind, shape, kind.fill, attributes)
+
+
+def make_group(storage: Storage, path: str) -> None:
+    """Make the folder at ``path`` a group of zarr if it is not one. The store itself needs no groups in it."""
+    key = _metadata_key(path)
+    if storage.get(key) is None:
+        group = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
+        storage.put(key, json.dumps(sealed(key, group)).encode())
 
 
 def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:

@@ -8,6 +8,7 @@
     index/current.json           digest of the current index
     labels/<name>                labels of a pass, uint8, rows as in points
     elected/<name>               points that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets
+    rasters/zarr.json            group of the rasters, for other programs
     rasters/<name>+<set>         raster, float32 (height, width)
     spool/<piece>                points of one source piece, sorted by bucket
     records/<piece>-<bytes>      decoded records of one source piece
@@ -39,6 +40,9 @@ CHUNK_SEPARATOR = "."
 
 With a slash, each chunk would have two folders on a local disk, and making and removing these
 takes longer than writing the chunk."""
+
+RASTERS = "rasters"
+"""Path of the group of the rasters."""
 
 SET_SEPARATOR = "+"
 """Separator of the name of a raster and that of its set."""
@@ -208,7 +212,7 @@ def elected_path(name: str) -> str:
 
 def raster_path(name: str, raster_set: str = "") -> str:
     """Return the path of a raster in a set, see `tiler.store.rasters.RasterStore`."""
-    return f"rasters/{safe(f'{name}{SET_SEPARATOR}{raster_set}' if raster_set else name)}"
+    return f"{RASTERS}/{safe(f'{name}{SET_SEPARATOR}{raster_set}' if raster_set else name)}"
 
 
 def spool_path(piece: str) -> str:

@@ -340,6 +340,8 @@ def _side_by_side(gathered: Gathered, name: str, kind: layout.ArrayKind) -> npt.
     The column is removed from ``gathered``, so that at most one column is in memory twice.
     """
     pieces = gathered.pop(name)
+    if len(pieces) == 1:  # It is a copy already (`_masked`).
+        return pieces[0]
     return np.concatenate([np.empty((kind.chunks[1], 0), kind.dtype), *pieces], axis=1)
 
 

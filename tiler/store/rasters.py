@@ -17,6 +17,7 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
 from tiler.store.arrays import StorePart
+from tiler.store.georeference import raster_attributes
 
 RASTER_SETS = "raster-sets"
 """Name of the state that lists the sets of rasters, the current one last."""
@@ -41,14 +42,19 @@ class RasterStore(StorePart):
     def _raster_path(self, name: str) -> str:
         return layout.raster_path(name, self._raster_set)
 
-    def create_raster(self, name: str, height: int, width: int, fill: float = NODATA) -> None:
+    def create_raster(self, name: str, spec: RasterSpec, fill: float = NODATA) -> None:
         """Make a float32 raster (*coordinator*). An existing raster of the same shape and fill keeps its blocks."""
         path = self._raster_path(name)
         kind = layout.raster_kind(fill)
+        shape = (spec.height, spec.width)
+        attributes = raster_attributes(name, spec, self.meta.frame.crs_wkt, fill)
         array = arrays.find_array(self._storage, path, kind)
-        if array is None or array.shape != (height, width) or array.fill != np.float32(fill):
+        if array is None or array.shape != shape or array.fill != np.float32(fill):
             self._storage.delete_folder(path)
-            array = arrays.write_metadata(self._storage, path, (height, width), kind)
+            array = None
+        if array is None or {**array.attributes, **attributes} != array.attributes:
+            array = arrays.write_metadata(self._storage, path, shape, kind, attributes)
+            arrays.make_group(self._storage, layout.RASTERS)
         self._open[path] = array
 
     def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:

@@ -82,9 +82,10 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
             self._storage.put_json(layout.pack_key(stage), done)
         for name in names[:-MAX_RASTER_SETS]:
             self._storage.delete(layout.state_key(f"rasters-{name}"))
-        for folder in self._storage.names("rasters"):
-            if folder.partition(layout.SET_SEPARATOR)[2] not in names[-MAX_RASTER_SETS:]:
-                self._storage.delete_folder(f"rasters/{folder}")
+        for folder in self._storage.names(layout.RASTERS):
+            raster_set = folder.partition(layout.SET_SEPARATOR)[2]
+            if folder != layout.ROOT_KEY and raster_set not in names[-MAX_RASTER_SETS:]:
+                self._storage.delete_folder(f"{layout.RASTERS}/{folder}")
 
     def clean_up(self) -> None:
         """Remove what later runs do not need, and pack the commits (*coordinator*, while no task runs).

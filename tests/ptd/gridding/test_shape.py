@@ -126,8 +126,8 @@ def test_blocks_do_not_show_and_units_count(product: str, tmp_path: Path) -> Non
             RasterSpec(Lattice(Fraction(1000)), -100, 400, 600, 530),
             PRODUCTS[product].nodata,
         )
-        store.create_raster("dtm", 600, 530)
-        store.create_raster(product, 600, 530, fill)
+        store.create_raster("dtm", spec)
+        store.create_raster(product, spec, fill)
         values = np.where(np.isnan(heights), NODATA, heights * scale).astype(np.float32)
         for b in spec.blocks(512):
             store.write_block(

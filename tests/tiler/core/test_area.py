@@ -57,6 +57,39 @@ def test_any_ring_is_exact_to_the_count(ring: list[tuple[int, int]], backwards: 
     assert area.inside(x, y).tolist() == by_definition(area, x, y)
 
 
+@given(
+    st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=3, max_size=8),
+    st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=3, max_size=8),
+    st.lists(st.integers(-11, 11), max_size=9),
+    st.lists(st.integers(-11, 11), max_size=9),
+    st.sampled_from([0, 32_500_000_123, -5_000_000_007]),
+    st.booleans(),
+)
+def test_a_grid_has_the_same_places_inside(
+    ring: list[tuple[int, int]],
+    other: list[tuple[int, int]],
+    columns: list[int],
+    rows: list[int],
+    shift: int,
+    apart: bool,
+) -> None:
+    rings = np.array(ring, np.int64) + shift, np.array(other, np.int64) + shift
+    area = Area(((rings[0],), (rings[1],)) if apart else (rings,))
+    x, y = np.array(sorted(columns), np.int64) + shift, np.array(rows, np.int64) + shift
+    wide, high = (grid.ravel() for grid in np.meshgrid(x, y))
+    assert area.inside_grid(x, y).ravel().tolist() == by_definition(area, wide, high)
+
+
+def test_a_grid_takes_many_crossings_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    corners = np.random.default_rng(5).integers(0, 1000, (300, 2))
+    area, x, y = Area(((corners,),)), np.arange(0, 1000, 7), np.arange(1000, 0, -9)
+    usual = area.inside_grid(x, y)
+    monkeypatch.setattr("tiler.core.area.CROSSINGS_AT_ONCE", 7)
+    assert np.array_equal(usual, area.inside_grid(x, y))
+    wide, high = (grid.ravel() for grid in np.meshgrid(x, y))
+    assert np.array_equal(usual.ravel(), area.inside(wide, high))
+
+
 def test_neighbours_share_no_place_and_leave_none() -> None:
     y, x = (grid.ravel() for grid in np.mgrid[0:1000:7, 0:1450:7])
     corners = np.concatenate([STAR, BESIDE])

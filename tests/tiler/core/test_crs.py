@@ -10,6 +10,7 @@ from pyproj.crs import CompoundCRS
 
 from tiler.core.crs import (
     at_degrees,
+    code_of,
     crs_warnings,
     misplaced,
     placement,
@@ -127,3 +128,13 @@ def test_areas_may_contain_the_antimeridian(longitude: float, outside_deg: float
     found = placement(CRS("EPSG:3994").to_wkt(), x, y)
     assert found is not None
     assert found.outside_deg == pytest.approx(outside_deg)
+
+
+@pytest.mark.parametrize(
+    "text", ["EPSG:25832", "ESRI:102970", "EPSG:5703", "+proj=tmerc +lon_0=9"]
+)
+def test_the_code_of_a_crs_is_that_of_each_of_its_texts(text: str) -> None:
+    crs = CRS.from_user_input(text)
+    expected = tuple(text.split(":")) if ":" in text else None
+    assert code_of(crs) == code_of(CRS.from_wkt(crs.to_wkt())) == expected
+    assert code_of(crs) == crs.to_authority()

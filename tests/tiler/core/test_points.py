@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ptd.ground import labelling
 from tiler.core import points
-from tiler.core.lattice import Cell, CoordFrame, Lattice
+from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.points import (
     REPEATED_FLAG,
     WATER_BIT,
@@ -75,7 +75,7 @@ def test_points_that_take_no_part_keep_their_class(before: int, reclass: str) ->
     assert table[NO_PART, before] == table[NO_PART | WATER_BIT, before] == before
 
 
-CELL, BUCKET, FRAME = Cell(-2, 1), Lattice(Fraction(12)), CoordFrame(origin=(-50, 5))
+FRAME = CoordFrame(origin=(-50, 5))
 POINTS = st.lists(
     st.tuples(
         st.integers(-24, -13),
@@ -101,7 +101,7 @@ def stored(points: Any, fine: Lattice, sources: Any) -> tuple[PointBlock, int]:
         origin=pack_origin(0, np.arange(len(x))) + (np.asarray(sources, np.int64) << 40),
     )
     taking = participates(block.classification, block.flags)
-    found = bucket_order(block, taking, FRAME, BUCKET, fine, CELL)
+    found = bucket_order(block, taking, FRAME, fine)
     flags = block.flags | (found.repeated * np.uint8(REPEATED_FLAG))
     ordered = PointBlock(
         block.xyz, block.classification, flags, block.returns, origin=block.origin

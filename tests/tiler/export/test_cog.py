@@ -13,6 +13,7 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
+import zarr
 from rio_cogeo import cog_validate
 
 from tiler.core.lattice import CoordFrame, Lattice
@@ -29,6 +30,8 @@ TAGS = {
     "TILER_PARAMETERS": json.dumps({"angle_deg": 6.0}),
     "TILER_INPUTS": "0123456789abcdef",
 }
+PROJ_UUID = "f17cb550-5864-4468-aeb7-f3180cfb622f"
+"""Identifier of the Zarr convention ``proj``."""
 SPEC = RasterSpec(Lattice(Fraction(1000)), west=637_000, north=852_000, height=1300, width=1100)
 
 
@@ -46,7 +49,7 @@ def filled_store(
 ) -> TileStore:
     meta = StoreMeta(frame, Lattice(Fraction(50_000)), Lattice(Fraction(500)), has_rgb=False)
     store = create_store(str(folder / "store.zarr"), meta)
-    store.create_raster("dtm", spec.height, spec.width)
+    store.create_raster("dtm", spec)
     for b in spec.blocks(512):
         store.write_block("dtm", b, heights[b.row : b.row + b.height, b.col : b.col + b.width])
     return store
@@ -74,6 +77,26 @@ def frame_of(code: str | None, units: Units | None = None) -> CoordFrame:
 @pytest.fixture
 def store(tmp_path: Path) -> TileStore:
     return filled_store(tmp_path, SPEC, hills(SPEC), frame_of("EPSG:25832"))
+
+
+@pytest.mark.parametrize("code", ["EPSG:25832", "EPSG:25832+5783", "EPSG:4979", None])
+def test_the_raster_of_the_store_gives_the_position_of_the_file(
+    tmp_path: Path, code: str | None
+) -> None:
+    store = filled_store(tmp_path, SPEC, hills(SPEC), frame_of(code))
+    export(tmp_path, store, SPEC)
+    array = zarr.open_array(tmp_path / "store.zarr" / "rasters" / "dtm", mode="r")
+    attributes = array.attrs.asdict()
+    declared = {entry["uuid"] for entry in attributes["zarr_conventions"]}
+    with rasterio.open(tmp_path / "dtm.tif") as cog:
+        assert attributes["spatial:transform"] == list(cog.transform[:6])
+        assert attributes["spatial:bbox"] == list(cog.bounds)
+        assert attributes["spatial:shape"] == list(cog.shape) == list(array.shape)
+        assert attributes["spatial:dimensions"] == list(array.metadata.dimension_names)
+        assert array.fill_value == cog.nodata
+        assert ("proj:wkt2" in attributes) == (PROJ_UUID in declared) == (cog.crs is not None)
+        if cog.crs is not None:
+            assert rasterio.CRS.from_wkt(attributes["proj:wkt2"]) == cog.crs
 
 
 @pytest.mark.parametrize("compress", ["deflate", "zstd"])

@@ -27,7 +27,7 @@ SPEC = RasterSpec(Lattice(Fraction(1000)), 0, SIDE, SIDE, SIDE)
 
 
 def stored(store: TileStore, heights: np.ndarray) -> None:
-    store.create_raster("dtm", SIDE, SIDE)
+    store.create_raster("dtm", SPEC)
     for block in SPEC.blocks(512):
         store.write_block("dtm", block, heights.astype(np.float32))
 
@@ -164,7 +164,7 @@ def test_lines_of_a_sheet_do_not_depend_on_the_first_pixel_of_the_raster(
     sheet = SheetPart(RasterSpec(lattice, west + 40, north - 30, 120, 100))
     for name, more in (("a", 0), ("b", 37)):
         spec = RasterSpec(lattice, west - more, north, SIDE, SIDE + more)
-        small_store.create_raster(name, SIDE, SIDE + more)
+        small_store.create_raster(name, spec)
         wide = np.pad(heights, ((0, 0), (more, 0)), "reflect").astype(np.float32)
         for block in spec.blocks(512):
             small_store.write_block(name, block, wide)

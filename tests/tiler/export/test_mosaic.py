@@ -34,7 +34,7 @@ def exported(folder: Path, epsg: int) -> RasterSpec:
     frame = CoordFrame(Units(), (0, 0), pyproj.CRS(epsg).to_wkt())
     meta = StoreMeta(frame, Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
     store = create_store(str(folder / "store.zarr"), meta)
-    store.create_raster("dtm", spec.height, spec.width)
+    store.create_raster("dtm", spec)
     (block,) = spec.blocks(512)
     store.write_block(
         "dtm", block, np.arange(SIDE * 2 * SIDE, dtype=np.float32).reshape(SIDE, -1)

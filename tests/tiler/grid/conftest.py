@@ -81,7 +81,7 @@ class Scene:
     def grid_into_store(self, name: str, size: Fraction, **options: Any) -> RasterSpec:
         """The same as a raster of the store, as a run makes it."""
         spec = RasterSpec.covering(Lattice(size), self.data)
-        self.store.create_raster(name, spec.height, spec.width)
+        self.store.create_raster(name, spec)
         for b in spec.blocks(512):
             work = self.work(name, spec, b, **{"halo": 10_000, **options})
             record = grid_block(self.store, work=work)

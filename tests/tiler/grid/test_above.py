@@ -69,7 +69,7 @@ def flat_scene(make_scene, low: np.ndarray, depth_m: float = 3.0, **options) -> 
     xyz = np.stack((cols * 1000 + 500, (low.shape[0] - 1 - rows) * 1000 + 500, heights), axis=1)
     scene = make_scene(xyz.astype(np.int64), **options)
     spec = spec_of(scene)
-    scene.store.create_raster("dtm", spec.height, spec.width)
+    scene.store.create_raster("dtm", spec)
     for block in spec.blocks(BLOCK_PIXELS):
         scene.store.write_block(
             "dtm", block, np.full((block.height, block.width), 50.0, np.float32)
@@ -122,7 +122,7 @@ def test_a_slope_whose_returns_lie_at_the_low_edge_of_pixels_is_right(make_scene
     xyz = np.stack((x, (SIDE - 1 - rows) * 1000 + 500, 50_000 + 3 * x), axis=1)
     scene = make_scene(xyz.astype(np.int64))
     spec = spec_of(scene)
-    scene.store.create_raster("dtm", spec.height, spec.width)
+    scene.store.create_raster("dtm", spec)
     terrain = np.tile(50.0 + 3.0 * (np.arange(SIDE) + 0.5), (SIDE, 1)).astype(np.float32)
     scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), terrain)
     (record,) = records(scene).values()
@@ -237,7 +237,7 @@ def test_pixels_whose_lowest_return_is_far_above_the_terrain_are_counted(make_sc
     )
     scene = make_scene(np.concatenate((top.reshape(-1, 3), ground[below])).astype(np.int64))
     spec = spec_of(scene)
-    scene.store.create_raster("dtm", spec.height, spec.width)
+    scene.store.create_raster("dtm", spec)
     dtm = np.full((SIDE, SIDE), 50.0, np.float32)
     dtm[20:23, 20:30] = NODATA
     scene.store.write_block("dtm", Block(0, 0, SIDE, SIDE), dtm)

@@ -55,7 +55,7 @@ def made(
         "below": spec,
     }
     for name, of in rasters.items():
-        store.create_raster(name, of.height, of.width, NODATA)
+        store.create_raster(name, of, NODATA)
     for (height, canopy), of in ((("model", "canopy"), spec), (("terrain", "crowns"), coarse)):
         _, *values = wood(of, glimpses)
         for b in of.blocks(512):

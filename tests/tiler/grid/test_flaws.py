@@ -33,7 +33,7 @@ def test_a_roof_in_the_terrain_of_a_store(
     heights = np.kron(with_hall(), np.ones((2, 2))).astype(np.float32)
     heights[:20] = NODATA
     spec = RasterSpec(Lattice(Fraction(1000)), 500_000, 5_400_000, *heights.shape)
-    small_store.create_raster("dtm", *heights.shape)
+    small_store.create_raster("dtm", spec)
     for block in spec.blocks(512):
         part = heights[
             block.row : block.row + block.height, block.col : block.col + block.width
@@ -79,7 +79,7 @@ def test_crowns_in_the_terrain_of_a_store(pixels: int, small_store: TileStore) -
         )
     heights = np.kron(heights, np.ones((pixels, pixels))).astype(np.float32)
     spec = RasterSpec(Lattice(Fraction(1000, pixels)), 500_000, 5_400_000, *heights.shape)
-    small_store.create_raster("dtm", *heights.shape)
+    small_store.create_raster("dtm", spec)
     for block in spec.blocks(512):
         part = heights[
             block.row : block.row + block.height, block.col : block.col + block.width

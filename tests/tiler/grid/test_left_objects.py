@@ -13,14 +13,8 @@ from scipy.ndimage import binary_dilation
 from tests.tiler.grid.conftest import Scene, make_block
 from tiler.core.products import Read
 from tiler.core.raster import NODATA, RasterSpec
-from tiler.grid.left_objects import (
-    candidates,
-    chances,
-    chosen,
-    left_margin,
-    left_objects,
-    measures_of,
-)
+from tiler.grid.left_objects import left_margin, left_objects
+from tiler.grid.object_candidates import candidates, chances, chosen, measures_of
 
 SIDE = 160
 ROWS, COLUMNS = np.indices((SIDE, SIDE)).astype(float)

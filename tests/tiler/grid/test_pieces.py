@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from tiler.grid.coarse import AROUND, Piece, join_pieces, label_block
+from tiler.grid.coarse import AROUND, Piece, join_pieces, label_block, touching_cells
 from tiler.grid.tasks.steps import outside_of
 
 SIDE = 4
@@ -98,3 +100,16 @@ def test_an_area_is_named_after_its_first_piece() -> None:
     }
     (area,) = join_pieces(sides, dict.fromkeys(sides, 1), corners=False).areas.items()
     assert area == (Piece(0, 0, 1), (Piece(0, 0, 1), Piece(0, SIDE, 1)))
+
+
+@given(rasters(), st.randoms(use_true_random=False))
+def test_touching_cells_are_in_one_group_in_their_order(cells: np.ndarray, random: Any) -> None:
+    listed = [(row, col) for row, col in np.argwhere(cells).tolist()]
+    random.shuffle(listed)
+    labels, n_areas = ndimage.label(cells, AROUND)
+    groups = touching_cells(listed)
+    assert len(groups) == n_areas
+    assert [group[0] for group in groups] == sorted((g[0] for g in groups), key=listed.index)
+    for group in groups:
+        label = labels[group[0]]
+        assert group == [place for place in listed if labels[place] == label]

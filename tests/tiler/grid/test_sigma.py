@@ -50,8 +50,8 @@ def plane(
 def gridded(scene: Scene, size: Fraction = PIXEL) -> RasterSpec:
     """Terrain and mask (all measured) of a scene in its store."""
     spec = scene.grid_into_store("dtm", size)
-    scene.store.create_raster("mask", spec.height, spec.width, MEASURED)
-    scene.store.create_raster("sigma", spec.height, spec.width)
+    scene.store.create_raster("mask", spec, MEASURED)
+    scene.store.create_raster("sigma", spec)
     return spec
 
 
@@ -131,7 +131,7 @@ def test_far_from_ground_only_crowns_that_give_a_height_make_it_surer(make_scene
     block = Block(0, 0, spec.height, spec.width)
     crowns = np.full((spec.height, spec.width), NODATA, np.float32)
     crowns[:, 30:] = 100.0
-    scene.store.create_raster("below", spec.height, spec.width, NODATA)
+    scene.store.create_raster("below", spec, NODATA)
     scene.store.write_block("below", block, crowns)
     found = []
     for more in ({}, {"below": Read("raster:below")}):
@@ -272,9 +272,8 @@ def test_few_points_and_none_are_no_error(make_scene) -> None:
     assert record["filled"] == np.isfinite(found).sum() > 20
     assert (found[np.isfinite(found)] > 0).all()
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
-    scene.store.create_raster("dtm", spec.height + 1, spec.width)
     taller = replace(spec, height=spec.height + 1)
-    for name in ("mask", "sigma"):
-        scene.store.create_raster(name, taller.height, taller.width)
+    for name in ("dtm", "mask", "sigma"):
+        scene.store.create_raster(name, taller)
     record = sigma_block(scene, taller, Block(0, 0, taller.height, taller.width))
     assert record["filled"] == 0

@@ -46,7 +46,7 @@ def made_at(store: TileStore, data: list[np.ndarray], top: int, left: int, margi
         fill = 0.0 if name == "counts" else NODATA
         whole = np.full((spec.height, spec.width), fill, np.float32)
         whole[top:, left:] = values
-        store.create_raster(name, spec.height, spec.width, fill)
+        store.create_raster(name, spec, fill)
         for b in spec.blocks(BLOCK_PIXELS):
             part = whole[b.row : b.row + b.height, b.col : b.col + b.width]
             store.write_block(name, b, part)

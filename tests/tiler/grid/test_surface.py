@@ -39,7 +39,7 @@ def dsm(
 ) -> tuple[np.ndarray, list[Mapping[str, Any]]]:
     """Heights of the surface, NaN for none, and the counts of its blocks. Nowhere are places without returns."""
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
-    scene.store.create_raster("dtm", spec.height, spec.width, fill=terrain)
+    scene.store.create_raster("dtm", spec, fill=terrain)
     heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
     for b in spec.blocks(block):
         points = PointsNear(scene.store, FINAL, spec, b, "dtm")
@@ -136,9 +136,9 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     labels[alone] = 1
     scene = make_scene(xyz, labels)
     spec = scene.grid_into_store("dtm", PIXEL)
-    scene.store.create_raster("dsm", spec.height, spec.width)
+    scene.store.create_raster("dsm", spec)
     coarse = RasterSpec.covering(Lattice(PIXEL), scene.data)
-    scene.store.create_raster("survey", coarse.height, coarse.width, fill=SURVEYED)
+    scene.store.create_raster("survey", coarse, fill=SURVEYED)
     (block,) = spec.blocks(512)
     reads = {
         "points": Read("points:dtm"),
@@ -179,7 +179,7 @@ def test_the_distance_is_that_of_the_nearest_ground_point(make_scene, shape, uni
     labels = np.where(xyz[:, 0] % 3 > 0, 2, 6).astype(np.uint8)
     scene = make_scene(xyz, labels, frame=CoordFrame(Units(unit, unit)))
     spec, cap = RasterSpec.covering(Lattice(Fraction(1000)), scene.data), 15_000
-    scene.store.create_raster("distance", spec.height, spec.width, 0.0)
+    scene.store.create_raster("distance", spec, 0.0)
     reads = {"points": Read("points", cap + 1)}
     records = [
         make_block(scene.store, "distance", distance, reads, spec, b, cap=Fraction(cap))

@@ -46,8 +46,8 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     coarse = coarse_raster(Lattice(Fraction(2000)), scene.data)
     gap = LIMIT / 2000
     for name in ("occupancy", "survey", "voids"):
-        scene.store.create_raster(name, coarse.height, coarse.width, 0)
-    scene.store.create_raster("open", coarse.height, coarse.width, NO_PIECE)
+        scene.store.create_raster(name, coarse, 0)
+    scene.store.create_raster("open", coarse, NO_PIECE)
     (b,) = coarse.blocks(512)
     sources = sources_of(spec, coarse=coarse)
 
@@ -89,9 +89,7 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
         )
 
     for name in ("filled", "mask"):
-        scene.store.create_raster(
-            name, spec.height, spec.width, NODATA if name == "filled" else OUTSIDE
-        )
+        scene.store.create_raster(name, spec, NODATA if name == "filled" else OUTSIDE)
     row, col = np.mgrid[: spec.height, : spec.width]
     truth = 50 + pixel_m * ((spec.west + col + 0.5) / 4 - (spec.north - row - 0.5) / 8)
     return scene, spec, coarse, fill, truth
@@ -119,7 +117,7 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     assert not has[in_notch].any()
 
     def make_mask(delivered: str) -> None:
-        scene.store.create_raster("canopy", spec.height, spec.width, NODATA)
+        scene.store.create_raster("canopy", spec, NODATA)
         reads = {
             "terrain": Read("raster:dtm"),
             "delivered": Read(f"raster:{delivered}"),

@@ -39,7 +39,7 @@ def body(store: TileStore, wet: np.ndarray, surveyed: np.ndarray) -> shapely.Geo
         "crowns": np.zeros(wet.shape),
     }
     for name, values in rasters.items():
-        store.create_raster(name, *values.shape, 0.0)
+        store.create_raster(name, spec, 0.0)
         store.write_block(name, block, values.astype(np.float32))
     sources = SearchRasters("occupancy", "ground", "domain")
     rule = GroundSelection("final")

@@ -108,7 +108,7 @@ def test_returns_of_reed_give_no_level(small_store: TileStore) -> None:
         "crowns": np.where(reed, REED, 0),
     }
     for name, values in rasters.items():
-        small_store.create_raster(name, *values.shape, 0.0)
+        small_store.create_raster(name, spec, 0.0)
         small_store.write_block(name, block, values.astype(np.float32))
     top = (BLOCK_PIXELS - 100) * cell
     area = Area.rectangle(Bounds(100 * cell, top - 40 * cell, 140 * cell, top))

@@ -70,7 +70,7 @@ def test_candidates_are_the_lowest_points_in_any_order_of_input(
     block = block_of([p[:3] for p in points], source=[p[3] for p in points])
     taking = np.array([p[4] for p in points])
     lattice = Lattice(fine)
-    found = bucket_order(block, taking, FRAME, BUCKET, lattice, CELL)
+    found = bucket_order(block, taking, FRAME, lattice)
     assert sorted(found.order.tolist()) == list(range(len(points)))
     chosen = block.take(found.order[: found.n_candidates])
     assert found.n_candidates == len({tuple(p) for p in chosen.xyz.T.tolist()})
@@ -81,7 +81,7 @@ def test_candidates_are_the_lowest_points_in_any_order_of_input(
     assert found.duplicates_within == sum(len(s) - len(set(s)) for s in places.values())
     assert found.duplicates_between == sum(len(set(s)) - 1 for s in places.values())
     shuffled = np.random.default_rng(seed).permutation(len(points))
-    again = bucket_order(block.take(shuffled), taking[shuffled], FRAME, BUCKET, lattice, CELL)
+    again = bucket_order(block.take(shuffled), taking[shuffled], FRAME, lattice)
     np.testing.assert_array_equal(
         block.take(shuffled).take(again.order).origin, block.take(found.order).origin
     )
@@ -94,25 +94,22 @@ def test_the_origin_of_the_frame_does_not_change_the_order() -> None:
         axis=1,
     )
     taking = np.ones(300, dtype=bool)
-    found = bucket_order(block_of(xyz), taking, FRAME, BUCKET, FINE, CELL)
+    found = bucket_order(block_of(xyz), taking, FRAME, FINE)
     moved = bucket_order(
         block_of(xyz + [1000, -500, 0]),
         taking,
         CoordFrame(origin=(-850, 400)),
-        BUCKET,
         FINE,
-        CELL,
     )
     np.testing.assert_array_equal(found.order, moved.order)
 
 
 def test_keys_too_long_for_one_word_give_the_same_order() -> None:
     rng = np.random.default_rng(3)
-    bucket, fine, cell = Lattice(Fraction(2**22)), Lattice(Fraction(1)), Cell(0, 0)
     xyz = rng.integers(0, 2**22, (3, 500)).astype(np.int32)
     xyz[2] = rng.choice([0, 2**31 - 1, -(2**31) + 1], 500)
     block = PointBlock(xyz, origin=pack_origin(0, np.arange(500, dtype=np.int64)))
-    found = bucket_order(block, np.ones(500, bool), CoordFrame(), bucket, fine, cell)
+    found = bucket_order(block, np.ones(500, bool), CoordFrame(), Lattice(Fraction(1)))
     np.testing.assert_array_equal(found.order, np.lexsort((xyz[0], xyz[1])))
 
 

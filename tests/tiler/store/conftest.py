@@ -11,6 +11,7 @@ import pytest
 
 from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import PointBlock, pack_origin
+from tiler.core.raster import RasterSpec
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
 
 META = StoreMeta(
@@ -47,6 +48,11 @@ def store(store_url: str, meta: StoreMeta) -> TileStore:
 def local_store(tmp_path: Path) -> TileStore:
     """A new store in a folder."""
     return create_store(str(tmp_path / "store.zarr"), META)
+
+
+def pixels(height: int, width: int) -> RasterSpec:
+    """A raster of pixels of a thousand counts whose south-west corner is the origin of the CRS."""
+    return RasterSpec(Lattice(Fraction(1000)), 0, height, height, width)
 
 
 def make_points(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import zarr
 
-from tests.tiler.store.conftest import make_points
+from tests.tiler.store.conftest import make_points, pixels
 from tiler.core.lattice import Bounds
 from tiler.core.raster import Block
 from tiler.errors import DiskFullError, ProcessingError, StoreError
@@ -81,7 +81,7 @@ def test_a_damaged_chunk_is_an_error(
 def test_a_damaged_raster_is_an_error(
     local_store: TileStore, damage: Callable[[Path], None]
 ) -> None:
-    local_store.create_raster("dtm", 100, 100)
+    local_store.create_raster("dtm", pixels(100, 100))
     block = Block(0, 0, 100, 100)
     local_store.write_block("dtm", block, np.arange(10_000, dtype=np.float32).reshape(100, 100))
     path = Path(local_store.url, "rasters", "dtm", "c.0.0")

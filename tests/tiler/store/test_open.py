@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 import zarr
+from pyproj import CRS
 
-from tests.tiler.store.conftest import make_points
+from tests.tiler.store.conftest import make_points, pixels
 from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block
@@ -31,7 +32,11 @@ from tiler.store import (
 from tiler.store.storage import Storage, sealed
 
 FEET = StoreMeta(
-    CoordFrame(Units(US_SURVEY_FOOT, Fraction(3048, 10000)), (-(2**40), 5), 'PROJCS["ä"]'),
+    CoordFrame(
+        Units(US_SURVEY_FOOT, Fraction(3048, 10000)),
+        (-(2**40), 5),
+        CRS.from_epsg(2225).to_wkt().replace("NAD83", "ä", 1),
+    ),
     Lattice(Fraction(10**9, 3937)),
     Lattice(Fraction(10**9, 3937 * 7)),
     False,
@@ -165,7 +170,7 @@ def test_a_store_is_removed_whole(store_url: str, meta: StoreMeta) -> None:
     assert store.usage().objects > 5
     remove_store(store_url)
     assert store.usage().objects == 0
-    create_store(store_url, FEET).create_raster("dtm", 3, 3)
+    create_store(store_url, FEET).create_raster("dtm", pixels(3, 3))
     assert np.all(open_store(store_url).meta == FEET)
 
 
@@ -262,7 +267,7 @@ def test_a_store_of_an_earlier_version_can_be_begun_anew(local_store: TileStore)
 def test_all_keys_of_a_store_are_known(filled: TileStore) -> None:
     filled.write_piece("s0", _no_points())
     filled.write_labels("labels-1", *_labels(filled))
-    filled.create_raster("dtm", 3, 3)
+    filled.create_raster("dtm", pixels(3, 3))
     filled.write_block("dtm", Block(0, 0, 3, 3), np.ones((3, 3), np.float32))
     filled.commit("export", "dtm.tif", "0", {})
     filled.put_state("sources", {})

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numcodecs import blosc
 
+from tests.tiler.store.conftest import pixels
 from tiler.core.raster import Block
 from tiler.errors import StoreError
 from tiler.store import TileStore, open_store
@@ -26,7 +27,7 @@ def write(store: TileStore, height: float) -> None:
 def test_a_chunk_is_unpacked_once(
     local_store: TileStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    local_store.create_raster("dtm", 10, 10)
+    local_store.create_raster("dtm", pixels(10, 10))
     write(local_store, 7)
     unpack, times = blosc.decompress, []
 
@@ -43,7 +44,7 @@ def test_a_chunk_is_unpacked_once(
 def test_a_chunk_that_was_written_again_or_damaged_is_read_again(
     local_store: TileStore,
 ) -> None:
-    local_store.create_raster("dtm", 10, 10)
+    local_store.create_raster("dtm", pixels(10, 10))
     reader = open_store(local_store.url)
     for height in (1, 2, 1):
         write(local_store, height)
@@ -60,7 +61,7 @@ def test_a_chunk_that_was_written_again_or_damaged_is_read_again(
 
 
 def test_a_caller_cannot_change_what_the_next_one_reads(local_store: TileStore) -> None:
-    local_store.create_raster("dtm", 10, 10)
+    local_store.create_raster("dtm", pixels(10, 10))
     write(local_store, 3)
     local_store.read_block("dtm", BLOCK)[:] = 0
     assert (local_store.read_block("dtm", BLOCK) == 3).all()

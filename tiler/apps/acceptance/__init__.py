@@ -1,8 +1,8 @@
 """Acceptance of clouds: facts that a specification of a survey asks for, measured and compared with it.
 
 `measuring` reads each file once, in child processes. `counts` has the counts of one file, `cells` what follows from the
-first returns in cells, `duplicates` the repeated points. `rows` is the table of what is measured, and `specification`
-reads what is asked.
+first returns in cells, `separation` the differences of swaths, `difference_raster` their raster, `duplicates` the
+repeated points. `rows` is the table of what is measured, and `specification` reads what is asked.
 """
 
 from tiler.apps.acceptance.measuring import check_clouds

@@ -1,4 +1,4 @@
-"""Counts of the points of one file: classes, flags, returns, swaths, times, and first returns in cells.
+"""Counts of the points of one file: classes, flags, returns, swaths, times, first returns and heights in cells.
 
 Only cells are kept, so memory does not grow with the points.
 """
@@ -19,7 +19,14 @@ from tiler.apps.acceptance.duplicates import (
     number_of_parts,
     repeated,
 )
-from tiler.core.points import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.core.points import (
+    KEY_POINT_FLAG,
+    NOISE,
+    OVERLAP_FLAG,
+    SYNTHETIC_FLAG,
+    WATER,
+    WITHHELD_FLAG,
+)
 from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.point_formats import class_and_flags, coordinate, returns
 from tiler.io.las.reader import QUALITY, PointReader, Records
@@ -44,16 +51,28 @@ FLAG_BITS = {
     "key": KEY_POINT_FLAG,
 }
 
-_SIDE_BITS = 24
+SIDE_BITS = 24
 """Bits of a column or a row in the key of a cell. The other 16 are the point source id."""
-_SIDE_CELLS = 1 << _SIDE_BITS
+_SIDE_CELLS = 1 << SIDE_BITS
 _EDGE = 1e-6
 """Shift of the edges of cells, in cells. Coordinates often lie exactly on the edges of cells of round sizes, where
 rounding errors would decide."""
 
+HEIGHT_CELL_FACTOR = 2
+"""Side of the cells for heights, in sides of the cells for first returns: four nominal pulse spacings, so that a cell
+has a few points of each swath."""
+STEPS_PER_METRE = 1000
+"""Heights are rounded to millimetres, so that sums of them do not depend on their order."""
+MAX_HEIGHT_M = 16_000
+"""Largest absolute height that is summed."""
+OFFSET_STEPS = 1024
+"""Steps per cell to which the position of a point inside its cell is rounded down."""
+
 Bounds = tuple[float, ...]
 Keys = npt.NDArray[np.uint64]
 Int64s = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -78,35 +97,76 @@ class Cells:
         half = _SIDE_CELLS // 2
         return cls(side, math.floor(x / side) - half, math.floor(y / side) - half)
 
-    def keys(
-        self,
-        x: npt.NDArray[np.float64],
-        y: npt.NDArray[np.float64],
-        source: npt.NDArray[np.uint16],
-    ) -> Keys:
+    @property
+    def of_heights(self) -> Cells:
+        """The larger cells in which heights are summed."""
+        factor = HEIGHT_CELL_FACTOR
+        return Cells(self.side * factor, self.column // factor, self.row // factor)
+
+    def keys(self, x: Floats, y: Floats, source: npt.NDArray[np.uint16]) -> Keys:
         """Return the keys of the cells of points. Points too far away have none."""
         column = np.floor(x / self.side + _EDGE) - self.column
         row = np.floor(y / self.side + _EDGE) - self.row
-        near = (column >= 0) & (column < _SIDE_CELLS) & (row >= 0) & (row < _SIDE_CELLS)
+        near = _inside(column) & _inside(row)
         if not near.all():
             column, row, source = column[near], row[near], source[near]
-        found = source.astype(np.uint64) << np.uint64(2 * _SIDE_BITS)
-        found |= row.astype(np.uint64) << np.uint64(_SIDE_BITS)
+        return self._encoded(column, row, source)
+
+    def height_sums(
+        self, x: Floats, y: Floats, height_m: Floats, source: npt.NDArray[np.uint16]
+    ) -> tuple[Keys, Int64s]:
+        """Return the distinct keys of the cells of points, sorted, and sums per cell, int64, shape (n, 5).
+
+        The sums are the number of points, those of their heights in millimetres and of the squares, and those of their
+        offsets from the lowest corner along x and y in `OFFSET_STEPS`. Points too far away or too high are left out.
+        Sums of squares beyond 2**63 wrap around.
+        """
+        x, y = x / self.side + _EDGE - self.column, y / self.side + _EDGE - self.row
+        column, row = np.floor(x), np.floor(y)
+        near = _inside(column) & _inside(row) & (np.abs(height_m) <= MAX_HEIGHT_M)
+        x, y, column, row = x[near], y[near], column[near], row[near]
+        height = np.rint(height_m[near] * STEPS_PER_METRE).astype(np.int64)
+        offset_x = ((x - column) * OFFSET_STEPS).astype(np.int64)
+        offset_y = ((y - row) * OFFSET_STEPS).astype(np.int64)
+        keys = self._encoded(column, row, source[near])
+        order, first = _grouped(keys)
+        sums = [np.diff(first, append=keys.size)]
+        for values in (height, height**2, offset_x, offset_y):
+            sums.append(np.add.reduceat(values[order], first))
+        return keys[order][first], np.stack(sums, axis=1)
+
+    @staticmethod
+    def _encoded(column: Floats, row: Floats, source: npt.NDArray[np.uint16]) -> Keys:
+        found = source.astype(np.uint64) << np.uint64(2 * SIDE_BITS)
+        found |= row.astype(np.uint64) << np.uint64(SIDE_BITS)
         found |= column.astype(np.uint64)
         return found
+
+
+def _inside(index: Floats) -> Mask:
+    inside: Mask = (index >= 0) & (index < _SIDE_CELLS)
+    return inside
 
 
 def decoded(keys: Keys) -> tuple[Int64s, Int64s, Int64s]:
     """Return point source ids, columns and rows of keys."""
     mask = np.uint64(_SIDE_CELLS - 1)
-    source = (keys >> np.uint64(2 * _SIDE_BITS)).astype(np.int64)
+    source = (keys >> np.uint64(2 * SIDE_BITS)).astype(np.int64)
     column = (keys & mask).astype(np.int64)
-    row = ((keys >> np.uint64(_SIDE_BITS)) & mask).astype(np.int64)
+    row = ((keys >> np.uint64(SIDE_BITS)) & mask).astype(np.int64)
     return source, column, row
 
 
+def _grouped(keys: Keys) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the order that sorts keys, and the position of the first of each distinct key in it."""
+    order = np.argsort(keys, kind="stable")  # It is fast for sorted pieces.
+    sorted_keys = keys[order]
+    is_first = np.r_[True, sorted_keys[1:] != sorted_keys[:-1]][: keys.size]
+    return order, np.flatnonzero(is_first)
+
+
 class CellCounter:
-    """Number of points by key. Pieces are merged once they have as many cells as the merged ones."""
+    """Number of points by key, or several sums. Pieces are merged once they have as many cells as the merged ones."""
 
     def __init__(self) -> None:
         self._keys: list[Keys] = []
@@ -114,7 +174,7 @@ class CellCounter:
         self._waiting = 0
 
     def add(self, keys: Keys, counts: Int64s | None = None) -> None:
-        """Count keys, each once or ``counts`` times."""
+        """Count keys, each once, or ``counts`` times. Counts and sums are of distinct, sorted keys."""
         if counts is None:
             keys, counts = np.unique(keys, return_counts=True)
         if not keys.size:
@@ -132,10 +192,9 @@ class CellCounter:
             return np.empty(0, np.uint64), np.empty(0, np.int64)
         if len(self._keys) > 1:
             keys, counts = np.concatenate(self._keys), np.concatenate(self._counts)
-            order = np.argsort(keys, kind="stable")  # It is fast for sorted pieces.
-            keys, counts = keys[order], counts[order]
-            first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-            self._keys, self._counts = [keys[first]], [np.add.reduceat(counts, first)]
+            order, first = _grouped(keys)
+            self._keys = [keys[order][first]]
+            self._counts = [np.add.reduceat(counts[order], first, axis=0)]
             self._waiting = 0
         return self._keys[0], self._counts[0]
 
@@ -174,6 +233,10 @@ class FileCounts:
         Number of first returns that are not withheld.
     keys, counts : array
         Cells with these points (`Cells`), and their numbers.
+    height_keys, height_sums : array
+        Cells of single returns of swaths on land, and their sums (`Cells.height_sums`).
+    too_high : int
+        Number of such returns with heights beyond `MAX_HEIGHT_M`, which are not summed.
     duplicates : int
         Number of points that equal an earlier one of this file, without those in the bounds of other files.
     """
@@ -197,6 +260,9 @@ class FileCounts:
     first_returns: int = 0
     keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
     counts: Int64s = field(default_factory=lambda: np.empty(0, np.int64))
+    height_keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
+    height_sums: Int64s = field(default_factory=lambda: np.empty((0, 5), np.int64))
+    too_high: int = 0
     duplicates: int = 0
 
     @property
@@ -228,16 +294,20 @@ class DigestPlan:
     others: tuple[Bounds, ...]
 
 
-def count_file(path: Path, cells: Cells | None, plan: DigestPlan | None) -> FileCounts:
+def count_file(
+    path: Path, cells: Cells | None, plan: DigestPlan | None, height_unit_m: float = 1.0
+) -> FileCounts:
     """Count the points of a file, piece by piece.
 
     Parameters
     ----------
     path : Path
     cells : Cells or None
-        Cells of the first returns. None: do not count them.
+        Cells of the first returns. None: do not count them, and do not sum heights.
     plan : DigestPlan or None
         How to find duplicates. None: do not look for them.
+    height_unit_m : float
+        Metres per unit of the heights.
     """
     header = read_header(path)
     found = FileCounts(
@@ -250,21 +320,27 @@ def count_file(path: Path, cells: Cells | None, plan: DigestPlan | None) -> File
         header.points_by_return,
     )
     sources = np.zeros(1 << 16, np.int64)
-    first_returns = CellCounter()
+    first_returns, heights = CellCounter(), CellCounter()
     own = shared = None
     if plan is not None:
         own = DigestFiles(plan.folder, f"own-{plan.name}", number_of_parts(header.point_count))
         shared = DigestFiles(plan.folder, f"shared-{plan.name}", plan.n_shared_parts)
     with PointReader(header, QUALITY) as reader:
         for records in reader.pieces():
-            flags = _count_fields(found, records, header)
+            flags, single = _count_fields(found, records, header)
             sources += np.bincount(records["point_source_id"], minlength=sources.size)
             x, y, z = (coordinate(records, header, axis) for axis in range(3))
             first = _is_first(records, header) & ((flags & WITHHELD_FLAG) == 0)
             found.first_returns += int(first.sum())
             if cells is not None:
-                first_returns.add(
-                    cells.keys(x[first], y[first], records["point_source_id"][first])
+                of_swath = records["point_source_id"]
+                first_returns.add(cells.keys(x[first], y[first], of_swath[first]))
+                height_m = z[single] * height_unit_m
+                found.too_high += int(np.count_nonzero(np.abs(height_m) > MAX_HEIGHT_M))
+                heights.add(
+                    *cells.of_heights.height_sums(
+                        x[single], y[single], height_m, of_swath[single]
+                    )
                 )
             if plan is not None and own is not None and shared is not None:
                 times = records["gps_time"] if _has_time(records) else None
@@ -275,6 +351,9 @@ def count_file(path: Path, cells: Cells | None, plan: DigestPlan | None) -> File
     found.sources = {int(s): int(sources[s]) for s in np.flatnonzero(sources)}
     found.times_kind = _kind_of_times(header, found.times)
     found.keys, found.counts = first_returns.merge()
+    height_keys, height_sums = heights.merge()
+    if height_keys.size:
+        found.height_keys, found.height_sums = height_keys, height_sums
     if own is not None:
         found.duplicates = sum(repeated(part).size for part in own.take())
     return found
@@ -284,16 +363,16 @@ def _has_time(records: Records) -> bool:
     return "gps_time" in (records.dtype.names or ())
 
 
-def _is_first(records: Records, header: LasHeader) -> npt.NDArray[np.bool_]:
+def _is_first(records: Records, header: LasHeader) -> Mask:
     """Return the mask of first returns. Points without a return number count as first returns."""
-    first: npt.NDArray[np.bool_] = returns(records, header.point_format)[0] <= 1
+    first: Mask = returns(records, header.point_format)[0] <= 1
     return first
 
 
 def _count_fields(
     found: FileCounts, records: Records, header: LasHeader
-) -> npt.NDArray[np.uint8]:
-    """Add the fields of some records to the counts, and return their flags."""
+) -> tuple[npt.NDArray[np.uint8], Mask]:
+    """Add the fields of some records to the counts, and return their flags and the mask of the points for heights."""
     codes, flags = class_and_flags(records, header.point_format)
     found.classes += np.bincount(codes, minlength=256)
     by_flags = np.bincount(flags, minlength=256)
@@ -311,7 +390,9 @@ def _count_fields(
             low, high = float(finite.min()), float(finite.max())
             before = found.times or (low, high)
             found.times = min(low, before[0]), max(high, before[1])
-    return flags
+    # A pulse with one return met an opaque surface. The level of water may change between two swaths.
+    single = (of_pulse <= 1) & ((flags & WITHHELD_FLAG) == 0) & ~np.isin(codes, (*NOISE, WATER))
+    return flags, single & (records["point_source_id"] > 0)
 
 
 def _number_outside(records: Records, header: LasHeader) -> int:
@@ -328,9 +409,7 @@ def _number_outside(records: Records, header: LasHeader) -> int:
     return int(outside.sum())
 
 
-def _in_any(
-    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], boxes: Sequence[Bounds]
-) -> npt.NDArray[np.bool_]:
+def _in_any(x: Floats, y: Floats, boxes: Sequence[Bounds]) -> Mask:
     inside = np.zeros(x.size, np.bool_)
     for x0, y0, x1, y1 in boxes:
         inside |= (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)

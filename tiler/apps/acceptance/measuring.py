@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,14 +19,30 @@ from tiler.apps.acceptance.cells import (
     examine_cells,
     needed_bytes,
 )
-from tiler.apps.acceptance.counts import CellCounter, Cells, DigestPlan, FileCounts, count_file
+from tiler.apps.acceptance.counts import (
+    MAX_HEIGHT_M,
+    CellCounter,
+    Cells,
+    DigestPlan,
+    FileCounts,
+    Int64s,
+    Keys,
+    count_file,
+)
 from tiler.apps.acceptance.duplicates import (
     DigestFiles,
     number_of_parts,
     read_digests,
     repeated,
 )
-from tiler.apps.acceptance.rows import ROWS, Found, Measurements, Row
+from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES, Found, Measurements, Row
+from tiler.apps.acceptance.separation import (
+    MAX_NAMES,
+    NO_OVERLAP,
+    Separation,
+    separate_swaths,
+    share_cells,
+)
 from tiler.apps.acceptance.specification import Specification
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
 from tiler.core.crs import crs_name, same_horizontal, split
@@ -41,6 +57,7 @@ from tiler.inputs import (
     validate_lengths,
 )
 from tiler.io.atomic_files import SCRATCH_PREFIX
+from tiler.io.overwrite_check import check_difference
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
 
 MAX_CHILDREN = 8
@@ -50,11 +67,17 @@ SIDE_TOLERANCE = 1.25
 BOUNDS_MARGIN = 1.0
 """Width in units of the CRS by which the bounds of a file are widened, since headers may be rounded."""
 
+USUAL_LIMIT_M = 0.08
+"""Limit of the colours of differences if the specification has none: that of quality levels 1 and 2 of USGS."""
+
 DIFFERENT_CRS = "the files have different CRSs"
+DIFFERENT_VERTICAL_CRS = "the files have different vertical CRSs"
 
 
 def check_clouds(
-    inputs: Sequence[str | Path], specification: Specification | None = None
+    inputs: Sequence[str | Path],
+    specification: Specification | None = None,
+    difference: Path | None = None,
 ) -> AcceptanceSummary:
     """Measure all rows of clouds, and compare them with a specification.
 
@@ -64,16 +87,22 @@ def check_clouds(
         Files, folders, globs and virtual point clouds.
     specification : Specification, optional
         What is asked. Without it, nothing is asked.
+    difference : Path, optional
+        GeoTIFF that receives the differences of swaths.
 
     Raises
     ------
     ConfigError
-        A path does not exist.
+        A path does not exist, or ``difference`` is an input or not the name of a GeoTIFF in a folder.
     InputError
         A file cannot be read, its CRS has angles, or no file has points.
+    ProcessingError
+        The GeoTIFF cannot be written.
     """
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
+    if difference is not None:
+        check_difference(difference, paths)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
         TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
@@ -86,6 +115,12 @@ def check_clouds(
             )
         measured, cell_m = _measure(children, infos, specification, Path(folder))
     limits = {} if specification is None else specification.limits
+    notes += _notes(measured)
+    separation = measured.separation
+    written: list[str] = []
+    if difference is not None:
+        limit_m = limits.get("swath_difference", USUAL_LIMIT_M)
+        written = _write_differences(difference, infos, separation, limit_m, notes)
     rows = [_judged(row, row.find(measured), limits.get(row.name)) for row in ROWS]
     return {
         "clouds": [str(path) for path in paths],
@@ -94,15 +129,45 @@ def check_clouds(
         "cell_m": cell_m,
         "met": all(row["state"] in ("pass", "not asked") for row in rows),
         "rows": rows,
-        "notes": notes + _notes(measured),
+        "swath_pairs": [] if isinstance(separation, str) else separation.pairs,
+        "difference": written[0] if written else None,
+        "style": written[1] if len(written) > 1 else None,
+        "notes": notes,
     }
+
+
+def _write_differences(
+    path: Path,
+    infos: Sequence[SourceInfo],
+    separation: Separation | str,
+    limit_m: float,
+    notes: list[str],
+) -> list[str]:
+    """Write the raster of differences and its style, note what is not written, and return the written files."""
+    # Child processes do not need its libraries.
+    from tiler.apps.acceptance.difference_raster import write_differences, write_style
+
+    if isinstance(separation, str):
+        reason: str | None = separation
+    else:
+        wkt = next((info.georeference.wkt for info in infos if info.georeference.wkt), None)
+        reason = write_differences(path, separation, wkt)
+    if reason is not None:
+        older = "; the file that is there is older" if path.exists() else ""
+        notes.append(f"{path}: was not written: {reason}{older}")
+        return []
+    style = path.with_suffix(".qml")
+    if not write_style(style, limit_m):
+        notes.append(f"{style}: was kept, because it is not a style of this command")
+        return [str(path)]
+    return [str(path), str(style)]
 
 
 def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
     if asked is None:
         state = "not asked"
     elif found.value is None:
-        state = "not measured"
+        state = "pass" if found.has_nothing else "not measured"
     elif row.limit == "only":
         state = "pass" if set(found.value) <= set(asked) else "fail"
     elif row.limit == "at least":
@@ -123,6 +188,15 @@ def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
 
 def _notes(measured: Measurements) -> list[str]:
     notes = []
+    if too_high := measured.total(lambda file: file.too_high):
+        notes.append(
+            f"{counted(too_high, 'single return')} with heights beyond {MAX_HEIGHT_M:,} m left out of the "
+            "differences of swaths"
+        )
+    if not isinstance(measured.separation, str) and (pairs := measured.separation.uncompared):
+        notes.append(
+            f"swaths overlap without a cell that can be compared: {listed(pairs, MAX_NAMES, 'pairs')}"
+        )
     if measured.without_crs:
         names = listed([str(path) for path in measured.without_crs], 3, "files")
         notes.append(
@@ -159,27 +233,31 @@ def _measure(
     )
     asked = None if specification is None else specification.pulse_spacing_m
     spacing = asked or _spacing_by_headers(infos) * metres
-    findings: CellFindings | str = DIFFERENT_CRS
     plans = _digest_plans(folder, infos)
     cells = None if len(crs_names) > 1 else _cells(infos, spacing / metres)
-    files = _count(children, infos, cells, plans)
+    files = _count(children, infos, cells, plans, metres)
     duplicates = _duplicates(plans, files)
     limits = {} if specification is None else specification.limits
+    of_cells = files
+    findings: CellFindings | str = DIFFERENT_CRS
     if cells is not None:
         findings = _examined(files, cells, metres, limits.get("pulse_density"))
         better = None if asked else _better_spacing(findings, spacing)
         if better is not None:
             cells = _cells(infos, better / metres)
-            counted_again = _count(children, infos, cells, [None] * len(infos))
-            findings = _examined(counted_again, cells, metres, limits.get("pulse_density"))
+            of_cells = _count(children, infos, cells, [None] * len(infos), metres)
+            findings = _examined(of_cells, cells, metres, limits.get("pulse_density"))
+    vertical_names = _different_crs(infos, 1)
+    separation = _separated(of_cells, cells, metres, len(vertical_names))
     measured = Measurements(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
         crs_names,
-        _different_crs(infos, 1),
+        vertical_names,
         [info.path for info in infos if not _has_vertical(info.georeference.wkt)],
         metres,
         findings,
+        separation,
         sum(duplicates.values()),
         [path for path, number in duplicates.items() if number],
     )
@@ -242,10 +320,13 @@ def _count(
     infos: Sequence[SourceInfo],
     cells: Cells | None,
     plans: Sequence[DigestPlan | None],
+    metres: float,
 ) -> list[FileCounts]:
     def count(guard: ChildProcess, item: tuple[SourceInfo, DigestPlan | None]) -> FileCounts:
         info, plan = item
-        return read_in_child(guard, count_file, info.path, cells, plan)
+        crs = info.georeference
+        height_unit_m = float(crs.vertical or crs.horizontal or metres)
+        return read_in_child(guard, count_file, info.path, cells, plan, height_unit_m)
 
     return [result() for result in children.each(count, zip(infos, plans, strict=True))]
 
@@ -254,10 +335,7 @@ def _examined(
     files: Sequence[FileCounts], cells: Cells, metres: float, asked: float | None
 ) -> CellFindings | str:
     """Return what the cells of all files show, or why they cannot be examined."""
-    counter = CellCounter()
-    for file in files:
-        counter.add(file.keys, file.counts)
-    keys, counts = counter.merge()
+    keys, counts = _merged((file.keys, file.counts) for file in files)
     if not keys.size:
         return "no first return that is not withheld"
     needed = needed_bytes(keys)
@@ -267,6 +345,39 @@ def _examined(
             f"({needed / 1e9:,.0f} GB); give parts of the survey, or withhold points far from it"
         )
     return examine_cells(keys, counts, cells, metres, asked)
+
+
+def _separated(
+    files: Sequence[FileCounts],
+    cells: Cells | None,
+    metres: float,
+    n_vertical_crs: int,
+) -> Separation | str:
+    """Return the differences of the swaths of all files, or why they cannot be measured."""
+    if cells is None:
+        return DIFFERENT_CRS
+    if n_vertical_crs > 1:
+        return DIFFERENT_VERTICAL_CRS
+    if not any(source for file in files for source in file.sources):
+        return WITHOUT_SOURCES
+    keys, sums = _merged((file.height_keys, file.height_sums) for file in files)
+    found = separate_swaths(keys, sums, cells, metres, half_of_memory())
+    if found != NO_OVERLAP:
+        return found
+    if n_without := sum(file.sources.get(0, 0) for file in files):
+        return (
+            f"no overlap of swaths, but {counted(n_without, 'point')} without a point source id"
+        )
+    if share_cells(_merged((file.keys, file.counts) for file in files)[0]):
+        return "no single returns of two swaths in the same cell, although they overlap"
+    return NO_OVERLAP
+
+
+def _merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:
+    counter = CellCounter()
+    for keys, counts in pieces:
+        counter.add(keys, counts)
+    return counter.merge()
 
 
 def _digest_plans(folder: Path, infos: Sequence[SourceInfo]) -> list[DigestPlan]:

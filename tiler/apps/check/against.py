@@ -37,7 +37,7 @@ from tiler.core.crs import same_horizontal, split
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError
-from tiler.io.locations import is_url, joined
+from tiler.io.locations import joined
 from tiler.io.result_folder import read_run
 
 CELL_PIXELS, MAX_CELLS = 4, 2048
@@ -149,8 +149,6 @@ def validate_difference(dtm: Path, options: AgainstOptions) -> None:
         raise ConfigError(f"--change {change_m:g}: must be above 0")
     if difference is None:
         return
-    if is_url(difference):
-        raise ConfigError(f"--difference {difference}: is a URL; give a file on this machine")
     results = [
         joined(str(raster.parent), name)
         for raster in (dtm, old)

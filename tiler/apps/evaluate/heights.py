@@ -30,7 +30,7 @@ from tiler.core.raster import NODATA
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
-from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.overwrite_check import Target, check_difference, check_targets
 from tiler.io.raster_files import RasterMetadata, plain_geotiff, raster_errors
 
 SLOPES_DEG = (0, 5, 15, 30, 90)
@@ -151,13 +151,13 @@ def validate_targets(
         Files that the command reads.
     """
     targets, reads = [], list(clouds)
-    if difference is not None:
-        targets.append(Target("--difference", difference, (".tif", ".tiff")))
     if maps is not None:
         for name in names:
             targets += [Target("--maps", maps / f"{name}.{kind}") for kind in ("tif", "png")]
     for raster in rasters:
         reads += files_of_raster(raster)
+    if difference is not None:
+        check_difference(difference, reads)
     check_targets(targets, reads)
     if maps is not None:
         validate_map_files(maps, names)

@@ -19,7 +19,13 @@ from tiler.core.points import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import atomic_path
-from tiler.io.raster_files import CACHE_MB, any_place, raster_errors, tiled_profile, write_png
+from tiler.io.raster_files import (
+    CACHE_BYTES,
+    any_place,
+    raster_errors,
+    tiled_profile,
+    write_png,
+)
 
 RIGHT = 0
 """Code of a cell in which all points are right."""
@@ -208,7 +214,7 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
     }
     with (
         any_place(),
-        rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
+        rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES),
         raster_errors(path),
         atomic_path(path) as partial,
         rasterio.open(

@@ -10,7 +10,6 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-import scipy
 import shapely
 
 from tiler.core.area import Area
@@ -40,7 +39,7 @@ from tiler.grid.bridges.examine import (
     examined_bounds,
     find_deck_cells,
 )
-from tiler.grid.coarse import components
+from tiler.grid.coarse import touching_cells
 from tiler.grid.ground import count_edited_points
 from tiler.grid.records import DeckRecord, TerrainRecord
 from tiler.grid.tasks.gridding import Corrections, GridContext, ground_rule
@@ -218,9 +217,6 @@ MAX_EXTENT_M = 600.0
 
 They are not bridges, and have too many points for one task.
 """
-TOUCHING = 1.5
-"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch,
-too."""
 MAX_REPORTED = 5
 """The log has the sizes and positions of at most this many bridges. The report has all."""
 MIN_CELLS = 4
@@ -314,19 +310,14 @@ def _deck_tasks(context: GridContext, deck_cells: Commits) -> Iterator[Task]:
 
 def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:
     """Yield groups of touching cells in the order of rows and columns. Cells of different blocks can form a group."""
-    distinct: set[tuple[int, ...]] = set()
+    directions: dict[tuple[int, int], set[int]] = defaultdict(set)
     for _, stored in deck_cells.values():
-        distinct.update(map(tuple, stored["cells"]))
-    cells = sorted(distinct)
-    if not cells:
-        return
-    tree = scipy.spatial.cKDTree([cell[:2] for cell in cells])
-    for group in components(range(len(cells)), tree.query_pairs(TOUCHING)):
-        candidate = []
-        for i in group:
-            row, col, direction = cells[i]
-            candidate.append((int(row), int(col), int(direction)))
-        yield tuple(candidate)
+        for row, col, direction in stored["cells"]:
+            directions[row, col].add(direction)
+    for group in touching_cells(sorted(directions)):
+        yield tuple(
+            (*place, direction) for place in group for direction in sorted(directions[place])
+        )
 
 
 def _without_parts(decks: Sequence[DeckRecord]) -> list[DeckRecord]:

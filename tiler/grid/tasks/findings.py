@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 import shapely
 
 from ptd.matched.crowns import Crowns
@@ -31,7 +30,7 @@ from tiler.core.results import (
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.errors import CorruptStoreError, ProcessingError
-from tiler.grid.coarse import join_pieces
+from tiler.grid.coarse import join_pieces, touching_cells
 from tiler.grid.flaws import (
     ABOVE_M,
     BELOW_M,
@@ -318,9 +317,6 @@ def _void(job: Job) -> Iterator[Implausible]:
 """run.json lists at most this many voids, the largest ones."""
 MIN_BARE_CELLS = 2
 """Least side in cells of the survey of a square with the area of a place without returns."""
-TOUCHING = 1.5
-"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch,
-too."""
 
 
 def report_voids(job: Job, gridding: GridContext, outlined: Commits) -> None:
@@ -357,11 +353,11 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
     if not len(table):
         return []
     n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:5]
-    pairs = scipy.spatial.cKDTree(first_pixel // CELL_PIXELS).query_pairs(
-        TOUCHING, output_type="ndarray"
-    )
-    graph = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(table), len(table)))
-    n_voids, void_of_cell = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    cell_places = list(map(tuple, (first_pixel // CELL_PIXELS).tolist()))
+    groups = touching_cells(cell_places)
+    n_voids = len(groups)
+    void_at = {place: number for number, group in enumerate(groups) for place in group}
+    void_of_cell = np.array([void_at[place] for place in cell_places])
     pixels = np.bincount(void_of_cell, n_holes, n_voids).astype(np.int64)
     at_border = np.bincount(void_of_cell, table[:, 5], n_voids) > 0
     first = np.full((n_voids, 2), np.iinfo(np.int64).max)

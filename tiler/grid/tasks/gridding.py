@@ -228,10 +228,12 @@ class GridContext:
             halo=math.ceil(plan.frame.counts(plan.grid.halo_m)),
         )
 
-    def near(self, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
+    def near(
+        self, spec: RasterSpec, margin: int = 0, side: int = BLOCK_PIXELS
+    ) -> dict[Block, list[Cell]]:
         """Return the blocks with buckets within ``margin`` counts (plus ``--erode``), each with these buckets."""
         margin += math.ceil(self.plan.frame.counts(self.plan.config.erosion))
-        return spec.blocks_near(self.plan.buckets, self.labels, BLOCK_PIXELS, margin)
+        return spec.blocks_near(self.plan.buckets, self.labels, side, margin)
 
     def label_digests(self, cells: Iterable[Cell]) -> list[list[Any]]:
         """Return column, row and label digest of some buckets, for digests of tasks that read them."""
@@ -245,10 +247,12 @@ class GridContext:
         """Return `checksums` of a raster."""
         return checksums(self.made[raster], blocks)
 
-    def counts(self, raster: str, grid: Grid = Grid.COARSE) -> dict[Block, Counts]:
+    def counts(
+        self, raster: str, grid: Grid = Grid.COARSE, side: int = BLOCK_PIXELS
+    ) -> dict[Block, Counts]:
         """Return the counts of each finished block of a raster that is made by a step."""
         spec, made = self.spec_of(grid), self.made[raster].items()
-        return {spec.block_named(name, BLOCK_PIXELS): stored for name, (_, stored) in made}
+        return {spec.block_named(name, side): stored for name, (_, stored) in made}
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
         """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""

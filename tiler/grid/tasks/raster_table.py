@@ -199,6 +199,8 @@ def _product_steps(plan: Plan) -> list[Step]:
             _of_laser_scans,
             {"margin": left},
             _left_found,
+            # Of small pixels, the land around is wider than a block.
+            side=2 * BLOCK_PIXELS if 2 * left > BLOCK_PIXELS else BLOCK_PIXELS,
         ),
         Step(
             "mask",

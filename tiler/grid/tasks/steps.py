@@ -233,6 +233,9 @@ class Step:
     grid : Grid
     after : tuple of str
         Rasters that the step does not read, but whose counts ``over`` uses.
+    side : int
+        Side of its blocks in pixels. A step without a raster may have blocks of several `BLOCK_PIXELS`, if it reads
+        wide surroundings. ``over`` returns blocks of `BLOCK_PIXELS`.
     """
 
     name: str
@@ -244,6 +247,7 @@ class Step:
     fill: float = NODATA
     grid: Grid = Grid.PIXELS
     after: tuple[str, ...] = ()
+    side: int = BLOCK_PIXELS
 
     @property
     def stage(self) -> str:
@@ -257,10 +261,13 @@ class Step:
 
     def tasks(self, context: GridContext) -> Iterator[Task]:
         """Yield a task for each block, from north to south."""
-        spec, sources = context.spec_of(self.grid), context.sources
+        spec, sources, side = context.spec_of(self.grid), context.sources, self.side
         widest = [read.margin for read in self.reads.values() if read.kind in OF_POINTS]
-        near = context.near(spec, max(widest)) if widest else {}
-        chosen = self.over(self, context, near)
+        near = context.near(spec, max(widest), side) if widest else {}
+        chosen = {
+            spec.block_at(part.row - part.row % side, part.col - part.col % side, side): values
+            for part, values in self.over(self, context, near).items()
+        }
         empty = frozenset(raster for raster in self.inputs if not context.made.get(raster))
         reads_failed = any(read.kind == "failed" for read in self.reads.values())
         failed = _failed(context, spec) if reads_failed else {}

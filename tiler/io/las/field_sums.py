@@ -133,8 +133,10 @@ def sums_of(values: npt.NDArray[Any]) -> list[int]:
             total,
             int((distinct * distinct * counts[distinct]).sum()),
         ]
-    low, high, n = int(values.min()), int(values.max()), values.size
-    raised = values.astype(np.int64) - low
+    # Fields of records are not contiguous, so that each pass over them is slow.
+    raised = values.astype(np.int64)
+    low, high, n = int(raised.min()), int(raised.max()), values.size
+    raised -= low
     total = int(raised.sum())
     if n * (high - low) ** 2 < 1 << 63:
         squares = int(np.dot(raised, raised))
