@@ -2,7 +2,8 @@
 
 `measuring` reads each file once, in child processes. `counts` has the counts of one file, `cells` what follows from the
 first returns in cells, `separation` the differences of swaths, `difference_raster` their raster, `duplicates` the
-repeated points. `rows` is the table of what is measured, and `specification` reads what is asked.
+repeated points. `rows` is the table of all rows, with those of `separation_rows`, `measurements` has their classes, and
+`specification` reads the limits.
 """
 
 from tiler.apps.acceptance.measuring import check_clouds

@@ -35,7 +35,8 @@ from tiler.apps.acceptance.duplicates import (
     read_digests,
     repeated,
 )
-from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES, Found, Measurements, Row
+from tiler.apps.acceptance.measurements import Found, Measurements, Row
+from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
     NO_OVERLAP,

@@ -1,4 +1,4 @@
-"""The table of what is measured in clouds. A row has a name, a unit, a kind of limit, and a function.
+"""The table of what is measured in clouds.
 
 Names of rows are the keys of a specification, and stay.
 """
@@ -7,122 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from tiler.apps.acceptance.cells import CellFindings, Place, Swath
 from tiler.apps.acceptance.counts import GPS_KINDS, FileCounts
-from tiler.apps.acceptance.separation import (
-    FAULTS,
-    MAX_NAMES,
-    MIN_PAIR_CELLS,
-    NO_OVERLAP,
-    Separation,
-    is_judged,
-    pair_name,
-)
-from tiler.apps.results import SwathPair
-from tiler.core.words import counted, listed
+from tiler.apps.acceptance.measurements import MAX_PLACES, Found, Measurements, Row
+from tiler.apps.acceptance.separation_rows import SEPARATION_ROWS
+from tiler.core.words import counted
 
-Limit = Literal["at least", "at most", "only"]
-
-MAX_PLACES = 5
-"""Number of places and files that a row names."""
 WITHOUT_SOURCES = "the points have no point source ids"
-NO_CELLS = "no shared cell of swaths can be compared"
-
-
-@dataclass(frozen=True)
-class Measurements:
-    """What was measured in all files.
-
-    Attributes
-    ----------
-    files : list of FileCounts
-        In the order of the paths.
-    without_crs, without_vertical : list of Path
-        Files without a horizontal or a vertical CRS.
-    crs_names, vertical_names : list of str
-        Names of the different horizontal and vertical CRSs.
-    metres : float
-        Metres per unit of the CRS.
-    cells : CellFindings or str
-        Or the reason why cells were not examined.
-    separation : Separation or str
-        Differences of swaths, or the reason why they were not measured.
-    n_duplicates : int
-        Number of points that equal another one.
-    with_duplicates : list of Path
-        Files with such points.
-    """
-
-    files: list[FileCounts]
-    without_crs: list[Path]
-    crs_names: list[str]
-    vertical_names: list[str]
-    without_vertical: list[Path]
-    metres: float
-    cells: CellFindings | str
-    separation: Separation | str
-    n_duplicates: int
-    with_duplicates: list[Path]
-
-    def total(self, count: Callable[[FileCounts], int]) -> int:
-        """Return the sum of a count over all files."""
-        return sum(count(file) for file in self.files)
-
-    def paths(self, is_one: Callable[[FileCounts], object]) -> list[Path]:
-        """Return the files for which a function is true."""
-        return [file.path for file in self.files if is_one(file)]
-
-
-@dataclass(frozen=True)
-class Found:
-    """Value of a row, and where it comes from.
-
-    Attributes
-    ----------
-    value : number, list or None
-        None: not measured.
-    where : list of str
-        Files, or places in the CRS.
-    remark : str
-        More about the value, or the reason why it was not measured.
-    has_nothing : bool
-        Whether there is nothing to measure, so that every limit is met.
-    """
-
-    value: Any
-    where: list[str] = field(default_factory=list)
-    remark: str = ""
-    has_nothing: bool = False
-
-
-@dataclass(frozen=True)
-class Row:
-    """Row of the table.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-        ``m``, ``m2``, ``per m2``, ``%``, ``points``, ``files``, another noun, or empty for lists.
-    limit : str
-        Whether the asked value is a minimum (``at least``), a maximum (``at most``) or a list of allowed values.
-    find : callable
-    meaning : str
-        Sentence without a full stop for the documentation.
-    """
-
-    name: str
-    unit: str
-    limit: Limit
-    find: Callable[[Measurements], Found]
-    meaning: str
 
 
 def _files(paths: Sequence[Path]) -> Found:
@@ -223,87 +120,6 @@ def _overlap(cells: CellFindings, measured: Measurements) -> Found:
     if cells.overlap_share is None or _n_swaths(measured) < 2:
         return Found(None, remark="the points have fewer than two swaths")
     return Found(100 * cells.overlap_share)
-
-
-def _of_separation(
-    find: Callable[[Separation], Found],
-) -> Callable[[Measurements], Found]:
-    """Return a function that finds a value in the differences of swaths, if they were measured."""
-
-    def found(measured: Measurements) -> Found:
-        separation = measured.separation
-        if isinstance(separation, str):
-            return Found(None, remark=separation, has_nothing=separation == NO_OVERLAP)
-        return find(separation)
-
-    return found
-
-
-def _worst(found: Separation, figure: Literal["rmse", "p95_abs"], more: str = "") -> Found:
-    """Return the largest figure of a pair of swaths, with its name and more in the remark."""
-    if not found.judged:
-        return Found(None, remark=more or NO_CELLS)
-    name, figures = max(found.judged, key=lambda pair: pair[1][figure] or 0.0)
-    return Found(figures[figure], remark=f"{name}; {more}" if more else name)
-
-
-def _coverage(found: Separation) -> str:
-    """Return how much of the overlaps was compared, and why the rest was not."""
-    shared = sum(pair["shared_cells"] for pair in found.pairs)
-    cells = sum(pair["cells"] for pair in found.pairs)
-    different = sum(pair["different_surfaces"] for pair in found.pairs)
-    n_pairs = len(found.pairs) - len(found.uncompared)
-    text = (
-        f"even surfaces (ground and flat roofs) compared in {cells:,} of {shared:,} shared cells of "
-        f"{found.side_m:.3g} m, {n_pairs:,} of {counted(len(found.pairs), 'pair')}"
-    )
-    if cells < shared:
-        reasons = [f"{n:,} {fault}" for n, fault in zip(found.faults, FAULTS, strict=True) if n]
-        text += f"; the other cells: {', '.join(reasons)}"
-    if found.uncompared:
-        text += f"; not compared: {listed(found.uncompared, MAX_NAMES, 'pairs')}"
-    if different:
-        text += f"; {counted(different, 'compared cell')} with different surfaces left out"
-    return text
-
-
-def _swath_difference_largest(found: Separation) -> Found:
-    if not found.judged:
-        return Found(None, remark=NO_CELLS)
-    size_m = np.abs(found.difference_m)
-    where = [
-        f"{found.x[i]:.1f} {found.y[i]:.1f} ({_signed(found.difference_m[i])}, {found.second[i]} - {found.first[i]})"
-        for i in np.lexsort((found.x, found.y, -size_m))[:MAX_PLACES].tolist()
-    ]
-    return Found(float(size_m.max()), where)
-
-
-def _swath_step(found: Separation) -> Found:
-    compared = [pair for pair in found.pairs if pair["cells"]]
-    if not compared:
-        return Found(None, remark=NO_CELLS)
-    large = [pair for pair in compared if is_judged(pair)]
-    small = [pair for pair in compared if not is_judged(pair)]
-    remarks = [counted(len(large), "pair")] if large else []
-    if small:
-        remarks.append(
-            f"{counted(len(small), 'pair')} with fewer than {MIN_PAIR_CELLS} cells not judged, the largest: "
-            f"point source {_step(small[0])}"
-        )
-    where = [f"point source {_step(pair)}" for pair in large[:MAX_PLACES]]
-    return Found(abs(large[0]["mean_m"] or 0.0) if large else None, where, "; ".join(remarks))
-
-
-def _step(pair: SwathPair) -> str:
-    return (
-        f"{pair_name(pair)}: {_signed(pair['mean_m'] or 0.0)}, RMS {pair['rms_m']:.3f} m, "
-        f"{counted(pair['cells'], 'cell')} around {pair['x']:.1f} {pair['y']:.1f}"
-    )
-
-
-def _signed(metres: float) -> str:
-    """Return a length with its sign, and zero without a negative one."""
-    return f"{round(metres, 3) + 0.0:+.3f} m"
 
 
 def _dense_cells(cells: CellFindings, measured: Measurements) -> Found:
@@ -522,35 +338,7 @@ ROWS = (
         "places between the convex outlines of two swaths, 3 to 128 cells wide, without a first return, and "
         "separations of the survey into parts",
     ),
-    Row(
-        "swath_difference",
-        "m",
-        "at most",
-        _of_separation(lambda s: _worst(s, "rmse", _coverage(s))),
-        "root mean square of the height differences of the worst pair of swaths in cells of even surfaces (RMSDz)",
-    ),
-    Row(
-        "swath_difference_p95",
-        "m",
-        "at most",
-        _of_separation(lambda s: _worst(s, "p95_abs")),
-        "95th percentile of the absolute differences of the worst pair",
-    ),
-    Row(
-        "swath_difference_largest",
-        "m",
-        "at most",
-        _of_separation(_swath_difference_largest),
-        "largest absolute difference, also of cells with different surfaces",
-    ),
-    Row(
-        "swath_step",
-        "m",
-        "at most",
-        _of_separation(_swath_step),
-        "largest absolute mean difference of a pair of swaths, of those that share at least "
-        f"{MIN_PAIR_CELLS} such cells",
-    ),
+    *SEPARATION_ROWS,
     Row(
         "duplicates",
         "points",

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from tiler.apps.acceptance.counts import GPS_KINDS
-from tiler.apps.acceptance.rows import ROWS, Row
+from tiler.apps.acceptance.measurements import Row
+from tiler.apps.acceptance.rows import ROWS
 from tiler.config import load_config
 from tiler.core.units import parse_area, parse_length
 from tiler.errors import ConfigError
