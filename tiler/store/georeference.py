@@ -16,7 +16,6 @@ from tiler.core.crs import raster_crs
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import RasterSpec
-from tiler.core.records import digest_of
 
 DIMENSIONS = "spatial:dimensions"
 """Attribute with the names of the axes, which zarr records as ``dimension_names``, too."""
@@ -75,10 +74,9 @@ def raster_attributes(
 
 
 def _dimensions(spec: RasterSpec) -> list[str]:
-    """Return the names of the rows and of the columns.
+    """Return the names of the rows and of the columns: first pixel, number of pixels, and side of a pixel in counts.
 
     xarray takes equal names for equal axes, and the rasters of a store have pixels of several sizes and extents.
     """
-    size = spec.lattice.to_json()
-    rows, columns = (size, spec.north, spec.height), (size, spec.west, spec.width)
-    return [f"y_{digest_of(*rows)[:8]}", f"x_{digest_of(*columns)[:8]}"]
+    side = f"{spec.lattice.p}_{spec.lattice.q}"
+    return [f"y_{spec.north}_{spec.height}_{side}", f"x_{spec.west}_{spec.width}_{side}"]
