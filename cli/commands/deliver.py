@@ -21,11 +21,11 @@ from tiler.observe.progress import size_text
 def command(out: str, to: str, as_json: bool) -> int:
     """Copy the results of a run into a folder with a manifest.
 
-    The folder gets the rasters, clouds and vector files of OUT, and the report. Each file is
-    compared with what the run wrote. The store and the places to review are not delivered.
-    manifest.json has the SHA-256 and the facts of each file. Deliver to the same folder again
-    after a later run: only changed files are replaced. Exit code 5 if the run left something
-    out.
+    The folder gets the rasters, clouds and vector files of OUT, the report, and index.html, a page
+    for the client. Each file is compared with what the run wrote. The store and the places to
+    review are not delivered. manifest.json has the SHA-256 and the facts of each file. Deliver to
+    the same folder again after a later run: only changed files are replaced. Exit code 5 if the
+    run left something out.
     """
     from tiler.apps.delivery import deliver
 

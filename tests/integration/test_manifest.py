@@ -17,7 +17,7 @@ import rasterio
 
 from cli.main import main
 from tests.scenes.finished import Finished
-from tiler.apps.delivery import MANIFEST, UNDER_WAY, deliver, verify
+from tiler.apps.delivery import MANIFEST, PAGE, UNDER_WAY, deliver, verify
 from tiler.errors import ConfigError, InputError
 
 
@@ -48,11 +48,15 @@ def test_the_manifest_has_the_facts_of_each_file(out: Path, delivery: Path) -> N
     content = manifest(delivery)
     entries = {entry["path"]: entry for entry in content["files"]}
     written = json.loads((out / "run.json").read_text())["outputs"]
-    assert entries.keys() == (written.keys() - {"review.gpkg"}) | {"report.html"}
+    assert entries.keys() == (written.keys() - {"review.gpkg"}) | {
+        "report.html",
+        PAGE,
+    }
     for name, entry in entries.items():
         path = delivery / name
-        assert path.read_bytes() == (out / name).read_bytes()
-        assert path.stat().st_mtime_ns == (out / name).stat().st_mtime_ns
+        if name != PAGE:
+            assert path.read_bytes() == (out / name).read_bytes()
+            assert path.stat().st_mtime_ns == (out / name).stat().st_mtime_ns
         assert entry["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
         assert entry["bytes"] == path.stat().st_size
     terrain = entries["dtm.tif"]
@@ -115,6 +119,21 @@ def test_a_file_that_a_client_changed_is_not_removed(out: Path, delivery: Path) 
     (delivery / "gone.tif").write_bytes(b"new")
     assert deliver(out, delivery).removed == []
     assert verify(delivery).extra == ["gone.tif"]
+
+
+def test_a_page_that_no_delivery_wrote_is_not_replaced(out: Path, delivery: Path) -> None:
+    change_manifest(
+        delivery,
+        lambda content: content.update(
+            files=[entry for entry in content["files"] if entry["path"] != PAGE]
+        ),
+    )
+    (delivery / PAGE).write_text("mine")
+    (delivery / "dtm.tif").write_bytes(b"older")
+    with pytest.raises(ConfigError, match=r"no delivery wrote its index\.html; move it away"):
+        deliver(out, delivery)
+    assert (delivery / PAGE).read_text() == "mine"
+    assert (delivery / "dtm.tif").read_bytes() == b"older"
 
 
 def test_nothing_is_removed_through_a_link(out: Path, delivery: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -28,10 +28,13 @@ from tiler.io.locations import is_url
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import CHECK, CLASSIFIED, REPORT, REVIEW, read_run, written_rasters
 from tiler.report.accuracy import read_measured, seams_text
+from tiler.report.client import client_page
 from tiler.report.runfile import run_file_errors
 from tiler.store import locked_folder
 
 MANIFEST = "manifest.json"
+PAGE = "index.html"
+"""Page for the client."""
 UNDER_WAY = f"{SCRATCH_PREFIX}delivery"
 """File in a folder to which a delivery is under way, or was when it was killed."""
 FORMAT = 1
@@ -64,9 +67,9 @@ class Verification:
 def deliver(out: str | Path, to: str | Path) -> Delivery:
     """Copy the results of a finished run into a folder, with a manifest.
 
-    The folder gets the files that the run wrote and the report, but not the store, the log and the places to review. A
-    folder of an earlier delivery is brought up to date: files with the same bytes keep their times, and files that are
-    not delivered any more are removed unless somebody changed them.
+    The folder gets the files that the run wrote, the report, and ``index.html``, a page for the client. It does not get
+    the store, the log and the places to review. A folder of an earlier delivery is brought up to date: files with the
+    same bytes keep their times, and files that are not delivered any more are removed unless somebody changed them.
 
     Parameters
     ----------
@@ -84,7 +87,7 @@ def deliver(out: str | Path, to: str | Path) -> Delivery:
     LockedError
         A run uses ``out``.
     ProcessingError
-        A file cannot be written.
+        A file cannot be written, or a raster cannot be read.
     """
     source, target = _folders(out, to)
     run = _finished_run(source)
@@ -93,10 +96,13 @@ def deliver(out: str | Path, to: str | Path) -> Delivery:
         names = [name for name in run["outputs"] if name != REVIEW]
         names += [REPORT] if (source / REPORT).is_file() else []
         earlier = _earlier_delivery(target)
-        check_links("--to", target, [*names, *earlier])
+        check_links("--to", target, [PAGE, *names, *earlier])
+        _check_page(target, earlier)
         _write(target / UNDER_WAY, b"")
         entries = [_copied(source, target, name, run) for name in sorted(names)]
-        manifest = _manifest(run, read_measured(source, CHECK, run), entries)
+        check = read_measured(source, CHECK, run)
+        entries.append(_page(source, target, {**run, "check": check}, entries))
+        manifest = _manifest(run, check, entries)
     removed = list(_remove(target, earlier, {entry["path"] for entry in entries}))
     _write(target / MANIFEST, json.dumps(manifest, indent=1).encode())
     (target / UNDER_WAY).unlink(missing_ok=True)
@@ -163,6 +169,15 @@ def _earlier_delivery(target: Path) -> dict[str, Any]:
     return {}
 
 
+def _check_page(target: Path, earlier: Mapping[str, Any]) -> None:
+    """Raise ConfigError if no delivery wrote the page in a folder."""
+    if PAGE in earlier or (target / UNDER_WAY).exists() or not (target / PAGE).exists():
+        return
+    raise ConfigError(
+        f"--to {target}: no delivery wrote its {PAGE}; move it away, or give another folder"
+    )
+
+
 def _copied(source: Path, target: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
     """Copy a file of a run, and return its entry in the manifest."""
     path, copy = source / name, target / name
@@ -187,6 +202,17 @@ def _copied(source: Path, target: Path, name: str, run: Mapping[str, Any]) -> di
         raise write_error(str(copy), error, target) from error
     facts = {"path": name, "bytes": copy.stat().st_size, "sha256": sha256.hexdigest()}
     return {**facts, **_facts(copy, name, run)}
+
+
+def _page(
+    source: Path, target: Path, run: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Write the page for the client, unless it is there, and return its entry in the manifest."""
+    content = client_page(source, run, entries)
+    path, sha256 = target / PAGE, hashlib.sha256(content).hexdigest()
+    if not _is_file(path) or _sha256(path) != sha256:
+        _write(path, content)
+    return {"path": PAGE, "bytes": len(content), "sha256": sha256, "kind": "page"}
 
 
 def _facts(path: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:

@@ -400,8 +400,8 @@ def _root_mean_square(values: Sequence[float]) -> float:
     return math.sqrt(sum(v * v for v in values) / len(values))
 
 
-def expected(run: Run, checked: AtCheckpoints | None = None) -> list[Content]:
-    """Return a table and a histogram, or an empty list if the run made no standard errors.
+def rule_of_thumb(run: Run, checked: AtCheckpoints | None = None) -> list[Content]:
+    """Return a table of the RMSE that the standard errors give, or an empty list if the run made none.
 
     With checkpoints, the rule of thumb is also given multiplied by the ratio of their RMSE to it.
     """
@@ -436,8 +436,16 @@ def expected(run: Run, checked: AtCheckpoints | None = None) -> list[Content]:
         table(("ground", "share of the pixels", "rule of thumb", *scaled), rows, (1, 2, 3)),
         *([] if checked is None else [el("p", _checked_text(checked, ratio, unit))]),
         el("p", text),
-        table((f"standard error, {unit}", "pixels", ""), _histogram(sigma, unit_m), (1,)),
     ]
+
+
+def standard_errors(run: Run) -> list[Content]:
+    """Return a histogram of the standard errors, or an empty list if the run made none."""
+    if not run.get("sigma"):
+        return []
+    unit_m = float(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
+    columns = (f"standard error, {short_unit(unit_m)}", "pixels", "")
+    return [table(columns, _histogram(run["sigma"], unit_m), (1,))]
 
 
 def _checked_text(checked: AtCheckpoints, ratio: float | None, unit: str) -> str:

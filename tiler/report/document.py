@@ -81,6 +81,13 @@ def bar(share: float, width: int = 100) -> Node:
     )
 
 
+def swatch(colour: str, text: str) -> Node:
+    """Return an entry of a legend: a square of a colour, such as ``#1f78d1``, and a text."""
+    box = el("rect", width=12, height=12, fill=colour)
+    square = el("svg", box, width=12, height=12, aria_hidden="true")
+    return el("span", square, f" {text}", class_="swatch")
+
+
 def facts(pairs: Mapping[str, Content]) -> Node:
     """Return a list of names and values, without values that are None."""
     shown = [(name, value) for name, value in pairs.items() if value is not None]
@@ -104,7 +111,7 @@ def page(
     title: str,
     header: Node,
     sections: Sequence[Node],
-    data: Mapping[str, Any],
+    data: Mapping[str, Any] | None = None,
     script_name: str = "page.js",
     maker: str = "tiler",
 ) -> bytes:
@@ -116,8 +123,8 @@ def page(
     header : Element
     sections : sequence of Element
         Sections of `section`.
-    data : mapping
-        Data for the script of the page, embedded as JSON.
+    data : mapping, optional
+        Data for the script of the page, embedded as JSON. A page without data has no script.
     script_name : str
         File of the script.
     maker : str
@@ -130,9 +137,10 @@ def page(
     """
     assets = files("tiler.report")
     style = (assets / "page.css").read_text("utf-8")
-    script = (assets / script_name).read_text("utf-8")
+    script = "" if data is None else (assets / script_name).read_text("utf-8")
+    allowed = f"'{_digest(script)}'" if script else "'none'"
     policy = (
-        f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "
+        f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; script-src {allowed}; "
         "base-uri 'none'; form-action 'none'"
     )
     links = [
@@ -148,6 +156,7 @@ def page(
     )
     code, look = Node("script"), Node("style")
     code.text, look.text = script, style
+    scripted = [embedded, code] if script else []
     root = el(
         "html",
         el(
@@ -161,7 +170,7 @@ def page(
             el("title", title),
             look,
         ),
-        el("body", header, contents if links else None, el("main", *sections), embedded, code),
+        el("body", header, contents if links else None, el("main", *sections), *scripted),
         lang="en",
     )
     markup: bytes = ElementTree.tostring(root, encoding="utf-8", method="html")

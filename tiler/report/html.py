@@ -11,10 +11,8 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from rasterio.errors import RasterioError
-
 from tiler.core.words import counted
-from tiler.errors import InputError, ProcessingError, write_error
+from tiler.errors import InputError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import is_url, joined, state_at, upload_file
@@ -32,11 +30,16 @@ from tiler.io.result_folder import (
 )
 from tiler.redaction import shown
 from tiler.report import accuracy, document, sections, tables
-from tiler.report.accuracy import at_checkpoints, checkpoints_on_map, expected
+from tiler.report.accuracy import (
+    at_checkpoints,
+    checkpoints_on_map,
+    rule_of_thumb,
+    standard_errors,
+)
 from tiler.report.cards import small_card
 from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn, shapes
-from tiler.report.pictures import VIRIDIS, Pictures, draw, ramp_colour
+from tiler.report.pictures import VIRIDIS, Pictures, css, draw, ramp_colour, reading_rasters
 from tiler.report.places import Detail, read_open_places, store_of, units_of
 from tiler.report.problems import marked_places, problems
 from tiler.report.runfile import run_file_errors, title_of, write_run_file
@@ -72,13 +75,8 @@ def write_report(
         A raster cannot be read, or the report cannot be written.
     """
     content = _read_run(out) if run is None else run
-    try:
-        with run_file_errors(out):
-            page = _page(out, content, products or content.get("products_at") or str(out))
-    except (RasterioError, OSError) as error:
-        raise ProcessingError(
-            f"{out}: a raster cannot be read ({' '.join(str(error).split())}); run again"
-        ) from error
+    with reading_rasters(out), run_file_errors(out):
+        page = _page(out, content, products or content.get("products_at") or str(out))
     target = out / REPORT
     try:
         write_atomic(target, page)
@@ -155,7 +153,8 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
         section(
             "accuracy",
             "Accuracy",
-            *expected(run, at_checkpoints(check, rasters)),
+            *rule_of_thumb(run, at_checkpoints(check, rasters)),
+            *standard_errors(run),
             *accuracy.accuracy_content(check, evaluation),
         ),
         sections.decisions(run),
@@ -294,7 +293,7 @@ def map_data(
             {
                 "name": p.name,
                 "title": p.title,
-                "legend": [[_css(c), text] for c, text in p.legend],
+                "legend": [[css(c), text] for c, text in p.legend],
             }
             for p in (pictures.pictures if pictures else ())
         ],
@@ -304,13 +303,9 @@ def map_data(
         "problems": marked_places(run),
         **checkpoints_on_map(accuracy),
         "time_colours": [
-            _css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)
+            css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)
         ],
     }
-
-
-def _css(colour: tuple[int, int, int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def _extent(run: Mapping[str, Any]) -> Extent:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +19,12 @@ import numpy.typing as npt
 import rasterio
 from fsspec.core import url_to_fs
 from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
 
 from ptd.gridding.shape import multidirectional_hillshade
 from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
 from tiler.core.units import short_unit
+from tiler.errors import ProcessingError
 from tiler.io.locations import is_url, plain_scheme
 from tiler.io.raster_files import palette_png_bytes
 
@@ -130,12 +134,23 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
     longer = LONGER_SIDE
     while True:
         with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
-            extent = _extent(rasters["dtm"])
+            extent = raster_extent(rasters["dtm"])
             pictures = Pictures(extent, tuple(_each(rasters, extent, run, longer)))
         taken = sum(len(picture.uri) * 3 // 4 for picture in pictures.pictures)
         if taken <= MAX_BYTES:
             return pictures
         longer = min(int(longer * math.sqrt(MAX_BYTES / taken)), longer - 1)
+
+
+@contextmanager
+def reading_rasters(out: Path) -> Iterator[None]:
+    """Raise ProcessingError that names a folder if one of its rasters cannot be read."""
+    try:
+        yield
+    except (RasterioError, OSError) as error:
+        raise ProcessingError(
+            f"{out}: a raster cannot be read ({' '.join(str(error).split())}); run again"
+        ) from error
 
 
 def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
@@ -145,7 +160,7 @@ def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
     """
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
         heights = _read(dtm, longer, Resampling.average)
-        return hillshade(heights, _extent(dtm), run)
+        return hillshade(heights, raster_extent(dtm), run)
 
 
 def _each(
@@ -186,7 +201,8 @@ def open_raster(place: str) -> Any:
     )
 
 
-def _extent(place: str) -> Extent:
+def raster_extent(place: str) -> Extent:
+    """Return west, south, east and north of a raster."""
     with open_raster(place) as raster:
         return tuple(raster.bounds)
 
@@ -340,6 +356,11 @@ def _ramp(
         [(ramp_colour(stops, s), text(low + s * (high - low))) for s in shares] if text else []
     )
     return _picture(name, title, indexed, colours, legend)
+
+
+def css(colour: Colour) -> str:
+    """Return a colour as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def ramp_colour(stops: tuple[Colour, ...], share: float) -> Colour:

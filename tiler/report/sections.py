@@ -9,8 +9,8 @@ from ptd.places import TABLES
 from tiler.core.units import area_text, length_text
 from tiler.core.words import counted, name_in_wkt
 from tiler.observe.progress import count_text, duration_text, size_text
-from tiler.report.document import Content, Node, el, section, table
-from tiler.report.pictures import Pictures
+from tiler.report.document import Content, Node, el, section, swatch, table
+from tiler.report.pictures import Pictures, css
 from tiler.report.problems import MAX_ROWS, Run, unmet
 
 STATES = {
@@ -23,23 +23,32 @@ STATES = {
 
 def header(run: Run, title: str) -> Node:
     """Return the head of the report: title, state, result in a sentence, and the key figures."""
-    good = run["state"] == "done" and not (_left_out(run) or unmet(run))
     cards = [
         el("div", el("b", value), el("span", name), class_="card")
         for name, value in figures(run)
     ]
     return el(
         "header",
-        el("p", state_text(run), class_="state good" if good else "state bad", id="state"),
+        el(
+            "p",
+            state_text(run),
+            class_=f"state {'good' if is_good(run) else 'bad'}",
+            id="state",
+        ),
         el("h1", title),
         el("p", sentence(run), class_="lead"),
         el("div", *cards, class_="cards"),
     )
 
 
+def is_good(run: Run) -> bool:
+    """Return whether a run is finished, left nothing out, and meets the requirements of the last check."""
+    return run["state"] == "done" and not (left_out(run) or unmet(run))
+
+
 def state_text(run: Run) -> str:
     """Return the state of the run in a few words."""
-    faults = ["incomplete"] if _left_out(run) else []
+    faults = ["incomplete"] if left_out(run) else []
     if count := len(unmet(run)):
         faults.append(
             f"{counted(count, 'requirement')} {'is' if count == 1 else 'are'} not met"
@@ -49,7 +58,7 @@ def state_text(run: Run) -> str:
     return STATES.get(run["state"], str(run["state"]))
 
 
-def _left_out(run: Run) -> str:
+def left_out(run: Run) -> str:
     """Return the number of missing files and tasks in words, or an empty text if nothing is missing."""
     files, tasks = len(run.get("quarantined", ())), len(run.get("failed_tasks", ()))
     cut = sum(file.get("incomplete", False) for file in run.get("inputs", ()))
@@ -64,19 +73,25 @@ def _left_out(run: Run) -> str:
 
 def sentence(run: Run) -> str:
     """Return the result of the run in one or two sentences."""
-    plan, dtm, left_out = run["plan"], run.get("dtm"), _left_out(run)
-    subject = "A run without a terrain model so far"
-    if dtm:
-        subject = f"A terrain model with pixels of {length(run, dtm['resolution_m'])}"
+    absent = left_out(run)
     seconds = (
         f" in {duration_text(run['seconds'])}"
         if "seconds" in run and not done_before(run)
         else ""
     )
-    missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
+    missing = f" Left out: {absent}; see Problems." if absent else " Nothing was left out."
+    return f"{made_text(run)}{seconds}.{missing}"
+
+
+def made_text(run: Run) -> str:
+    """Return a summary of the terrain and of its points, without a full stop."""
+    plan, dtm = run["plan"], run.get("dtm")
+    subject = "A run without a terrain model so far"
+    if dtm:
+        subject = f"A terrain model with pixels of {length(run, dtm['resolution_m'])}"
     return (
         f"{subject} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
-        f"{area_text(plan['area_m2'], _unit(run))}, by the method {plan['method']}{seconds}.{missing}"
+        f"{area_text(plan['area_m2'], _unit(run))}, by the method {plan['method']}"
     )
 
 
@@ -318,7 +333,7 @@ def terrain_map(pictures: Pictures | None) -> Node:
             el(
                 "figcaption",
                 el("b", p.title),
-                *(_swatch(colour, text) for colour, text in p.legend),
+                *(swatch(css(colour), text) for colour, text in p.legend),
             ),
         )
         for p in (pictures.pictures if pictures else ())
@@ -329,13 +344,3 @@ def terrain_map(pictures: Pictures | None) -> Node:
         "p", "No terrain model was written yet, so the map shows only files and tiles."
     )
     return section("map", "Map", missing, frame)
-
-
-def _swatch(colour: tuple[int, int, int], text: str) -> Node:
-    box = el("rect", width=12, height=12, fill="#{:02x}{:02x}{:02x}".format(*colour))
-    return el(
-        "span",
-        el("svg", box, width=12, height=12, aria_hidden="true"),
-        f" {text}",
-        class_="swatch",
-    )

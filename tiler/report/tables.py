@@ -86,7 +86,7 @@ def _sheets(run: Run) -> str:
         sides = [length(run, float(side)) for side in config.sheets]
         kind = f"with sides of {' x '.join(dict.fromkeys(sides))}"
     else:
-        kind = f"with the outlines in {config.sheets}"
+        kind = f"with the outlines in {Path(str(config.sheets)).name}"
     return f"{number} {kind}, files named {config.sheet_template}{names}"
 
 
@@ -97,11 +97,12 @@ def _products(run: Run) -> Iterator[str]:
     if rasters:
         compression = configuration.get("compress", "deflate")
         yield f"{', '.join(rasters)} as cloud-optimized GeoTIFF, compression {compression}"
-    layers = [
-        name.removesuffix(".gpkg")
+    # Sheets of contours are one product.
+    layers = dict.fromkeys(
+        name.partition("/")[0].removesuffix(".gpkg")
         for name in outputs
         if name.endswith(".gpkg") and name != REVIEW
-    ]
+    )
     if layers:
         yield f"{', '.join(layers)} as GeoPackage"
     clouds = sum(name.startswith(f"{CLASSIFIED}/") for name in outputs)

@@ -14,13 +14,13 @@ from tests.tiler.report import results
 from tiler.core.products import EDGES_M
 from tiler.core.records import to_json
 from tiler.grid.sigma import sigma_result
-from tiler.report.accuracy import AtCheckpoints, at_checkpoints, expected
+from tiler.report.accuracy import AtCheckpoints, at_checkpoints, rule_of_thumb, standard_errors
 
 
 def text_of(run: dict, checked: AtCheckpoints | None = None) -> str:
     nodes = [
         node
-        for node in expected(run, checked)
+        for node in [*rule_of_thumb(run, checked), *standard_errors(run)]
         if not isinstance(node, str) and node is not None
     ]
     return " ".join(" ".join(ElementTree.tostring(n, "unicode", "text").split()) for n in nodes)
@@ -64,9 +64,9 @@ def test_heights_in_feet_have_errors_in_feet() -> None:
 
 
 def test_a_run_without_standard_errors_says_nothing_of_them() -> None:
-    assert expected({"plan": {}}) == []
+    assert rule_of_thumb({"plan": {}}) == standard_errors({"plan": {}}) == []
     assert "both" in text_of(run_with(None))
-    assert expected({"plan": {}, "sigma": to_json(sigma_result("dim", []))})
+    assert rule_of_thumb({"plan": {}, "sigma": to_json(sigma_result("dim", []))})
 
 
 def test_rule_of_thumb_is_scaled_by_the_checkpoints() -> None:
