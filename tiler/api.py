@@ -362,6 +362,7 @@ def check_clouds(
     spec: PathLike | None = None,
     *,
     difference: PathLike | None = None,
+    page: PathLike | None = None,
 ) -> AcceptanceResult:
     """Measure density, distribution, swaths and records of clouds, and compare them, like ``tiler check CLOUDS``.
 
@@ -374,6 +375,8 @@ def check_clouds(
         default everything is measured and nothing is asked.
     difference : path, optional
         GeoTIFF that receives the largest absolute difference of two swaths in each cell, in metres.
+    page : path, optional
+        HTML file that receives the rows, the pairs of swaths and the notes as a page.
 
     Returns
     -------
@@ -393,7 +396,8 @@ def check_clouds(
     """
     specification = None if spec is None else read_specification(_text("spec", spec))
     target = None if difference is None else Path(_text("difference", difference))
-    summary = measure_clouds(_texts("clouds", clouds), specification, target)
+    page_file = None if page is None else Path(_text("page", page))
+    summary = measure_clouds(_texts("clouds", clouds), specification, target, page_file)
     if not summary["met"]:
         return AcceptanceResult(5, summary)
     is_missing = target is not None and summary["difference"] is None

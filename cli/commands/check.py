@@ -104,6 +104,12 @@ HEADINGS = (
     help="write DTM minus earlier DTM on the pixels of DTM, or of clouds the largest difference of two swaths in each "
     "cell [unit: of the DTM, or m of clouds; default: none]",
 )
+@click.option(
+    "--page",
+    type=click.Path(path_type=Path),
+    metavar="FILE.html",
+    help="write the check of clouds as a page [default: none]",
+)
 @json_option
 @click.pass_context
 def command(
@@ -111,6 +117,7 @@ def command(
     /,
     paths: tuple[str, ...],
     spec: str | None,
+    page: Path | None,
     as_json: bool,
     **options: Any,
 ) -> int:
@@ -129,7 +136,7 @@ def command(
 
     CLOUD is a LAS or LAZ file, a folder, a glob or a .vpc. Header, classes, flags, swaths and
     their differences, density, distribution, voids and duplicates of all clouds together are
-    measured. With clouds only --spec, --difference and --json have a meaning.
+    measured. With clouds only --spec, --difference, --page and --json have a meaning.
     """
     from tiler.api import check, check_clouds
     from tiler.apps.acceptance import are_clouds
@@ -145,16 +152,17 @@ def command(
             raise ConfigError(
                 f"{given[0]}: is for a DTM, {paths[0]} is a cloud; leave it out, or give a DTM"
             )
-        accepted = check_clouds(paths, spec, difference=options["difference"])
+        accepted = check_clouds(paths, spec, difference=options["difference"], page=page)
         if as_json:
             print_json(accepted.summary)
         else:
             print_acceptance(accepted.summary)
         return accepted.exit_code
-    if spec is not None:
-        raise ConfigError(
-            f"--spec {spec}: is for clouds, {paths[0]} is not one; leave it out, or give LAS or LAZ clouds"
-        )
+    for name, value in (("spec", spec), ("page", page)):
+        if value is not None:
+            raise ConfigError(
+                f"--{name} {value}: is for clouds, {paths[0]} is not one; leave it out, or give LAS or LAZ clouds"
+            )
     result = check(paths[0], **options)
     if as_json:
         print_json(result.summary)

@@ -214,6 +214,15 @@ def test_clouds_are_compared_with_a_specification(
     )
 
 
+def test_the_page_of_a_check_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "check.html"
+    assert main(["check", str(cloud_of(tmp_path)), "--page", str(target)]) == 0
+    assert f"wrote   {target}" in capsys.readouterr().out.splitlines()
+    assert "3,600 points" in results.read(target).texts[""]
+
+
 def test_differences_of_swaths_are_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -236,6 +245,8 @@ def test_options_of_the_other_kind_of_input_are_refused(
     assert "--tile-size: is for a DTM, " in capsys.readouterr().err
     assert main(["check", str(folder / "dtm.tif"), "--spec", "usgs-ql2"]) == 2
     assert "--spec usgs-ql2: is for clouds, " in capsys.readouterr().err
+    assert main(["check", str(folder / "dtm.tif"), "--page", "check.html"]) == 2
+    assert "--page check.html: is for clouds, " in capsys.readouterr().err
     assert main(["check", cloud, str(folder / "dtm.tif")]) == 2
     error = capsys.readouterr().err
     assert "dtm.tif: is not a cloud; give one DTM" in error

@@ -259,7 +259,8 @@ class AcceptanceSummary(TypedDict):
 
     ``swath_pairs`` are all pairs of swaths that share cells, the largest mean difference first. ``difference`` is the
     path of the raster of differences of swaths, and ``style`` that of its style, None if they were not written.
-    ``met`` tells whether no row has the state ``fail`` or ``not measured``. ``notes`` say what was assumed.
+    ``page`` is the path of the page, None if none was asked. ``met`` tells whether no row has the state ``fail`` or
+    ``not measured``. ``notes`` say what was assumed.
     """
 
     clouds: list[str]
@@ -271,6 +272,7 @@ class AcceptanceSummary(TypedDict):
     swath_pairs: list[SwathPair]
     difference: str | None
     style: str | None
+    page: str | None
     notes: list[str]
 
 

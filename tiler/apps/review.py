@@ -11,13 +11,12 @@ from pyproj import CRS
 
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate.rasters import raster_named
+from tiler.apps.page_file import validate_page, write_page
 from tiler.core.crs import split
-from tiler.core.file_names import link_error
 from tiler.core.words import counted
-from tiler.errors import ConfigError, InputError, write_error
-from tiler.io.atomic_files import write_atomic
+from tiler.errors import ConfigError, InputError
 from tiler.io.locations import is_url
-from tiler.io.overwrite_check import Target, check_targets, same_file
+from tiler.io.overwrite_check import same_file
 from tiler.io.result_folder import REVIEW, REVIEW_PAGE, read_run
 from tiler.io.vector import CUT
 from tiler.report.cards import card, decisions
@@ -27,9 +26,7 @@ from tiler.schedule import call_isolated, half_of_memory
 
 SECONDS, SECONDS_PER_PLACE = 60.0, 20.0
 """Time that reading may take. It takes 0.1 to 2 s per place."""
-IS_OURS = b'content="tiler review"'
-"""Text in the head of each page, by which it may be replaced."""
-HEAD_BYTES = 8192
+MAKER = "tiler review"
 
 
 @dataclass(frozen=True)
@@ -70,15 +67,14 @@ def write_review_page(
     ProcessingError
         The page cannot be written.
     """
-    for option, place in (("", out), ("--page ", page_path or "")):
-        if is_url(str(place)):
-            raise ConfigError(f"{option}{place}: is a URL; give a copy on this machine")
+    if is_url(str(out)):
+        raise ConfigError(f"{out}: is a URL; give a copy on this machine")
     run = read_run(str(out))
     if run is None or not isinstance(run.get("plan"), dict):
         raise InputError(f"{out}: has no results of a run; give the OUT of a run")
     source = Path(out, REVIEW)
     target = Path(out, REVIEW_PAGE) if page_path is None else Path(page_path)
-    _validate_page(target, source)
+    validate_page(target, [source], MAKER)
     if not source.is_file():
         raise InputError(f"{source}: no such file; run again, which lists the places to review")
     dtm, edits = terrain_in(str(out)), _other_edits(run, source)
@@ -99,38 +95,8 @@ def write_review_page(
         )
     if not found.number:
         return ReviewPage("", 0, 0)
-    content = _page(Path(out), run, found)
-    try:
-        write_atomic(target, content)
-    except OSError as error:
-        raise write_error(str(target), error, target.parent) from error
+    write_page(target, _page(Path(out), run, found))
     return ReviewPage(str(target), len(found.cards), found.number)
-
-
-def _validate_page(target: Path, source: Path) -> None:
-    """Raise ConfigError if the page cannot be written, or would replace a file that is not an earlier page."""
-    check_targets([Target("--page", target, (".html",))], [source])
-    if target.is_symlink():
-        raise link_error(target, "--page")
-    if not target.parent.is_dir():
-        raise ConfigError(
-            f"--page {target}: its folder does not exist; make it, or give another file"
-        )
-    if not target.exists():
-        return
-    try:
-        is_earlier = False
-        if target.is_file():
-            with target.open("rb") as stream:
-                is_earlier = IS_OURS in stream.read(HEAD_BYTES)
-    except OSError as error:
-        raise ConfigError(
-            f"--page {target}: cannot be read ({error.strerror}); give another file"
-        ) from error
-    if not is_earlier:
-        raise ConfigError(
-            f"--page {target}: exists and is not a page of this command; give another file"
-        )
 
 
 def _other_edits(run: Mapping[str, Any], source: Path) -> Path | None:
@@ -195,7 +161,7 @@ def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
         [places],
         decisions(cards, found.kept, crs),
         "review.js",
-        "tiler review",
+        MAKER,
     )
 
 

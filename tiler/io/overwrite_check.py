@@ -80,8 +80,7 @@ def check_difference(path: str | Path, reads: Iterable[str | Path]) -> None:
         Paths and URLs of all files that the command reads.
     """
     target = Path(path)
-    # A URL as a path has only one slash, and a drive of Windows has one letter.
-    if re.match("[A-Za-z][A-Za-z0-9+.-]+:/", target.as_posix()):
+    if is_url_path(target):
         raise ConfigError(f"--difference {path}: is a URL; give a file on this machine")
     check_targets([Target("--difference", path, (".tif", ".tiff"))], reads)
     if target.is_dir():
@@ -90,6 +89,11 @@ def check_difference(path: str | Path, reads: Iterable[str | Path]) -> None:
         raise ConfigError(
             f"--difference {path}: its folder does not exist; make it, or give another file"
         )
+
+
+def is_url_path(path: Path) -> bool:
+    """Return whether a path was made from a URL. Such a path has only one slash, and a drive of Windows one letter."""
+    return re.match("[A-Za-z][A-Za-z0-9+.-]+:/", path.as_posix()) is not None
 
 
 def check_names(option: str, place: str | Path) -> None:

@@ -36,6 +36,7 @@ from tiler.apps.acceptance.duplicates import (
     repeated,
 )
 from tiler.apps.acceptance.measurements import Found, Measurements, Row
+from tiler.apps.acceptance.page import MAKER, acceptance_page
 from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
@@ -45,6 +46,7 @@ from tiler.apps.acceptance.separation import (
     share_cells,
 )
 from tiler.apps.acceptance.specification import Specification
+from tiler.apps.page_file import validate_page, write_page
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
 from tiler.core.crs import crs_name, same_horizontal, split
 from tiler.core.units import METRE
@@ -79,6 +81,7 @@ def check_clouds(
     inputs: Sequence[str | Path],
     specification: Specification | None = None,
     difference: Path | None = None,
+    page: Path | None = None,
 ) -> AcceptanceSummary:
     """Measure all rows of clouds, and compare them with a specification.
 
@@ -90,20 +93,25 @@ def check_clouds(
         What is asked. Without it, nothing is asked.
     difference : Path, optional
         GeoTIFF that receives the differences of swaths.
+    page : Path, optional
+        HTML file that receives the page.
 
     Raises
     ------
     ConfigError
-        A path does not exist, or ``difference`` is an input or not the name of a GeoTIFF in a folder.
+        A path does not exist, ``difference`` is an input or not the name of a GeoTIFF in a folder, or ``page`` is an
+        input, a file that this command did not write, or not the name of an HTML file in a folder.
     InputError
         A file cannot be read, its CRS has angles, or no file has points.
     ProcessingError
-        The GeoTIFF cannot be written.
+        The GeoTIFF or the page cannot be written.
     """
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
     if difference is not None:
         check_difference(difference, paths)
+    if page is not None:
+        validate_page(page, paths, MAKER)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
         TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
@@ -123,7 +131,7 @@ def check_clouds(
         limit_m = limits.get("swath_difference", USUAL_LIMIT_M)
         written = _write_differences(difference, infos, separation, limit_m, notes)
     rows = [_judged(row, row.find(measured), limits.get(row.name)) for row in ROWS]
-    return {
+    summary: AcceptanceSummary = {
         "clouds": [str(path) for path in paths],
         "points": sum(file.points for file in measured.files),
         "specification": None if specification is None else specification.name,
@@ -133,8 +141,12 @@ def check_clouds(
         "swath_pairs": [] if isinstance(separation, str) else separation.pairs,
         "difference": written[0] if written else None,
         "style": written[1] if len(written) > 1 else None,
+        "page": None if page is None else str(page),
         "notes": notes,
     }
+    if page is not None:
+        write_page(page, acceptance_page(summary))
+    return summary
 
 
 def _write_differences(
