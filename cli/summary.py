@@ -117,6 +117,10 @@ def _first(lines: Sequence[str]) -> list[str]:
     return [*lines[:MAX_OF_KIND], f"{lines[0][:12]}{more} more, listed in run.json"]
 
 
+AGREEMENT = {"kappa": "kappa", "f1": "F1", "iou": "IoU", "mcc": "MCC"}
+"""Measures of the agreement of classes, and their names. IoU is that of ground, MCC the coefficient of Matthews."""
+
+
 def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return one line per failed task of run.json, with the bounds of the gap that it leaves."""
     return [
@@ -142,12 +146,15 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
     dtm : mapping, optional
         Errors of `tiler.apps.evaluate.evaluate_dtm`.
     """
-    kappa = percent_text(classes["kappa"])
-    f1 = f", F1 {percent_text(classes['f1'])}" if "f1" in classes else ""
+    agreement = ", ".join(
+        f"{title} {percent_text(classes[name])}"
+        for name, title in AGREEMENT.items()
+        if name in classes
+    )
     lines = [
         f"type I  {percent_text(classes['type_1'])}  (ground lost)",
         f"type II {percent_text(classes['type_2'])}  (objects classified as ground)",
-        f"total   {percent_text(classes['total'])}  of {classes['points']:,} points, kappa {kappa}{f1}",
+        f"total   {percent_text(classes['total'])}  of {classes['points']:,} points, {agreement}",
     ]
     if classes["ignored"]:
         each = ", ".join(f"{code}: {n:,}" for code, n in classes.get("left_out", {}).items())

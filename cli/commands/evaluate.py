@@ -11,7 +11,7 @@ import click
 from cli.options import config_options, json_option, read_config
 from cli.output import print_json, print_table, write_line
 from cli.session import TilerCommand, shown_progress
-from cli.summary import dtm_lines, percent_text, score_lines
+from cli.summary import AGREEMENT, dtm_lines, percent_text, score_lines
 from tiler.config.parsing import parse_classes
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
@@ -96,11 +96,12 @@ def command(
 
     Class 2 is ground, every other class is not. The type I error is the share of ground points
     that were lost, type II the share of other points that were classified as ground, and total
-    the share of all wrong points. Kappa is Cohen's kappa. With --method, the classes of each
-    CLOUD are the reference: the cloud is filtered without them and scored against them. If a
-    cloud already had classes of noise or water when it was filtered, and `--keep-classes none`
-    was not given, its score is too good. Clouds and references are paired by name, or by order
-    if you give as many clouds as references.
+    the share of all wrong points. Kappa is Cohen's kappa, F1 and IoU (intersection over union)
+    are those of ground, and MCC is Matthews' correlation coefficient. With --method, the classes
+    of each CLOUD are the reference: the cloud is filtered without them and scored against them.
+    If a cloud already had classes of noise or water when it was filtered, and `--keep-classes
+    none` was not given, its score is too good. Clouds and references are paired by name, or by
+    order if you give as many clouds as references.
     """
     if (dtm is None) != (true_dtm is None):
         raise click.UsageError("--dtm and --true-dtm need each other; give both")
@@ -178,13 +179,13 @@ def _print_scores(scores: Mapping[str, Any]) -> None:
     )
     scenes = scores["scenes"]
     if len(scenes) > 1:
-        names = ("type_1", "type_2", "total", "kappa", "f1")
+        names = ("type_1", "type_2", "total", *AGREEMENT)
         lines = [
             (s["name"], f"{s['points']:,}", *(percent_text(s[n]) for n in names))
             for s in scenes
         ]
         lines.append(("mean", "", *(percent_text(scores["mean"][n]) for n in names)))
-        columns = ("scene", "points", "type I", "type II", "total", "kappa", "F1")
+        columns = ("scene", "points", "type I", "type II", "total", *AGREEMENT.values())
         print_table("by scene", columns, lines)
     for path in (path for scene in scenes for path in scene["maps"]):
         write_line(f"map     {path}")

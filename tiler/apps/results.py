@@ -280,7 +280,8 @@ class Scores(TypedDict):
     """Numbers of points, errors and agreement of labels.
 
     Fractions are None for a division by zero. ``object_taken`` is the number of points of
-    objects that are labelled ground. ``kappa`` is that of Cohen, ``f1`` that of ground.
+    objects that are labelled ground. ``kappa`` is that of Cohen, ``f1`` and ``iou`` (intersection over union) are those
+    of ground, and ``mcc`` is the correlation coefficient of Matthews.
     `tiler.apps.evaluate.clouds` defines the errors.
     """
 
@@ -295,6 +296,8 @@ class Scores(TypedDict):
     total: float | None
     kappa: float | None
     f1: float | None
+    iou: float | None
+    mcc: float | None
 
 
 class ClassScores(TypedDict):

@@ -3,11 +3,13 @@
 The scores follow Sithole and Vosselman (2004, Experimental comparison of filter algorithms for bare-Earth
 extraction from airborne laser scanning point clouds, ISPRS J. 59). With ``a`` ground kept, ``b`` ground lost,
 ``c`` objects labelled ground, and ``d`` objects rejected, type I = b / (a + b), type II = c / (c + d), and
-total = (b + c) / n.
+total = (b + c) / n. IoU = a / (a + b + c) is the intersection over union of ground, and MCC the correlation of both
+classes (Matthews 1975, Biochimica et Biophysica Acta 405).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +29,7 @@ IGNORED = (7, 9, 17, 18, 26, 64, 65, 66, 67)
 """Reference classes that are neither ground nor object: noise, water, bridges, virtual points,
 artefacts."""
 
-ERRORS = ("type_1", "type_2", "total", "kappa", "f1")
+ERRORS = ("type_1", "type_2", "total", "kappa", "f1", "iou", "mcc")
 
 UInt8s = npt.NDArray[np.uint8]
 Int64s = npt.NDArray[np.int64]
@@ -89,6 +91,7 @@ def scores(counts: Int64s) -> Scores:
     a, b, c, d, ignored = (int(n) for n in counts)
     n = a + b + c + d
     chance = (a + b) * (a + c) + (c + d) * (b + d)
+    margins = (a + b) * (a + c) * (c + d) * (b + d)
     return {
         "points": n,
         "ignored": ignored,
@@ -101,10 +104,12 @@ def scores(counts: Int64s) -> Scores:
         "total": ratio(b + c, n),
         "kappa": ratio((a + d) * n - chance, n * n - chance),
         "f1": ratio(2 * a, 2 * a + b + c),
+        "iou": ratio(a, a + b + c),
+        "mcc": ratio(a * d - b * c, math.sqrt(margins)),
     }
 
 
-def ratio(part: float, whole: int) -> float | None:
+def ratio(part: float, whole: float) -> float | None:
     """Return a quotient, or None for a division by zero."""
     if not whole:
         return None

@@ -8,7 +8,7 @@ import pytest
 
 from tests.tiler.apps.evaluate.clouds import write_cloud
 from tiler.apps.evaluate import IGNORED, confusion, evaluate_files, evaluate_labels, scores
-from tiler.apps.evaluate.clouds import class_scores, class_table, mean_scores
+from tiler.apps.evaluate.clouds import ERRORS, class_scores, class_table, mean_scores
 from tiler.errors import InputError
 
 
@@ -25,6 +25,9 @@ def test_counts_and_errors_of_a_small_table():
     # chance agreement: (10 * 11 + 10 * 9) / 400 = 0.5
     assert result["kappa"] == pytest.approx((0.75 - 0.5) / 0.5)
     assert result["f1"] == pytest.approx(16 / 21)
+    assert result["iou"] == pytest.approx(8 / 13)
+    correlation = np.corrcoef(truth == 2, labels == 2)[0, 1]
+    assert result["mcc"] == pytest.approx(correlation)
 
 
 def test_ignored_classes_are_left_out_and_counted():
@@ -47,12 +50,8 @@ def test_ignored_classes_are_left_out_and_counted():
 
 def test_a_division_by_zero_gives_none():
     result = scores(np.array([0, 0, 0, 4, 1]))
-    assert (result["type_1"], result["type_2"], result["kappa"], result["f1"]) == (
-        None,
-        0.0,
-        None,
-        None,
-    )
+    assert result["type_2"] == 0.0
+    assert {result[name] for name in ("type_1", "kappa", "f1", "iou", "mcc")} == {None}
     assert scores(np.zeros(5, np.int64))["total"] is None
 
 
@@ -78,7 +77,7 @@ def test_scenes_have_the_same_weight_in_the_mean():
     assert found["type_1"] == pytest.approx((0.5 + 0) / 2)
     assert found["type_2"] == 1.0  # the first scene has no object
     assert found["total"] == pytest.approx((0.5 + 0.25) / 2)
-    assert mean_scores([]) == dict.fromkeys(("type_1", "type_2", "total", "kappa", "f1"))
+    assert mean_scores([]) == dict.fromkeys(ERRORS)
 
 
 @pytest.fixture
