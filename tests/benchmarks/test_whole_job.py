@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.benchmarks import purposes
 from tests.benchmarks.whole_job import REST, Cost, JobCost, measure, median, table
 from tests.invariants import clouds
 
@@ -20,6 +21,35 @@ def test_stages_add_up_to_the_whole_job(tmp_path: Path) -> None:
     assert {"read the clouds", "grid: terrain", REST} <= set(job.stages)
     assert (tmp_path / "out/dtm.tif").exists()
     assert "| **whole job** |" in table(job)
+
+
+def test_purposes_add_up_to_the_profile(tmp_path: Path) -> None:
+    path = clouds.write(tmp_path / "city.laz", clouds.city(64.0, 1.0))
+    found = purposes.profile([path], {"method": "rarefy"}, tmp_path / "out")
+    assert found.seconds.keys() == purposes.PURPOSES.keys()
+    assert found.seconds["LAZ: decode"] > 0
+    assert found.seconds["store: unpack chunks"] > 0
+    assert found.times_unpacked(3000) > 1
+    text = purposes.table(found, 3000)
+    assert f"| {sum(found.seconds.values()):.2f} | 100.0% |" in text
+
+
+@pytest.mark.parametrize(
+    ("function", "purpose"),
+    [
+        (
+            "~:<method 'decompress_many' of 'builtins.LasZipDecompressor' objects>",
+            "LAZ: decode",
+        ),
+        ("~:<numcodecs.blosc.decompress>", "store: unpack chunks"),
+        ("/a/ptd/tin/bulk.py:build", "triangulate and scan TINs"),
+        ("/a/ptd/ground/labelling.py:label", "filter and surfaces"),
+        ("~:<method 'astype' of 'numpy.ndarray' objects>", "numpy and scipy"),
+        ("~:<built-in method builtins.len>", "other Python"),
+    ],
+)
+def test_each_function_has_a_purpose(function: str, purpose: str) -> None:
+    assert purposes.purpose_of(function) == purpose
 
 
 def test_medians_and_multiples() -> None:

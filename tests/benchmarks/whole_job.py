@@ -1,14 +1,14 @@
 """The whole job on some clouds: CPU and wall seconds of each stage, as multiples of one decode of the same files.
 
     python tests/benchmarks/whole_job.py CLOUD... [--workers N] [--runs N] [--set NAME=VALUE
-    ...] [--json FILE]
+    ...] [--purposes] [--json FILE]
 
 A decode reads all points of all files with laspy and lazrs, a million at a time, in the
 command's own process. It is measured before and after each run, as machines change their pace.
 Kernels are compiled before the first run. Of several runs the medians are shown. Memory is that
 of the largest worker, and of the command. Other people's filters take part where they are
 installed (`tests/benchmarks/peers.py`): labels alone, in memory, of points that were decoded
-before.
+before. ``--purposes`` adds a run in one process with a profile (`tests/benchmarks/purposes.py`).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from tests.benchmarks import purposes
 from tests.benchmarks.peers import installed_peers, missing_peers
 from tiler.apps.warm import warm
 from tiler.config import RunConfig
@@ -206,6 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--set", nargs="*", default=[], metavar="NAME=VALUE", help="options of tiler run"
     )
+    parser.add_argument("--purposes", action="store_true", help="profile one more run")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args(arguments)
     paths = [
@@ -220,6 +222,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found, others = median(costs), peers(paths)
     print(table(found, others))
     print("\n".join(f"Not measured: {name}, {why}." for name, why in missing_peers().items()))
+    if options.purposes:
+        with tempfile.TemporaryDirectory() as folder:
+            profiled = purposes.profile(paths, settings, Path(folder, "out"))
+        print(f"\n{purposes.table(profiled, found.points)}")
     if options.json is not None:
         options.json.write_text(json.dumps([asdict(cost) for cost in costs], indent=1))
 
