@@ -40,6 +40,10 @@ def nearest_to_truth(cloud: Cloud) -> np.ndarray:
     return np.asarray(np.where(known, off < heights[int(np.argmin(wrong))], ground))
 
 
+AGREEMENT = ("type_1", "type_2", "total", "kappa", "iou", "mcc")
+"""Scores of `tiler.apps.evaluate` in a `Cell`."""
+
+
 @dataclass(frozen=True)
 class Cell:
     """A filter on a scene.
@@ -50,7 +54,7 @@ class Cell:
     points : int
     refusal : str or None
         Why there is no result.
-    type_1, type_2, total, kappa : float or None
+    type_1, type_2, total, kappa, iou, mcc : float or None
         Fractions.
     dtm_rmse_m : float or None
         Of the linear TIN of what was labelled ground, where the true terrain is known; at pixels of `Cloud.pixel_m`.
@@ -73,6 +77,8 @@ class Cell:
     type_2: float | None = None
     total: float | None = None
     kappa: float | None = None
+    iou: float | None = None
+    mcc: float | None = None
     dtm_rmse_m: float | None = None
     low_found: float | None = None
     low_as_ground: float | None = None
@@ -112,7 +118,7 @@ def measure(name: str, run: Filter, scene: BenchScene, cloud: Cloud, repeats: in
     # The terrain of the floor is that of the true ground: what labels without an error would
     # give.
     surface = cloud.classification == GROUND if name == FLOOR else ground
-    errors = {key: found[key] for key in ("type_1", "type_2", "total", "kappa")}
+    errors = {key: found[key] for key in AGREEMENT}
     fastest = min(seconds, default=None)
     return Cell(
         **cell,

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
@@ -82,6 +83,45 @@ def pdal_ground(stages: tuple[dict[str, Any], ...], xyz: np.ndarray) -> np.ndarr
 
 def lasr_ptd(xyz: np.ndarray) -> np.ndarray:
     """Progressive TIN densification of lasR (R), with its defaults, through files."""
+    program = (
+        "a <- commandArgs(TRUE); library(lasR); "
+        "invisible(exec(classify_with_ptd() + write_las(a[2]), on = a[1]))"
+    )
+
+    def label(cloud: Path, out: Path) -> None:
+        call = ["Rscript", "-e", program, str(cloud), str(out)]
+        subprocess.run(call, check=True, stdout=subprocess.DEVNULL)
+
+    return _through_files(xyz, label)
+
+
+def whitebox_ground(xyz: np.ndarray) -> np.ndarray:
+    """Improved ground point filter of Whitebox Workflows, with its defaults, through files."""
+    environment = importlib.import_module("whitebox_workflows").WbEnvironment()
+
+    tools = environment.lidar.filtering_classification
+
+    def label(cloud: Path, out: Path) -> None:
+        points = environment.read_lidar(str(cloud))
+        with _silent():
+            tools.improved_ground_point_filter(input=points, classify=True, output=str(out))
+
+    return _through_files(xyz, label)
+
+
+def smrf_ground(xyz: np.ndarray) -> np.ndarray:
+    """Simple morphological filter of pysmrf, with the one setting of Pingel et al. (2013) for all ISPRS samples."""
+    smrf = importlib.import_module("pysmrf").smrf
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Its own use of libraries is deprecated.
+        found = smrf(
+            *xyz.T, cellsize=1.0, windows=18, slope_threshold=0.15, elevation_threshold=0.5
+        )
+    return ~np.asarray(found[3], np.bool_)
+
+
+def _through_files(xyz: np.ndarray, label: Callable[[Path, Path], object]) -> np.ndarray:
+    """What a program that reads one LAS file and writes another one leaves as class 2."""
     import laspy
 
     with tempfile.TemporaryDirectory() as folder:
@@ -91,15 +131,7 @@ def lasr_ptd(xyz: np.ndarray) -> np.ndarray:
         las.xyz = xyz
         las.return_number = las.number_of_returns = np.ones(len(xyz), np.uint8)
         las.write(cloud)
-        program = (
-            "a <- commandArgs(TRUE); library(lasR); "
-            "invisible(exec(classify_with_ptd() + write_las(a[2]), on = a[1]))"
-        )
-        subprocess.run(
-            ["Rscript", "-e", program, str(cloud), str(out)],
-            check=True,
-            stdout=subprocess.DEVNULL,
-        )
+        label(cloud, out)
         found = laspy.read(out)
     # Points may come in another order: they are told by their place.
     return np.asarray(found.classification == 2)[_same_order(las, found)]
@@ -137,6 +169,29 @@ def installed_peers(every_cloth: bool = False) -> dict[str, Filter]:
     if _has_lasr():
         found["lasR PTD (peer)"] = lasr_ptd
     return found
+
+
+LASER_PEERS: dict[str, tuple[str, str, Filter]] = {
+    "pysmrf (peer)": ("pysmrf", "pysmrf", smrf_ground),
+    "Whitebox (peer)": ("whitebox_workflows", "whitebox-workflows", whitebox_ground),
+}
+"""Filters for laser scans that pip installs: module, package, and function by name."""
+
+
+def laser_peers() -> dict[str, Filter]:
+    """Filters for laser scans by name; empty where none is installed."""
+    return {
+        name: label for name, (module, _, label) in LASER_PEERS.items() if _installed(module)
+    }
+
+
+def missing_laser_peers() -> dict[str, str]:
+    """Filters for laser scans that do not take part, and why."""
+    return {
+        name.removesuffix(f" {PEER}"): f"not installed: pip install {package}"
+        for name, (module, package, _) in LASER_PEERS.items()
+        if not _installed(module)
+    }
 
 
 def digest_of_peers() -> str:
