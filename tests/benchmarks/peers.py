@@ -61,7 +61,7 @@ def csf(xyz: np.ndarray, cloth: Cloth = CLOTH_DEFAULT) -> np.ndarray:
     simulation.params.cloth_resolution, simulation.params.rigidness = cloth
     simulation.setPointCloud(np.ascontiguousarray(xyz - xyz.min(axis=0)))
     ground, rest = CSF.VecInt(), CSF.VecInt()
-    with _silent():
+    with silent():
         simulation.do_filtering(ground, rest, False)
     found = np.zeros(len(xyz), bool)
     found[np.array(ground, np.intp)] = True
@@ -103,7 +103,7 @@ def whitebox_ground(xyz: np.ndarray) -> np.ndarray:
 
     def label(cloud: Path, out: Path) -> None:
         points = environment.read_lidar(str(cloud))
-        with _silent():
+        with silent():
             tools.improved_ground_point_filter(input=points, classify=True, output=str(out))
 
     return _through_files(xyz, label)
@@ -157,12 +157,12 @@ def cloth_name(cloth: Cloth) -> str:
 def installed_peers(every_cloth: bool = False) -> dict[str, Filter]:
     """Filters by name; empty where none is installed. Of the cloth's settings the default and the best, or all."""
     found: dict[str, Filter] = {}
-    if _installed("CSF"):
+    if installed("CSF"):
         cloths = CLOTHS if every_cloth else (CLOTH_BEST,)
         found |= {
             cloth_name(cloth): partial(csf, cloth=cloth) for cloth in (CLOTH_DEFAULT, *cloths)
         }
-    if _installed("pdal"):
+    if installed("pdal"):
         found["PDAL SMRF (peer)"] = partial(pdal_ground, SMRF_ALONE)
         found["PDAL SMRF without outliers (peer)"] = partial(pdal_ground, SMRF_WITHOUT_OUTLIERS)
         found["PDAL PMF (peer)"] = partial(pdal_ground, PMF_ALONE)
@@ -181,7 +181,7 @@ LASER_PEERS: dict[str, tuple[str, str, Filter]] = {
 def laser_peers() -> dict[str, Filter]:
     """Filters for laser scans by name; empty where none is installed."""
     return {
-        name: label for name, (module, _, label) in LASER_PEERS.items() if _installed(module)
+        name: label for name, (module, _, label) in LASER_PEERS.items() if installed(module)
     }
 
 
@@ -190,7 +190,7 @@ def missing_laser_peers() -> dict[str, str]:
     return {
         name.removesuffix(f" {PEER}"): f"not installed: pip install {package}"
         for name, (module, package, _) in LASER_PEERS.items()
-        if not _installed(module)
+        if not installed(module)
     }
 
 
@@ -212,9 +212,9 @@ def missing_peers() -> dict[str, str]:
         found["lasR PTD"] = (
             "not installed: a package of R that Debian 12 does not have; its binding for Python, pylasr, has no wheel"
         )
-    if not _installed("CSF"):
+    if not installed("CSF"):
         found["CSF"] = "not installed: pip install cloth-simulation-filter"
-    if not _installed("pdal"):
+    if not installed("pdal"):
         found["PDAL SMRF, PMF"] = (
             "not installed: its Python package has no wheel and needs PDAL itself, which Debian 12 does not have"
         )
@@ -222,7 +222,7 @@ def missing_peers() -> dict[str, str]:
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def silent() -> Iterator[None]:
     """Without what a compiled library prints to the standard output, where tables go."""
     sys.stdout.flush()
     kept = os.dup(1)
@@ -244,5 +244,5 @@ def _has_lasr() -> bool:
     )
 
 
-def _installed(module: str) -> bool:
+def installed(module: str) -> bool:
     return importlib.util.find_spec(module) is not None

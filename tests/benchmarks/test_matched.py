@@ -196,12 +196,12 @@ def test_ptd_of_lasr_is_read_back_in_the_order_of_the_points(
 
 
 def test_peers_take_part_or_say_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(peers, "_installed", lambda module: module == "CSF")
+    monkeypatch.setattr(peers, "installed", lambda module: module == "CSF")
     monkeypatch.setattr(peers, "_has_lasr", lambda: False)
     assert list(peers.installed_peers()) == ["CSF (peer)", "CSF 1 m rigidness 2 (peer)"]
     assert len(peers.installed_peers(every_cloth=True)) == 4
     assert sorted(peers.missing_peers()) == ["PDAL SMRF, PMF", "lasR PTD"]
-    monkeypatch.setattr(peers, "_installed", lambda module: False)
+    monkeypatch.setattr(peers, "installed", lambda module: False)
     assert peers.installed_peers() == {}
     assert "pip install cloth-simulation-filter" in peers.missing_peers()["CSF"]
 
