@@ -42,7 +42,7 @@ def print_acceptance(summary: AcceptanceSummary) -> None:
 
 def _details(row: AcceptanceRow) -> str:
     """Return a line with the remark and the places of a row, without files of a number that nobody asks for."""
-    is_shown = row["state"] == "fail" or row["unit"] in ("places", "%", "per m2", "m")
+    is_shown = row["state"] == "fail" or row["unit"] in ("places", "sheets", "%", "per m2", "m")
     parts = [row["remark"]] if row["remark"] else []
     parts += [listed(row["where"], _MAX_WHERE)] if row["where"] and is_shown else []
     return f"{row['name'].replace('_', ' ')}: {'; '.join(parts)}" if parts else ""

@@ -363,6 +363,8 @@ def check_clouds(
     *,
     difference: PathLike | None = None,
     page: PathLike | None = None,
+    sheets: PathLike | None = None,
+    sheet_field: str | None = None,
 ) -> AcceptanceResult:
     """Measure density, distribution, swaths and records of clouds, and compare them, like ``tiler check CLOUDS``.
 
@@ -377,6 +379,10 @@ def check_clouds(
         GeoTIFF that receives the largest absolute difference of two swaths in each cell, in metres.
     page : path, optional
         HTML file that receives the rows, the pairs of swaths and the notes as a page.
+    sheets : path, optional
+        File of polygons. First returns must cover half of each.
+    sheet_field : str, optional
+        Field of the polygons with the names of the sheets.
 
     Returns
     -------
@@ -397,7 +403,14 @@ def check_clouds(
     specification = None if spec is None else read_specification(_text("spec", spec))
     target = None if difference is None else Path(_text("difference", difference))
     page_file = None if page is None else Path(_text("page", page))
-    summary = measure_clouds(_texts("clouds", clouds), specification, target, page_file)
+    grid = None if sheets is None else Path(_text("sheets", sheets))
+    if grid is None and sheet_field is not None:
+        raise ConfigError(
+            f"--sheet-field {sheet_field}: names the sheets of a file; give --sheets FILE as well"
+        )
+    summary = measure_clouds(
+        _texts("clouds", clouds), specification, target, page_file, grid, sheet_field
+    )
     if not summary["met"]:
         return AcceptanceResult(5, summary)
     is_missing = target is not None and summary["difference"] is None

@@ -110,6 +110,17 @@ HEADINGS = (
     metavar="FILE.html",
     help="write the check of clouds as a page [default: none]",
 )
+@click.option(
+    "--sheets",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="polygons of the sheets that clouds must cover [default: none]",
+)
+@click.option(
+    "--sheet-field",
+    metavar="NAME",
+    help="field of the polygons with the names of the sheets [default: their numbers]",
+)
 @json_option
 @click.pass_context
 def command(
@@ -118,6 +129,8 @@ def command(
     paths: tuple[str, ...],
     spec: str | None,
     page: Path | None,
+    sheets: Path | None,
+    sheet_field: str | None,
     as_json: bool,
     **options: Any,
 ) -> int:
@@ -136,7 +149,8 @@ def command(
 
     CLOUD is a LAS or LAZ file, a folder, a glob or a .vpc. Header, classes, flags, swaths and
     their differences, density, distribution, voids and duplicates of all clouds together are
-    measured. With clouds only --spec, --difference, --page and --json have a meaning.
+    measured. With clouds only --spec, --difference, --page, --sheets, --sheet-field and --json
+    have a meaning.
     """
     from tiler.api import check, check_clouds
     from tiler.apps.acceptance import are_clouds
@@ -152,13 +166,21 @@ def command(
             raise ConfigError(
                 f"{given[0]}: is for a DTM, {paths[0]} is a cloud; leave it out, or give a DTM"
             )
-        accepted = check_clouds(paths, spec, difference=options["difference"], page=page)
+        accepted = check_clouds(
+            paths,
+            spec,
+            difference=options["difference"],
+            page=page,
+            sheets=sheets,
+            sheet_field=sheet_field,
+        )
         if as_json:
             print_json(accepted.summary)
         else:
             print_acceptance(accepted.summary)
         return accepted.exit_code
-    for name, value in (("spec", spec), ("page", page)):
+    for_clouds = {"spec": spec, "page": page, "sheets": sheets, "sheet-field": sheet_field}
+    for name, value in for_clouds.items():
         if value is not None:
             raise ConfigError(
                 f"--{name} {value}: is for clouds, {paths[0]} is not one; leave it out, or give LAS or LAZ clouds"

@@ -39,6 +39,10 @@ class Measurements:
         Number of points that equal another one.
     with_duplicates : list of Path
         Files with such points.
+    n_sheets : int
+        Number of sheets that must be covered, 0 if none were given.
+    missing : list of str or str
+        Sheets that are not covered, or why they are not known.
     """
 
     files: list[FileCounts]
@@ -51,6 +55,8 @@ class Measurements:
     separation: Separation | str
     n_duplicates: int
     with_duplicates: list[Path]
+    n_sheets: int
+    missing: list[str] | str
 
     def total(self, count: Callable[[FileCounts], int]) -> int:
         """Return the sum of a count over all files."""

@@ -45,6 +45,7 @@ from tiler.apps.acceptance.separation import (
     separate_swaths,
     share_cells,
 )
+from tiler.apps.acceptance.sheets import Sheets, missing_sheets, read_sheets
 from tiler.apps.acceptance.specification import Specification
 from tiler.apps.page_file import validate_page, write_page
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
@@ -82,6 +83,8 @@ def check_clouds(
     specification: Specification | None = None,
     difference: Path | None = None,
     page: Path | None = None,
+    sheets: Path | None = None,
+    sheet_field: str | None = None,
 ) -> AcceptanceSummary:
     """Measure all rows of clouds, and compare them with a specification.
 
@@ -95,6 +98,10 @@ def check_clouds(
         GeoTIFF that receives the differences of swaths.
     page : Path, optional
         HTML file that receives the page.
+    sheets : Path, optional
+        Polygons of the sheets that must be covered.
+    sheet_field : str, optional
+        Field of the polygons with the names of the sheets.
 
     Raises
     ------
@@ -111,7 +118,7 @@ def check_clouds(
     if difference is not None:
         check_difference(difference, paths)
     if page is not None:
-        validate_page(page, paths, MAKER)
+        validate_page(page, [*paths, *([sheets] if sheets else [])], MAKER)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
         TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
@@ -122,7 +129,11 @@ def check_clouds(
             raise InputError(
                 f"{paths[0]}: no points in {counted(len(paths), 'file')}; give clouds with points"
             )
-        measured, cell_m = _measure(children, infos, specification, Path(folder))
+        grid = None
+        if sheets is not None:
+            grid = read_sheets(sheets, sheet_field, _wkt(infos))
+            notes += grid.notes
+        measured, cell_m = _measure(children, infos, specification, Path(folder), grid)
     limits = {} if specification is None else specification.limits
     notes += _notes(measured)
     separation = measured.separation
@@ -163,8 +174,7 @@ def _write_differences(
     if isinstance(separation, str):
         reason: str | None = separation
     else:
-        wkt = next((info.georeference.wkt for info in infos if info.georeference.wkt), None)
-        reason = write_differences(path, separation, wkt)
+        reason = write_differences(path, separation, _wkt(infos))
     if reason is not None:
         older = "; the file that is there is older" if path.exists() else ""
         notes.append(f"{path}: was not written: {reason}{older}")
@@ -174,6 +184,11 @@ def _write_differences(
         notes.append(f"{style}: was kept, because it is not a style of this command")
         return [str(path)]
     return [str(path), str(style)]
+
+
+def _wkt(infos: Sequence[SourceInfo]) -> str | None:
+    """Return the CRS of the first file that has one."""
+    return next((info.georeference.wkt for info in infos if info.georeference.wkt), None)
 
 
 def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
@@ -233,6 +248,7 @@ def _measure(
     infos: Sequence[SourceInfo],
     specification: Specification | None,
     folder: Path,
+    grid: Sheets | None,
 ) -> tuple[Measurements, float | None]:
     """Return the measurements, and the side of the cells in metres, None without cells.
 
@@ -273,6 +289,8 @@ def _measure(
         separation,
         sum(duplicates.values()),
         [path for path, number in duplicates.items() if number],
+        0 if grid is None else len(grid.names),
+        _missing(of_cells, cells, grid),
     )
     return measured, None if isinstance(findings, str) else findings.side_m
 
@@ -384,6 +402,17 @@ def _separated(
     if share_cells(_merged((file.keys, file.counts) for file in files)[0]):
         return "no single returns of two swaths in the same cell, although they overlap"
     return NO_OVERLAP
+
+
+def _missing(
+    files: Sequence[FileCounts], cells: Cells | None, grid: Sheets | None
+) -> list[str] | str:
+    """Return the sheets that are not covered, or why they are not known."""
+    if grid is None:
+        return "no sheets were given (--sheets)"
+    if cells is None:
+        return DIFFERENT_CRS
+    return missing_sheets(grid, _merged((file.keys, file.counts) for file in files)[0], cells)
 
 
 def _merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:

@@ -155,6 +155,13 @@ def _duplicates(measured: Measurements) -> Found:
     return Found(measured.n_duplicates, [str(p) for p in measured.with_duplicates], remark)
 
 
+def _missing_sheets(measured: Measurements) -> Found:
+    if isinstance(measured.missing, str):
+        return Found(None, remark=measured.missing)
+    of = f"of {counted(measured.n_sheets, 'sheet')}"
+    return Found(len(measured.missing), measured.missing, of)
+
+
 def _flag(name: str, meaning: str) -> Row:
     find = _points(lambda file: file.flags[name])
     return Row(f"{name}_points", "points", "at most", find, meaning)
@@ -339,6 +346,13 @@ ROWS = (
         "separations of the survey into parts",
     ),
     *SEPARATION_ROWS,
+    Row(
+        "missing_sheets",
+        "sheets",
+        "at most",
+        _missing_sheets,
+        "polygons of --sheets of which first returns cover less than half, with the share",
+    ),
     Row(
         "duplicates",
         "points",
