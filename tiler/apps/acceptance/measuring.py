@@ -106,8 +106,8 @@ def check_clouds(
     Raises
     ------
     ConfigError
-        A path does not exist, ``difference`` is an input or not the name of a GeoTIFF in a folder, or ``page`` is an
-        input, a file that this command did not write, or not the name of an HTML file in a folder.
+        A path does not exist. Or ``difference`` is an input, or not the name of a GeoTIFF in a folder. Or ``page`` is
+        an input, a file of somebody else, or not the name of an HTML file in a folder.
     InputError
         A file cannot be read, its CRS has angles, or no file has points.
     ProcessingError

@@ -351,7 +351,7 @@ ROWS = (
         "sheets",
         "at most",
         _missing_sheets,
-        "polygons of --sheets of which first returns cover less than half, with the share",
+        "polygons of --sheets that first returns cover by less than half, with the share",
     ),
     Row(
         "duplicates",

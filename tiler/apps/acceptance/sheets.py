@@ -69,7 +69,7 @@ def _name(number: int, feature: Feature, field: str | None) -> str:
 
 
 def missing_sheets(sheets: Sheets, keys: Keys, cells: Cells) -> list[str]:
-    """Return name and covered share of the sheets of which less than `LEAST_SHARE` is covered, the emptiest first.
+    """Return name and covered share of the sheets that are covered by less than `LEAST_SHARE`, the emptiest first.
 
     A cell with a first return covers the sheet that contains its centre.
     """
