@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,15 +70,10 @@ def write_review_page(
     ProcessingError
         The page cannot be written.
     """
-    for option, place in (("", out), ("--page ", page_path or "")):
-        if is_url(str(place)):
-            raise ConfigError(f"{option}{place}: is a URL; give a copy on this machine")
-    run = read_run(str(out))
-    if run is None or not isinstance(run.get("plan"), dict):
-        raise InputError(f"{out}: has no results of a run; give the OUT of a run")
+    run = run_in(out, page_path)
     source = Path(out, REVIEW)
     target = Path(out, REVIEW_PAGE) if page_path is None else Path(page_path)
-    _validate_page(target, source)
+    validate_page(target, [source])
     if not source.is_file():
         raise InputError(f"{source}: no such file; run again, which lists the places to review")
     dtm, edits = terrain_in(str(out)), _other_edits(run, source)
@@ -99,17 +94,32 @@ def write_review_page(
         )
     if not found.number:
         return ReviewPage("", 0, 0)
-    content = _page(Path(out), run, found)
+    write_page(target, _page(Path(out), run, found))
+    return ReviewPage(str(target), len(found.cards), found.number)
+
+
+def run_in(out: str | Path, page_path: str | Path | None) -> dict[str, Any]:
+    """Return the content of run.json in a folder. Raise an error if there is none, or a place is a URL."""
+    for option, place in (("", out), ("--page ", page_path or "")):
+        if is_url(str(place)):
+            raise ConfigError(f"{option}{place}: is a URL; give a copy on this machine")
+    run = read_run(str(out))
+    if run is None or not isinstance(run.get("plan"), dict):
+        raise InputError(f"{out}: has no results of a run; give the OUT of a run")
+    return run
+
+
+def write_page(target: Path, content: bytes) -> None:
+    """Write a page, or raise ProcessingError."""
     try:
         write_atomic(target, content)
     except OSError as error:
         raise write_error(str(target), error, target.parent) from error
-    return ReviewPage(str(target), len(found.cards), found.number)
 
 
-def _validate_page(target: Path, source: Path) -> None:
-    """Raise ConfigError if the page cannot be written, or would replace a file that is not an earlier page."""
-    check_targets([Target("--page", target, (".html",))], [source])
+def validate_page(target: Path, sources: Sequence[str | Path]) -> None:
+    """Raise ConfigError if a page cannot be written, or would replace a source or a file that is no earlier page."""
+    check_targets([Target("--page", target, (".html",))], sources)
     if target.is_symlink():
         raise link_error(target, "--page")
     if not target.parent.is_dir():
@@ -194,7 +204,7 @@ def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
         header,
         [places],
         decisions(cards, found.kept, crs),
-        "review.js",
+        ("cards.js", "review.js"),
         "tiler review",
     )
 

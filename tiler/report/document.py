@@ -105,7 +105,7 @@ def page(
     header: Node,
     sections: Sequence[Node],
     data: Mapping[str, Any],
-    script_name: str = "page.js",
+    script_names: Sequence[str] = ("page.js",),
     maker: str = "tiler",
 ) -> bytes:
     """Return the whole file as bytes.
@@ -118,8 +118,8 @@ def page(
         Sections of `section`.
     data : mapping
         Data for the script of the page, embedded as JSON.
-    script_name : str
-        File of the script.
+    script_names : sequence of str
+        Files of the script, one after the other.
     maker : str
         Name of the program, or of the command.
 
@@ -130,7 +130,7 @@ def page(
     """
     assets = files("tiler.report")
     style = (assets / "page.css").read_text("utf-8")
-    script = (assets / script_name).read_text("utf-8")
+    script = "".join((assets / name).read_text("utf-8") for name in script_names)
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "
         "base-uri 'none'; form-action 'none'"
