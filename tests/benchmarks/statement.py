@@ -158,8 +158,8 @@ def main() -> None:
     parser.add_argument("--scenes", default="")
     parser.add_argument("--seeds", default="900")
     options = parser.parse_args()
-    surveys = list(artificial_surveys(options.surveys))
-    print(text_of(surveys))
+    if options.surveys:
+        print(text_of(list(artificial_surveys(options.surveys))))
     if options.runs is not None:
         print(text_of(list(runs(options.runs, options.scenes, options.seeds))))
 

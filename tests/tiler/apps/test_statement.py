@@ -66,10 +66,10 @@ def test_a_box_on_a_plane_rises_and_a_plane_does_not(
 
 
 def test_objects_without_land_around_or_wider_than_the_square_do_not_rise() -> None:
-    level = plane(0, 0, (150, 150))
+    level = plane(0, 0, (200, 200))
     wide = level.copy()
-    wide[40:100, 40:100] += 5
-    assert not rises(wide)[65:75, 65:75].any()
+    wide[40:160, 40:160] += 5
+    assert not rises(wide)[80:120, 80:120].any()
     alone = np.full(level.shape, np.nan)
     alone[60:80, 60:80] = 7
     assert not rises(alone).any()

@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter, minimum_filter
 
-RISE_M = 0.8
-"""Least rise. An object of 1 m rises less above the mean of the heights around, of which it is a part."""
+RISE_M = 0.6
+"""Least rise. A box of 1 m rises by 0.8 m or more above the mean of the heights around, of which it is a part, and
+less with others near it. With 0.8 m the statement was true on 53 of 59 simulated runs, with 0.6 m on 56
+(`tests.benchmarks.statement`), and 14 % more of the terrain rises."""
 MEAN_M, OPENING_M, PLANE_M = 60.0, 40.0, 120.0
 """Sides of the squares of the mean, of the opening, and of the plane that replaces land which the mean misses."""
 STEPS_PER_M = 1000

@@ -17,6 +17,7 @@ from tiler.apps.statement.squares import Squares, Terrain
 from tiler.apps.statement.words import statement_text
 from tiler.core.records import digest_of
 from tiler.errors import ConfigError, InputError
+from tiler.io.foreign_content import member
 from tiler.io.locations import is_url
 from tiler.io.result_folder import STATEMENT_PAGE, written_rasters
 from tiler.io.vector import Feature
@@ -26,7 +27,7 @@ from tiler.report.places import Detail, open_survey, place_card, store_of, units
 from tiler.schedule import call_isolated, half_of_memory
 
 SECONDS_PER_BLOCK = 20.0
-"""Time that the search of a block of pixels may take. It takes 1 s with pixels of 1 m, and 5 s with pixels of 0.1 m."""
+"""Time that the search of a block of pixels may take. It takes 1 s with pixels of 1 m, and 3 s with pixels of 0.1 m."""
 AROUND_M = 10.0
 """Land around a square, to which the picture adds more."""
 
@@ -174,8 +175,8 @@ def _terrain_digest(run: Mapping[str, Any]) -> str:
     """Return a digest of the bytes of the terrain's files, from which the draws follow, so that nobody chooses them."""
     name = written_rasters(run).get("dtm", "")
     folder = f"{name.rpartition('.')[0]}/"
-    digests = run.get("digests") or {}
-    return digest_of({p: d for p, d in digests.items() if p == name or p.startswith(folder)})
+    digests = member(run, "digests").items()
+    return digest_of({p: digest for p, digest in digests if p == name or p.startswith(folder)})
 
 
 def _statement(run: Mapping[str, Any], found: _Found, target: str) -> Statement:
