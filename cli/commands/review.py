@@ -10,6 +10,7 @@ from cli.options import json_option
 from cli.output import print_json, write_line
 from cli.session import TilerCommand
 from tiler.core.words import counted
+from tiler.errors import ConfigError
 
 
 @click.command("review", cls=TilerCommand)
@@ -18,26 +19,53 @@ from tiler.core.words import counted
     "--places",
     type=click.IntRange(1, 1000),
     default=50,
-    help="largest number of places in the page, the most serious first [default: 50]",
+    help="largest number of places in the page, the most serious first, or of squares [default: 50]",
 )
 @click.option(
     "--page",
     metavar="FILE.html",
-    help="file of the page [default: OUT/review.html]",
+    help="file of the page [default: OUT/review.html, or OUT/statement.html]",
 )
 @click.option(
     "--store",
     metavar="URL",
     help="location of the store, for the points of sections [default: that in OUT/run.json, else OUT/store.zarr]",
 )
+@click.option(
+    "--statement",
+    is_flag=True,
+    help="bound the area of objects left in the terrain, from random squares in OUT/statement.html [default: no]",
+)
+@click.option(
+    "--answers",
+    metavar="FILE.json",
+    help="answers that the page of --statement saved [default: none]",
+)
 @json_option
-def command(out: str, places: int, page: str | None, store: str | None, as_json: bool) -> None:
+def command(
+    out: str,
+    places: int,
+    page: str | None,
+    store: str | None,
+    statement: bool,
+    answers: str | None,
+    as_json: bool,
+) -> None:
     """Write a page with a card for each of the first places to review.
 
     A card shows the terrain, the terrain after the suggested edit, and a section through the
     points. Decide on each place with the mouse or the keyboard, and save the decisions in the
     page. The file is for --edits of the next run. The page needs no server and no network.
+
+    With --statement, the page shows random squares of terrain that rises above the land around.
+    You answer how much of each is an object. With the saved --answers, the command gives an
+    upper bound of the area of all objects that are left in the terrain.
     """
+    if statement:
+        _make_statement(out, places, page, store, answers, as_json)
+        return
+    if answers is not None:
+        raise ConfigError(f"--answers {answers}: is for --statement only; add --statement")
     from tiler.apps.review import write_review_page
 
     written = write_review_page(out, places, page, store)
@@ -48,3 +76,22 @@ def command(out: str, places: int, page: str | None, store: str | None, as_json:
     else:
         rest = "" if written.shown == written.open else f" of {written.open:,}"
         write_line(f"page  {written.page}: {counted(written.shown, 'place')}{rest}")
+
+
+def _make_statement(
+    out: str,
+    places: int,
+    page: str | None,
+    store: str | None,
+    answers: str | None,
+    as_json: bool,
+) -> None:
+    from tiler.apps.statement import write_statement
+
+    made = write_statement(out, places, page, store, answers)
+    if as_json:
+        print_json(asdict(made))
+        return
+    write_line(made.text)
+    if made.page:
+        write_line(f"page  {made.page}: {counted(made.shown, 'square')} to answer next")

@@ -67,11 +67,7 @@ def write_review_page(
     ProcessingError
         The page cannot be written.
     """
-    if is_url(str(out)):
-        raise ConfigError(f"{out}: is a URL; give a copy on this machine")
-    run = read_run(str(out))
-    if run is None or not isinstance(run.get("plan"), dict):
-        raise InputError(f"{out}: has no results of a run; give the OUT of a run")
+    run = run_in(out)
     source = Path(out, REVIEW)
     target = Path(out, REVIEW_PAGE) if page_path is None else Path(page_path)
     validate_page(target, [source], MAKER)
@@ -97,6 +93,16 @@ def write_review_page(
         return ReviewPage("", 0, 0)
     write_page(target, _page(Path(out), run, found))
     return ReviewPage(str(target), len(found.cards), found.number)
+
+
+def run_in(out: str | Path) -> dict[str, Any]:
+    """Return the content of run.json in a folder. Raise an error if there is none, or the folder is at a URL."""
+    if is_url(str(out)):
+        raise ConfigError(f"{out}: is a URL; give a copy on this machine")
+    run = read_run(str(out))
+    if run is None or not isinstance(run.get("plan"), dict):
+        raise InputError(f"{out}: has no results of a run; give the OUT of a run")
+    return run
 
 
 def _other_edits(run: Mapping[str, Any], source: Path) -> Path | None:
@@ -160,7 +166,7 @@ def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
         header,
         [places],
         decisions(cards, found.kept, crs),
-        "review.js",
+        ("cards.js", "review.js"),
         MAKER,
     )
 

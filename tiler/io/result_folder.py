@@ -35,6 +35,8 @@ REVIEW = "review.gpkg"
 """Places to review, with the status that a user gives them."""
 REVIEW_PAGE = "review.html"
 """Page of `tiler review`."""
+STATEMENT_PAGE = "statement.html"
+"""Page of `tiler review --statement`."""
 SHEETS = "sheets.gpkg"
 """Outlines of the sheets, if products are cut into sheets."""
 LEGEND = ".aux.xml"
@@ -71,6 +73,7 @@ RESULTS = (
     BRIDGES,
     REVIEW,
     REVIEW_PAGE,
+    STATEMENT_PAGE,
     SHEETS,
     CLASSIFIED,
     STAC,

@@ -127,9 +127,6 @@ def card(
             "sheet": columns["sheet"] or None,
         }
     )
-    figures = [_picture(place, place.before, run, "terrain")]
-    if place.after is not None:
-        figures.append(_picture(place, place.after, run, f"with the edit {columns['action']}"))
     remedy = columns["remedy"]
     return el(
         "article",
@@ -137,12 +134,22 @@ def card(
         el("p", columns["why"]),
         el("p", remedy, class_="quiet") if remedy else None,
         known,
-        el("div", *figures, _section(place.section, short_unit(high), wide), class_="views"),
+        views(place, run, units),
         _form(number, place, short_unit(high)) if can_save else None,
         class_="place",
         id=f"place-{number}",
         tabindex=-1,
     )
+
+
+def views(place: Card, run: Mapping[str, Any], units: tuple[float, float]) -> Node:
+    """Return the pictures of a place, before and after the suggested edit, and the section."""
+    wide, high = units
+    figures = [_picture(place, place.before, run, "terrain")]
+    if place.after is not None:
+        action = place.columns["action"]
+        figures.append(_picture(place, place.after, run, f"with the edit {action}"))
+    return el("div", *figures, _section(place.section, short_unit(high), wide), class_="views")
 
 
 def _title(columns: Mapping[str, Any]) -> str:

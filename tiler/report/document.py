@@ -112,7 +112,7 @@ def page(
     header: Node,
     sections: Sequence[Node],
     data: Mapping[str, Any] | None = None,
-    script_name: str = "page.js",
+    script_names: Sequence[str] = ("page.js",),
     maker: str = "tiler",
 ) -> bytes:
     """Return the whole file as bytes.
@@ -125,8 +125,8 @@ def page(
         Sections of `section`.
     data : mapping, optional
         Data for the script of the page, embedded as JSON. A page without data has no script.
-    script_name : str
-        File of the script.
+    script_names : sequence of str
+        Files of the script, one after the other.
     maker : str
         Name of the program, or of the command.
 
@@ -137,7 +137,8 @@ def page(
     """
     assets = files("tiler.report")
     style = (assets / "page.css").read_text("utf-8")
-    script = "" if data is None else (assets / script_name).read_text("utf-8")
+    names = () if data is None else script_names
+    script = "".join((assets / name).read_text("utf-8") for name in names)
     allowed = f"'{_digest(script)}'" if script else "'none'"
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; script-src {allowed}; "

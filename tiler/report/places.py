@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,11 +120,8 @@ def read_open_places(
         own = [row for row in drawn if not is_place(row.layer, row.attributes)]
         # Of overlapping edits the last one counts.
         kept = [*(_kept_edit(row) for row in own), *kept]
-    settings = run.get("configuration") or {}
-    classes = settings.get("ground_classes") if settings.get("method") == "keep" else None
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), rasterio.open(dtm) as raster:
-        survey = _Survey(raster, _opened(store_url), classes, units_of(run)[0], detail)
-        cards = [_card(feature, survey) for feature in features[: detail.places]]
+    with open_survey(dtm, run, store_url, detail) as survey:
+        cards = [place_card(feature, survey) for feature in features[: detail.places]]
     return OpenPlaces(cards, len(features), found.crs, kept)
 
 
@@ -184,7 +182,7 @@ def _kept_edit(row: Feature) -> tuple[dict[str, Any], str]:
 
 
 @dataclass(frozen=True)
-class _Survey:
+class Survey:
     """Open terrain of a run, its store, the classes that are ground if the run keeps them, metres per unit, detail."""
 
     terrain: Any
@@ -194,9 +192,23 @@ class _Survey:
     detail: Detail
 
 
-def _card(feature: Feature, survey: _Survey) -> Card:
+@contextmanager
+def open_survey(
+    dtm: str, run: Mapping[str, Any], store_url: str, detail: Detail
+) -> Iterator[Survey]:
+    """Open the terrain and the store of a run, see `read_open_places`."""
+    settings = run.get("configuration") or {}
+    classes = settings.get("ground_classes") if settings.get("method") == "keep" else None
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), rasterio.open(dtm) as raster:
+        yield Survey(raster, _opened(store_url), classes, units_of(run)[0], detail)
+
+
+def place_card(
+    feature: Feature, survey: Survey, around: tuple[float, float, float, float] | None = None
+) -> Card:
+    """Return what the card of a place shows. Its picture has the bounds ``around``, by default those of the place."""
     shape, columns = feature.geometry, _columns(feature)
-    extent, before = _heights_around(survey, shape.bounds)
+    extent, before = _heights_around(survey, around or shape.bounds)
     west, south, east, north = extent
     rows, cols = before.shape
     x = west + (np.arange(cols) + 0.5) * (east - west) / cols
@@ -225,7 +237,7 @@ def _card(feature: Feature, survey: _Survey) -> Card:
 
 
 def _heights_around(
-    survey: _Survey, bounds: tuple[float, float, float, float]
+    survey: Survey, bounds: tuple[float, float, float, float]
 ) -> tuple[Extent, Floats]:
     """Return the extent of the picture of a place, and the heights in it, NaN where there is none."""
     raster, (west, south, east, north) = survey.terrain, bounds
@@ -336,7 +348,7 @@ def _section(
     extent: Extent,
     after: Floats | None,
     columns: Mapping[str, Any],
-    survey: _Survey,
+    survey: Survey,
 ) -> Section:
     length = float(np.hypot(*(ends[1] - ends[0])))
     at = (np.arange(SAMPLES) + 0.5) * length / SAMPLES
@@ -389,7 +401,7 @@ def terrain_at(raster: Any, positions: Float64s) -> Float64s:
     return heights
 
 
-def _points(survey: _Survey, ends: Float64s, width: float) -> tuple[Float64s, Float64s]:
+def _points(survey: Survey, ends: Float64s, width: float) -> tuple[Float64s, Float64s]:
     """Return the points of a section, or none if the store is not there or is damaged."""
     none = np.empty((2, 0))
     if survey.store is None:

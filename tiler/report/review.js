@@ -1,11 +1,6 @@
-"use strict";
-// The cards: a decision on each place by mouse or keyboard, saved as GeoJSON for --edits.
+// Places to review: a decision on each place by mouse or keyboard, saved as GeoJSON for --edits.
 (() => {
-  const data = JSON.parse(document.getElementById("data").textContent);
-  const cards = [...document.querySelectorAll(".place")];
-  const decided = document.getElementById("decided"), saved = document.getElementById("saved");
   const WORDS = { o: "ok", f: "fixed", u: "open" };
-  let at = -1, isSaved = true;
 
   const field = (card, name) => card.querySelector(`[name="${name}"]`);
   const status = (card) => card.querySelector("input[type=radio]:checked")?.value ?? "open";
@@ -20,12 +15,9 @@
   }
 
   function changed(card) {
-    isSaved = false;
-    saved.textContent = "";
     card.dataset.status = status(card);
     card.querySelector("output").textContent = fault(card);
-    const number = cards.filter((each) => status(each) !== "open").length;
-    decided.textContent = `${number} of ${cards.length} decided`;
+    changedTo(cards.filter((each) => status(each) !== "open").length, "decided");
   }
 
   function fault(card) {
@@ -35,14 +27,6 @@
     const action = field(card, "action").value;
     if (!action) return "Choose an edit.";
     return action === "flat" && !Number.isFinite(height(card)) ? "Give the height as a number." : "";
-  }
-
-  function go(number) {
-    if (!cards.length) return;
-    at = Math.min(Math.max(number, 0), cards.length - 1);
-    cards.forEach((card, i) => card.classList.toggle("current", i === at));
-    cards[at].focus({ preventScroll: true });
-    cards[at].scrollIntoView({ block: "start" });
   }
 
   function feature(columns, geometry) {
@@ -76,40 +60,21 @@
       type: "FeatureCollection", name: "review",
       crs: { type: "name", properties: { name: data.crs } }, features,
     };
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([JSON.stringify(collection)], { type: "application/geo+json" }));
-    link.download = "decisions.geojson";
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 60000);
-    isSaved = true;
     const number = decisions.length === 1 ? "1 decision" : `${decisions.length} decisions`;
-    saved.textContent = `Saved ${number} as decisions.geojson in your downloads.`;
+    download(collection, "application/geo+json", "decisions.geojson", number);
   }
 
-  cards.forEach((card, i) => {
+  function press(card, key) {
+    if (WORDS[key]) choose(card, WORDS[key]);
+    return key in WORDS;
+  }
+
+  cards.forEach((card) => {
     card.addEventListener("input", (event) => {
       if (event.target.matches('[name="action"], [name="z"]') && status(card) === "open") choose(card, "fixed");
       changed(card);
     });
-    card.addEventListener("focusin", () => {
-      at = i;
-      cards.forEach((each) => each.classList.toggle("current", each === card));
-    });
     choose(card, "open");
   });
-  isSaved = true;
-  document.getElementById("save")?.addEventListener("click", save);
-  document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.matches("input[type=text], select")) return;
-    const key = event.key.toLowerCase();
-    if (key === "n") go(at + 1);
-    else if (key === "p") go(at - 1);
-    else if (key === "s") { if (!event.repeat) save(); }
-    else if (WORDS[key] && at >= 0) choose(cards[at], WORDS[key]);
-    else return;
-    event.preventDefault();
-  });
-  window.addEventListener("beforeunload", (event) => { if (!isSaved) event.preventDefault(); });
-  document.documentElement.dataset.ready = "yes";
+  listen(save, press);
 })();

@@ -11,12 +11,16 @@ from typing import Any
 
 import pytest
 
+from tests.integration.conftest import demo as demo
+from tests.integration.conftest import finished_run as finished_run
 from tests.integration.test_review import cloud as cloud
 from tests.integration.test_review import reviewed as reviewed
-from tests.integration.test_review_page import decided
+from tests.integration.test_review_page import data_of, decided
+from tests.integration.test_statement import saved
 from tests.tiler.report import results
 from tests.waiting import PATIENCE_SECONDS
 from tiler.apps.review import write_review_page
+from tiler.apps.statement import write_statement
 from tiler.report.html import write_report
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -268,5 +272,37 @@ def test_places_are_decided_by_keyboard_and_saved(
     ):
         feature["properties"] |= {"note": note, "z": z, "action": action}
     assert content == expected
+    page.close()
+    assert told == []
+
+
+def test_squares_are_answered_by_keyboard_and_saved(
+    browser: Any, finished_run: Any, tmp_path: Path
+) -> None:
+    """What the page saves is what the next statement reads."""
+    made = write_statement(finished_run[0], 3, tmp_path / "statement.html")
+    page = browser.new_page(viewport={"width": 400, "height": 900}, accept_downloads=True)
+    page.set_default_timeout(PATIENCE_MS)
+    told: list[str] = []
+    page.on("console", lambda message: told.append(message.text))
+    page.on("pageerror", lambda error: told.append(str(error)))
+    page.goto(Path(made.page).as_uri())
+    page.wait_for_selector(READY, state="attached")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.keyboard.press("s")
+    assert page.locator("#saved").inner_text() == "No square is answered."
+    for key in "n3n1nup4u":
+        page.keyboard.press(key)
+    assert page.locator("#decided").inner_text() == "1 of 3 answered"
+    page.locator("article").last.locator("input").first.check()
+    assert page.locator("#decided").inner_text() == "2 of 3 answered"
+    with page.expect_download() as downloaded:
+        page.locator("#save").click()
+    downloaded.value.save_as(tmp_path / "browser.json")
+    answers = saved(Path(made.page), 3)
+    expected = json.loads(answers.read_text())
+    last = data_of(Path(made.page))["draws"][-1]
+    expected["answers"][str(last)] = 0
+    assert json.loads((tmp_path / "browser.json").read_text()) == expected
     page.close()
     assert told == []

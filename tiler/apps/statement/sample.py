@@ -1,0 +1,87 @@
+"""Sample of squares: the draws that count, the bound that follows from the answers, and the next squares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from tiler.apps.statement.answers import MOST_DRAWS
+from tiler.apps.statement.squares import Squares
+from tiler.core.betting import upper_bound
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What is known of the objects in the rising terrain of some squares.
+
+    Attributes
+    ----------
+    shares : tuple of float
+        Answers to the draws before the first one without an answer, in their order.
+    waiting : int
+        Number of later draws with an answer. A sample with gaps would not be random.
+    todo : mapping of int to int
+        First draw of each of the next squares without an answer, by index of the square.
+    seen, squares : int
+        Numbers of squares with an answer and of all squares.
+    most_pixels : float
+        Upper bound of the number of rising pixels that are objects.
+    """
+
+    shares: tuple[float, ...]
+    waiting: int
+    todo: Mapping[int, int]
+    seen: int
+    squares: int
+    most_pixels: float
+
+
+def sample_of(squares: Squares, key: str, answers: Mapping[int, float], most: int) -> Sample:
+    """Return the sample with some answers by draw, and at most ``most`` squares to look at next.
+
+    Parameters
+    ----------
+    squares : Squares
+        At least one square.
+    key : str
+        Key of the draws.
+    answers : mapping of int to float
+        Share of a draw's square that is an object.
+    most : int
+    """
+    shares_of: dict[int, float] = {}
+    for draw, share in answers.items():
+        index = squares.drawn(key, draw)
+        # One answer is for all draws of a square. Of several, the largest keeps the bound true.
+        shares_of[index] = max(share, shares_of.get(index, 0.0))
+    last = max(answers, default=0)
+    counting: list[float] = []
+    todo: dict[int, int] = {}
+    unseen = squares.rising.size - len(shares_of)
+    for draw in range(1, MOST_DRAWS + 1):
+        if len(todo) == min(most, unseen) and (todo or draw > last):
+            break
+        index = squares.drawn(key, draw)
+        if index not in shares_of:
+            todo.setdefault(index, draw)
+        elif not todo:
+            counting.append(shares_of[index])
+    waiting = sum(draw > len(counting) for draw in answers)
+    rising = squares.rising.tolist()
+    # What the answers leave open may all be objects, and no more.
+    certain = squares.all_rising - sum(
+        (1 - share) * rising[i] for i, share in shares_of.items()
+    )
+    bound = min(upper_bound(counting) * squares.all_rising, certain)
+    return Sample(tuple(counting), waiting, todo, len(shares_of), len(rising), bound)
+
+
+def draws_needed(share: float) -> int:
+    """Return the number of draws without an object after which the bound of the share of objects is small enough."""
+    low, high = 0, 1
+    while upper_bound(high * [0.0]) > share:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if upper_bound(middle * [0.0]) > share else (low, middle)
+    return high

@@ -1,0 +1,259 @@
+"""`tiler review --statement`: the statement on a run's terrain, and the page with the squares to look at next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tiler.apps.check import terrain_in
+from tiler.apps.evaluate.rasters import BLOCK, open_raster, raster_named
+from tiler.apps.page_file import validate_page, write_page
+from tiler.apps.review import MAKER, SECONDS, SECONDS_PER_PLACE, run_in
+from tiler.apps.statement.answers import SHARES, read_answers
+from tiler.apps.statement.sample import Sample, sample_of
+from tiler.apps.statement.squares import Squares, Terrain
+from tiler.apps.statement.words import statement_text
+from tiler.core.records import digest_of
+from tiler.errors import ConfigError, InputError
+from tiler.io.foreign_content import member
+from tiler.io.locations import is_url
+from tiler.io.result_folder import STATEMENT_PAGE, written_rasters
+from tiler.io.vector import Feature
+from tiler.report.cards import Card, views
+from tiler.report.document import el, page, section
+from tiler.report.places import Detail, open_survey, place_card, store_of, units_of
+from tiler.schedule import call_isolated, half_of_memory
+
+SECONDS_PER_BLOCK = 20.0
+"""Time that the search of a block of pixels may take. It takes 1 s with pixels of 1 m, and 3 s with pixels of 0.1 m."""
+AROUND_M = 10.0
+"""Land around a square, to which the picture adds more."""
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Statement on the objects left in a terrain, and the page that was written.
+
+    Attributes
+    ----------
+    text : str
+        Statement as a sentence.
+    most_m2 : float
+        Upper bound of the area of the objects in square metres, which holds with a probability of 95 %.
+    terrain_m2, rising_m2 : float
+        Areas of the terrain, and of what rises above the land around.
+    draws, with_objects, waiting : int
+        Numbers of draws that count, of those with an object, and of answers that do not count yet.
+    squares, seen : int
+        Numbers of squares with rising terrain, and of those with an answer.
+    page : str
+        Path of the page with the next squares, or an empty text if there are none.
+    shown : int
+        Number of squares in the page.
+    """
+
+    text: str
+    most_m2: float
+    terrain_m2: float
+    rising_m2: float
+    draws: int
+    with_objects: int
+    waiting: int
+    squares: int
+    seen: int
+    page: str
+    shown: int
+
+
+def write_statement(
+    out: str | Path,
+    places: int = 50,
+    page_path: str | Path | None = None,
+    store_url: str | None = None,
+    answers: str | Path | None = None,
+) -> Statement:
+    """Return the statement on the objects left in a run's terrain, and write a page with the next squares to look at.
+
+    Parameters
+    ----------
+    out : path
+        Folder of the run.
+    places : int
+        Largest number of squares in the page.
+    page_path : path, optional
+        File of the page. The default is ``statement.html`` in ``out``.
+    store_url : str, optional
+        Location of the store, see `tiler.apps.review.write_review_page`.
+    answers : path, optional
+        File of answers that an earlier page saved.
+
+    Raises
+    ------
+    ConfigError
+        The folder or the page cannot be used.
+    InputError
+        The folder has no terrain, the answers are damaged or are of another terrain, or a file cannot be read.
+    ProcessingError
+        The page cannot be written.
+    """
+    if is_url(str(answers or "")):
+        raise ConfigError(f"--answers {answers}: is a URL; give a copy on this machine")
+    run = run_in(out)
+    dtm = terrain_in(str(out))
+    target = Path(out, STATEMENT_PAGE) if page_path is None else Path(page_path)
+    validate_page(target, [dtm] if answers is None else [dtm, answers], MAKER)
+    given = None if answers is None else read_answers(Path(answers))
+    with open_raster(dtm) as raster:
+        blocks = (raster.width // BLOCK + 1) * (raster.height // BLOCK + 1)
+    with raster_named(dtm):
+        found = call_isolated(
+            _read,
+            dtm,
+            run,
+            store_of(out, run, store_url),
+            Detail(places),
+            given,
+            paths=(Path(dtm),),
+            memory_bytes=half_of_memory(),
+            seconds=SECONDS + SECONDS_PER_PLACE * places + SECONDS_PER_BLOCK * blocks,
+            remedy="give fewer squares with --places",
+            smaller="use a machine with more memory",
+        )
+    if found is None:
+        raise InputError(
+            f"{answers}: its answers are of another terrain; give those of this run, or begin without --answers"
+        )
+    statement = _statement(run, found, str(target))
+    if statement.page:
+        write_page(target, _page(Path(out), run, found, statement.text))
+    return statement
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Counted squares, side of a pixel in metres, key of the draws, earlier answers, sample, and cards by draw."""
+
+    squares: Squares
+    pixel_m: float
+    key: str
+    answers: Mapping[int, float]
+    sample: Sample | None
+    cards: Mapping[int, Card]
+
+
+def _read(
+    dtm: str,
+    run: Mapping[str, Any],
+    store_url: str,
+    detail: Detail,
+    given: tuple[str, Mapping[int, float]] | None,
+) -> _Found | None:
+    """Return what the statement and its page need, or None if the answers are of another terrain."""
+    wide, high = units_of(run)
+    with open_survey(dtm, run, store_url, detail) as survey:
+        pixel_m = abs(survey.terrain.transform.a) * wide
+        terrain = Terrain(survey.terrain, pixel_m, high)
+        squares = terrain.squares()
+        key = squares.digest(_terrain_digest(run))
+        if given is not None and given[0] != key:
+            return None
+        answers = {} if given is None else given[1]
+        if not squares.rising.size:
+            return _Found(squares, pixel_m, key, answers, None, {})
+        sample = sample_of(squares, key, answers, detail.places)
+        cards = {}
+        for index, draw in sample.todo.items():
+            outline, square = terrain.outline(squares, index)
+            around = square.buffer(AROUND_M / wide).bounds
+            cards[draw] = place_card(Feature("", outline, {}), survey, around)
+    return _Found(squares, pixel_m, key, answers, sample, cards)
+
+
+def _terrain_digest(run: Mapping[str, Any]) -> str:
+    """Return a digest of the bytes of the terrain's files, from which the draws follow, so that nobody chooses them."""
+    name = written_rasters(run).get("dtm", "")
+    folder = f"{name.rpartition('.')[0]}/"
+    digests = member(run, "digests").items()
+    return digest_of({p: digest for p, digest in digests if p == name or p.startswith(folder)})
+
+
+def _statement(run: Mapping[str, Any], found: _Found, target: str) -> Statement:
+    squares, sample, pixel_m2 = found.squares, found.sample, found.pixel_m**2
+    rising = squares.all_rising
+    shares = () if sample is None else sample.shares
+    return Statement(
+        text=statement_text(sample, squares.pixels, rising, pixel_m2, units_of(run)),
+        most_m2=0.0 if sample is None else sample.most_pixels * pixel_m2,
+        terrain_m2=squares.pixels * pixel_m2,
+        rising_m2=rising * pixel_m2,
+        draws=len(shares),
+        with_objects=sum(share > 0 for share in shares),
+        waiting=0 if sample is None else sample.waiting,
+        squares=squares.rising.size,
+        seen=0 if sample is None else sample.seen,
+        page=target if found.cards else "",
+        shown=len(found.cards),
+    )
+
+
+def _page(out: Path, run: Mapping[str, Any], found: _Found, text: str) -> bytes:
+    title = f"Random squares of {out.resolve().name}"
+    again = f"tiler review {shlex.quote(str(out))} --statement --answers answers.json"
+    header = el(
+        "header",
+        el("h1", title),
+        el("p", f"{text[0].upper()}{text[1:]}.", class_="lead"),
+        el(
+            "p",
+            "The red outline has the terrain of a square that rises above the land around. Answer how much of the "
+            f"outlined area is an object, save the answers, and call: {again}",
+        ),
+        el(
+            "p", "Keys: n next, p previous, 0 to 4 answer, u no answer, s save.", class_="quiet"
+        ),
+    )
+    bar = el(
+        "div",
+        el("output", f"0 of {len(found.cards)} answered", id="decided"),
+        el("button", "Save answers", id="save", type="button"),
+        el("output", "", id="saved"),
+        class_="saving",
+    )
+    cards = [_card(draw, card, run) for draw, card in sorted(found.cards.items())]
+    data = {
+        "sample": found.key,
+        "answers": found.answers,
+        "draws": sorted(found.cards),
+        "shares": list(SHARES.values()),
+    }
+    squares = section("squares", "Squares", bar, *cards)
+    return page(title, header, [squares], data, ("cards.js", "statement.js"), MAKER)
+
+
+def _card(draw: int, place: Card, run: Mapping[str, Any]) -> Any:
+    choices = [
+        el(
+            "label",
+            el("input", type="radio", name=f"share-{draw}", value=key),
+            f" {text} ({key})",
+        )
+        for key, text in enumerate(SHARES)
+    ]
+    x, y = place.middle
+    question = (
+        "How much of the outlined area is an object (building, plant, vehicle) "
+        "that does not belong to the terrain?"
+    )
+    return el(
+        "article",
+        el("h3", f"Square of draw {draw}"),
+        el("p", f"middle {x:.1f}, {y:.1f}", class_="quiet"),
+        views(place, run, units_of(run)),
+        el("fieldset", el("legend", question), *choices),
+        class_="place",
+        id=f"square-{draw}",
+        tabindex=-1,
+    )
