@@ -404,12 +404,13 @@ def check_clouds(
     target = None if difference is None else Path(_text("difference", difference))
     page_file = None if page is None else Path(_text("page", page))
     grid = None if sheets is None else Path(_text("sheets", sheets))
-    if grid is None and sheet_field is not None:
+    field_name = None if sheet_field is None else _text("sheet_field", sheet_field)
+    if grid is None and field_name is not None:
         raise ConfigError(
             f"--sheet-field {sheet_field}: names the sheets of a file; give --sheets FILE as well"
         )
     summary = measure_clouds(
-        _texts("clouds", clouds), specification, target, page_file, grid, sheet_field
+        _texts("clouds", clouds), specification, target, page_file, grid, field_name
     )
     if not summary["met"]:
         return AcceptanceResult(5, summary)

@@ -171,7 +171,9 @@ def _earlier_delivery(target: Path) -> dict[str, Any]:
 
 def _check_page(target: Path, earlier: Mapping[str, Any]) -> None:
     """Raise ConfigError if no delivery wrote the page in a folder."""
-    if PAGE in earlier or (target / UNDER_WAY).exists() or not (target / PAGE).exists():
+    page = target / PAGE
+    is_ours = PAGE in earlier or (target / UNDER_WAY).exists()
+    if not page.exists() or (is_ours and _is_file(page)):
         return
     raise ConfigError(
         f"--to {target}: no delivery wrote its {PAGE}; move it away, or give another folder"

@@ -86,12 +86,14 @@ def sentence(run: Run) -> str:
 def made_text(run: Run) -> str:
     """Return a summary of the terrain and of its points, without a full stop."""
     plan, dtm = run["plan"], run.get("dtm")
-    subject = "A run without a terrain model so far"
+    subject, area_m2 = "A run without a terrain model so far", plan["area_m2"]
     if dtm:
         subject = f"A terrain model with pixels of {length(run, dtm['resolution_m'])}"
+    if dtm and "voids" in run:
+        area_m2 = run["voids"]["surveyed_pixels"] * dtm["resolution_m"] ** 2
     return (
         f"{subject} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
-        f"{area_text(plan['area_m2'], _unit(run))}, by the method {plan['method']}"
+        f"{area_text(area_m2, _unit(run))}, by the method {plan['method']}"
     )
 
 

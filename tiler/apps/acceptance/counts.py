@@ -157,6 +157,15 @@ def decoded(keys: Keys) -> tuple[Int64s, Int64s, Int64s]:
     return source, column, row
 
 
+def places_of(keys: Keys, factor: int) -> tuple[Int64s, Int64s]:
+    """Return the distinct columns and rows of cells ``factor`` times as large, without their point source ids."""
+    _, column, row = decoded(np.unique(keys & np.uint64((1 << 2 * SIDE_BITS) - 1)))
+    if factor > 1:
+        large = np.unique((row // factor << SIDE_BITS) | column // factor)
+        column, row = large & (_SIDE_CELLS - 1), large >> SIDE_BITS
+    return column, row
+
+
 def _grouped(keys: Keys) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Return the order that sorts keys, and the position of the first of each distinct key in it."""
     order = np.argsort(keys, kind="stable")  # It is fast for sorted pieces.

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from tiler.apps.acceptance.cells import CellFindings
 from tiler.apps.acceptance.counts import FileCounts
 from tiler.apps.acceptance.separation import Separation
+from tiler.apps.acceptance.sheets import Coverage
 
 Limit = Literal["at least", "at most", "only"]
 
@@ -39,9 +40,7 @@ class Measurements:
         Number of points that equal another one.
     with_duplicates : list of Path
         Files with such points.
-    n_sheets : int
-        Number of sheets that must be covered, 0 if none were given.
-    missing : list of str or str
+    coverage : Coverage or str
         Sheets that are not covered, or why they are not known.
     """
 
@@ -55,8 +54,7 @@ class Measurements:
     separation: Separation | str
     n_duplicates: int
     with_duplicates: list[Path]
-    n_sheets: int
-    missing: list[str] | str
+    coverage: Coverage | str
 
     def total(self, count: Callable[[FileCounts], int]) -> int:
         """Return the sum of a count over all files."""

@@ -37,7 +37,7 @@ from tiler.apps.acceptance.duplicates import (
 )
 from tiler.apps.acceptance.measurements import Found, Measurements, Row
 from tiler.apps.acceptance.page import MAKER, acceptance_page
-from tiler.apps.acceptance.rows import ROWS, WITHOUT_SOURCES
+from tiler.apps.acceptance.rows import MISSING_SHEETS, ROWS, WITHOUT_SOURCES
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
     NO_OVERLAP,
@@ -45,7 +45,7 @@ from tiler.apps.acceptance.separation import (
     separate_swaths,
     share_cells,
 )
-from tiler.apps.acceptance.sheets import Sheets, missing_sheets, read_sheets
+from tiler.apps.acceptance.sheets import Coverage, Sheets, covered_sheets, read_sheets
 from tiler.apps.acceptance.specification import Specification
 from tiler.apps.page_file import validate_page, write_page
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
@@ -107,9 +107,9 @@ def check_clouds(
     ------
     ConfigError
         A path does not exist. Or ``difference`` is an input, or not the name of a GeoTIFF in a folder. Or ``page`` is
-        an input, a file of somebody else, or not the name of an HTML file in a folder.
+        an input, a file that is not an earlier page, or not the name of an HTML file in a folder.
     InputError
-        A file cannot be read, its CRS has angles, or no file has points.
+        A file cannot be read, its CRS has angles, no file has points, or the sheets do not have the field.
     ProcessingError
         The GeoTIFF or the page cannot be written.
     """
@@ -141,7 +141,11 @@ def check_clouds(
     if difference is not None:
         limit_m = limits.get("swath_difference", USUAL_LIMIT_M)
         written = _write_differences(difference, infos, separation, limit_m, notes)
-    rows = [_judged(row, row.find(measured), limits.get(row.name)) for row in ROWS]
+    rows = [
+        _judged(row, row.find(measured), limits.get(row.name))
+        for row in ROWS
+        if row is not MISSING_SHEETS or grid is not None or row.name in limits
+    ]
     summary: AcceptanceSummary = {
         "clouds": [str(path) for path in paths],
         "points": sum(file.points for file in measured.files),
@@ -289,8 +293,7 @@ def _measure(
         separation,
         sum(duplicates.values()),
         [path for path, number in duplicates.items() if number],
-        0 if grid is None else len(grid.names),
-        _missing(of_cells, cells, grid),
+        _coverage(of_cells, cells, grid, findings),
     )
     return measured, None if isinstance(findings, str) else findings.side_m
 
@@ -404,15 +407,20 @@ def _separated(
     return NO_OVERLAP
 
 
-def _missing(
-    files: Sequence[FileCounts], cells: Cells | None, grid: Sheets | None
-) -> list[str] | str:
+def _coverage(
+    files: Sequence[FileCounts],
+    cells: Cells | None,
+    grid: Sheets | None,
+    findings: CellFindings | str,
+) -> Coverage | str:
     """Return the sheets that are not covered, or why they are not known."""
     if grid is None:
         return "no sheets were given (--sheets)"
-    if cells is None:
-        return DIFFERENT_CRS
-    return missing_sheets(grid, _merged((file.keys, file.counts) for file in files)[0], cells)
+    if cells is None or isinstance(findings, str):
+        return str(findings)
+    keys, _ = _merged((file.keys, file.counts) for file in files)
+    spacing_m = 1 / math.sqrt(findings.per_m2) if findings.per_m2 else findings.side_m
+    return covered_sheets(grid, keys, cells, spacing_m * cells.side / findings.side_m)
 
 
 def _merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:

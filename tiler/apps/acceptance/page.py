@@ -11,7 +11,7 @@ from tiler.report.document import Node, el, page, section, table
 
 MAKER = "tiler check"
 MAX_ROWS = 1000
-"""Largest number of pairs of swaths and of clouds in their tables."""
+"""Largest number of pairs of swaths, of clouds, and of places of a row."""
 BAD = ("fail", "not measured")
 """States in which a row does not meet the specification."""
 
@@ -46,7 +46,7 @@ def _row(row: AcceptanceRow) -> tuple[Node | str, ...]:
     if row["state"] in BAD:
         state = el("strong", row["state"], class_="bad")
     told = [row["remark"]] if row["remark"] else []
-    told += [listed(row["where"], len(row["where"]))] if row["where"] else []
+    told += [listed(row["where"], MAX_ROWS)] if row["where"] else []
     return (
         row["name"].replace("_", " "),
         asked_text(row),

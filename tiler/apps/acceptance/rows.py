@@ -156,16 +156,28 @@ def _duplicates(measured: Measurements) -> Found:
 
 
 def _missing_sheets(measured: Measurements) -> Found:
-    if isinstance(measured.missing, str):
-        return Found(None, remark=measured.missing)
-    of = f"of {counted(measured.n_sheets, 'sheet')}"
-    return Found(len(measured.missing), measured.missing, of)
+    coverage = measured.coverage
+    if isinstance(coverage, str):
+        return Found(None, remark=coverage)
+    remark = f"of {counted(coverage.number, 'sheet')} in {coverage.path}"
+    if coverage.n_small:
+        remark += f", {counted(coverage.n_small, 'sheet')} too small to know"
+    return Found(len(coverage.missing), coverage.missing, remark)
 
 
 def _flag(name: str, meaning: str) -> Row:
     find = _points(lambda file: file.flags[name])
     return Row(f"{name}_points", "points", "at most", find, meaning)
 
+
+MISSING_SHEETS = Row(
+    "missing_sheets",
+    "sheets",
+    "at most",
+    _missing_sheets,
+    "polygons of --sheets that first returns cover by less than half, with the share",
+)
+"""Row that is left out if neither sheets are given nor the specification asks for them."""
 
 ROWS = (
     Row("las_version", "", "only", _values(lambda f: f.version), "versions of LAS"),
@@ -346,13 +358,7 @@ ROWS = (
         "separations of the survey into parts",
     ),
     *SEPARATION_ROWS,
-    Row(
-        "missing_sheets",
-        "sheets",
-        "at most",
-        _missing_sheets,
-        "polygons of --sheets that first returns cover by less than half, with the share",
-    ),
+    MISSING_SHEETS,
     Row(
         "duplicates",
         "points",

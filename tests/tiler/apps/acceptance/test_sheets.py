@@ -9,7 +9,7 @@ import pytest
 
 from cli.main import main
 from tests.tiler.apps.acceptance.pulses import Pulses, lattice
-from tiler.apps.acceptance import check_clouds
+from tiler.apps.acceptance import check_clouds, read_specification
 from tiler.errors import InputError
 
 
@@ -47,14 +47,14 @@ def test_sheets_are_named_by_what_is_covered(cloud: Path, tmp_path: Path) -> Non
         rectangle(0, 0, 40, 40, 1.0),
         rectangle(50, 0, 90, 40, "east"),
         rectangle(60, 40, 100, 80, "none"),
-        rectangle(0, 20, 40, 100, None),
+        rectangle(0, 28, 40, 108, None),
     )
     row = missing(dict(check_clouds([cloud], sheets=sheets, sheet_field="SHEET")))
     assert row["found"] == 3
-    assert [text.partition(" (")[0] for text in row["where"]] == ["none", "east", "polygon 4"]
-    shares = [float(text.partition("(")[2].rstrip("%)")) for text in row["where"]]
-    assert shares == pytest.approx([0, 25, 25], abs=4)
-    assert row["remark"] == "of 4 sheets"
+    assert [text.partition(" (")[0] for text in row["where"]] == ["none", "polygon 4", "east"]
+    shares = [float(text.partition("(")[2].rstrip(" %)")) for text in row["where"]]
+    assert shares == pytest.approx([0, 15, 25], abs=4)
+    assert row["remark"] == f"of 4 sheets in {sheets}"
     assert row["state"] == "not asked"
 
 
@@ -70,7 +70,37 @@ def test_a_specification_may_ask_for_all_sheets(
     assert "no sheets were given (--sheets)" in capsys.readouterr().out
     sheets = grid(tmp_path, rectangle(0, 0, 30, 30, "a"), rectangle(100, 0, 130, 30, "b"))
     assert main([*call, "--sheets", str(sheets), "--sheet-field", "sheet"]) == 5
-    assert "b (0%)" in capsys.readouterr().out
+    assert "b (0 %)" in capsys.readouterr().out
+
+
+def test_sparse_clouds_cover_their_sheets(tmp_path: Path) -> None:
+    """The specification asks for cells of 0.7 m, and the cloud has a pulse per square metre."""
+    cloud = Pulses(*lattice(0, 60, 0, 60, 1.0)).write(tmp_path / "a.laz")
+    sheets = grid(tmp_path, rectangle(0, 0, 30, 60, "a"), rectangle(30, 0, 60, 60, "b"))
+    row = missing(dict(check_clouds([cloud], read_specification("usgs-ql1"), sheets=sheets)))
+    assert (row["found"], row["where"]) == (0, [])
+
+
+def test_sheets_smaller_than_cells_are_counted(cloud: Path, tmp_path: Path) -> None:
+    sheets = grid(tmp_path, rectangle(10, 10, 10.1, 10.1, "a"), rectangle(0, 0, 40, 40, "b"))
+    row = missing(dict(check_clouds([cloud], sheets=sheets)))
+    assert row["found"] == 0
+    assert row["remark"] == f"of 2 sheets in {sheets}, 1 sheet too small to know"
+
+
+def test_clouds_without_a_crs_take_the_coordinates_of_the_sheets(tmp_path: Path) -> None:
+    cloud = Pulses(*lattice(0, 60, 0, 40)).write(tmp_path / "a.laz", crs=None)
+    sheets = grid(tmp_path, rectangle(0, 0, 40, 40, "a"), rectangle(90, 0, 130, 40, "b"))
+    found = check_clouds([cloud], sheets=sheets, sheet_field="sheet")
+    assert missing(dict(found))["where"] == ["b (0 %)"]
+    assert any("coordinates are taken as those of the clouds" in n for n in found["notes"])
+
+
+def test_polygons_have_their_number_in_the_file(cloud: Path, tmp_path: Path) -> None:
+    empty = {"type": "Feature", "properties": {"sheet": "x"}, "geometry": None}
+    sheets = grid(tmp_path, empty, rectangle(90, 0, 130, 40, " "))
+    row = missing(dict(check_clouds([cloud], sheets=sheets, sheet_field="sheet")))
+    assert row["where"] == ["polygon 2 (0 %)"]
 
 
 def test_a_field_that_is_not_there_is_refused(
