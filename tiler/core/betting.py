@@ -18,7 +18,7 @@ HALVINGS = 50
 def upper_bound(
     values: Sequence[float] | npt.NDArray[np.float64], doubt: float = 0.05
 ) -> float:
-    r"""Return an upper bound of the mean of which the values are independent draws.
+    r"""Return an upper bound of the mean of a distribution from independent draws.
 
     For each possible mean :math:`m` a gambler bets that it is too large:
 

@@ -8,7 +8,7 @@
   }
 
   function press(card, key) {
-    if (key !== "u" && !(key in data.shares)) return false;
+    if (key !== "u" && !/^[0-4]$/.test(key)) return false;
     if (key === "u") card.querySelectorAll("input").forEach((input) => { input.checked = false; });
     else card.querySelector(`input[value="${key}"]`).checked = true;
     changed();
@@ -26,7 +26,7 @@
       return;
     }
     const text = number === 1 ? "1 answer" : `${number} answers`;
-    download({ sample: data.sample, answers }, "application/json", "answers.json", text);
+    download({ sample: data.sample, answers }, "application/json", `answers-${Object.keys(answers).length}.json`, text);
   }
 
   cards.forEach((card) => card.addEventListener("input", changed));

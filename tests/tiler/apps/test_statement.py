@@ -198,6 +198,20 @@ def test_one_answer_is_for_all_draws_of_a_square_and_all_squares_are_certain() -
     assert both.most_pixels <= 0.75 * 400 + 200
 
 
+@given(st.lists(st.sampled_from([0.0, 0.25, 0.5, 0.75, 1.0]), min_size=1, max_size=40))
+def test_the_bound_is_never_below_what_was_found(answers: list[float]) -> None:
+    shares = dict(enumerate(answers, start=1))
+    sample = sample_of(MIXED, "key", shares, 50)
+    largest: dict[int, float] = {}
+    for draw, share in shares.items():
+        index = MIXED.drawn("key", draw)
+        largest[index] = max(share, largest.get(index, 0.0))
+    found = sum(share * int(MIXED.rising[i]) for i, share in largest.items())
+    assert sample.most_pixels >= found
+    if sample.seen == sample.squares:
+        assert sample.most_pixels == pytest.approx(found)
+
+
 @pytest.mark.parametrize("share", [0.5, 0.1, 0.013])
 def test_as_many_draws_are_needed_as_the_bound_asks(share: float) -> None:
     number = draws_needed(share)
@@ -209,7 +223,7 @@ def test_the_text_has_the_figures() -> None:
     text = statement_text(sample, 520_000, 31_000, 1.0, (1.0, 1.0))
     assert text == (
         "at most 1,300 m2 of objects that rise by 1 m or more, up to 40 m wide, are left in 0.52 km2 of terrain, "
-        "95 % sure (3 random squares, 1 with objects); 0.031 km2 of it rises above the land around; "
+        "of which 31,000 m2 rises above the land around, 95 % sure (3 random draws, 1 with objects); "
         "2 later answers will count once all squares before are answered"
     )
     feet = statement_text(sample, 520_000, 31_000, FOOT**2, (FOOT, FOOT))
@@ -224,7 +238,13 @@ def test_the_text_has_the_figures() -> None:
     text = statement_text(none, 520_000, 31_000, 1.0, (1.0, 1.0))
     assert f"{draws_needed(10_000 / 31_000)} for at most 10,000 m2, " in text
     assert f"{draws_needed(1000 / 31_000)} for at most 1,000 m2" in text
-    assert "no objects" in statement_text(None, 520_000, 0, 1.0, (1.0, 1.0))
+    few = Sample((), 0, {7: 1}, 0, 5, 31_000.0)
+    assert "look at all 5 squares" in statement_text(few, 520_000, 31_000, 1.0, (1.0, 1.0))
+    later = Sample((), 2, {7: 1}, 2, 9000, 31_000.0)
+    text = statement_text(later, 520_000, 31_000, 1.0, (1.0, 1.0))
+    assert text.startswith("no answer counts yet: ")
+    assert text.endswith("; 2 later answers will count once all squares before are answered")
+    assert "no square to look at" in statement_text(None, 520_000, 0, 1.0, (1.0, 1.0))
 
 
 @given(st.floats(0, 1e12))
@@ -276,10 +296,10 @@ def test_damaged_answers_are_refused_in_one_line(
     with pytest.raises(InputError, match=message) as error:
         read_answers(path)
     assert "\n" not in str(error.value)
-    assert "give the answers.json that the page saved" in str(error.value)
+    assert "give the file of answers that the page saved" in str(error.value)
 
 
 def test_answers_that_are_not_there_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.json", tmp_path):
-        with pytest.raises(InputError, match="cannot be read"):
+        with pytest.raises(InputError, match="is no file"):
             read_answers(path)

@@ -99,7 +99,7 @@ def _name(feature: Feature, field: str | None) -> str:
 
 
 def covered_sheets(sheets: Sheets, keys: Keys, cells: Cells, spacing: float) -> Coverage:
-    """Return the sheets of which first returns cover less than `LEAST_SHARE`, the emptiest first.
+    """Return the sheets that first returns cover by less than `LEAST_SHARE`, the emptiest first.
 
     A cell with a first return covers the sheet that contains its centre.
 

@@ -20,12 +20,14 @@ SHARES = {
 MOST_DRAWS = 100_000
 MAX_BYTES = 4 << 20
 """Largest size of a file of answers. That of `MOST_DRAWS` has less than 2 MB."""
-REMEDY = "give the answers.json that the page saved"
+REMEDY = "give the file of answers that the page saved"
 _DRAW = re.compile("[1-9][0-9]{0,5}")
 
 
 def read_answers(path: Path) -> tuple[str, dict[int, float]]:
     """Return the key of the sample that was answered, and the answers by draw, or raise InputError."""
+    if not path.is_file():
+        raise InputError(f"{path}: is no file; {REMEDY}")
     try:
         with path.open("rb") as stream:
             text = stream.read(MAX_BYTES + 1)

@@ -12,7 +12,7 @@ from tiler.core.betting import upper_bound
 
 @dataclass(frozen=True)
 class Sample:
-    """What is known of the objects in the rising terrain of some squares.
+    """Knowledge of the objects in the rising terrain of some squares.
 
     Attributes
     ----------
@@ -68,11 +68,12 @@ def sample_of(squares: Squares, key: str, answers: Mapping[int, float], most: in
             counting.append(shares_of[index])
     waiting = sum(draw > len(counting) for draw in answers)
     rising = squares.rising.tolist()
-    # What the answers leave open may all be objects, and no more.
-    certain = squares.all_rising - sum(
-        (1 - share) * rising[i] for i, share in shares_of.items()
-    )
-    bound = min(upper_bound(counting) * squares.all_rising, certain)
+    # All that the answers leave open may be objects, and no more. What was found is the least.
+    found = sum(share * rising[i] for i, share in shares_of.items())
+    certain = found + squares.all_rising - sum(rising[i] for i in shares_of)
+    bound = certain
+    if unseen:
+        bound = min(max(upper_bound(counting) * squares.all_rising, found), certain)
     return Sample(tuple(counting), waiting, todo, len(shares_of), len(rising), bound)
 
 

@@ -64,7 +64,7 @@ class Squares:
         Draws with different numbers are independent, and none depends on how many there are. They follow from the
         ``key`` alone: those of numpy may change with its version, and answers would become those of other squares.
         """
-        # The 256 bits are so many more than those of a number of pixels that the remainders are uniform.
+        # 256 bits are many more than those of a number of pixels, so the remainders are uniform.
         bits = hashlib.sha256(f"{key} {draw}".encode()).digest()
         pixel = int.from_bytes(bits, "big") % self.all_rising
         return int(np.searchsorted(self._ends, pixel, side="right"))

@@ -42,25 +42,21 @@ def statement_text(
     )
     land = f"{area_text(pixels * pixel_m2, wide)} of terrain"
     if sample is None:
-        return f"no {objects} in {land}: none of it rises above the land around"
-    above = f"{area_text(rising * pixel_m2, wide)} of it rises above the land around"
-    if not sample.shares and not sample.seen:
-        return (
-            f"no square is answered yet: of {land}, {area_text(rising * pixel_m2, wide)} rises above the land around; "
-            f"{_needed(sample, rising * pixel_m2, wide)}"
-        )
+        return f"no square to look at: none of {land} rises above the land around"
+    rises = f"{small_area_text(rising * pixel_m2, wide)} rises above the land around"
+    later = f"; {counted(sample.waiting, 'later answer')} will count once all squares before are answered"
+    if not sample.shares:
+        begin = f"no answer counts yet: of {land}, {rises}; "
+        return begin + _needed(sample, rising * pixel_m2, wide) + later * bool(sample.waiting)
     most = small_area_text(rounded_up(sample.most_pixels * pixel_m2 / wide**2) * wide**2, wide)
     if sample.seen == sample.squares:
         basis = f"as every square that rises was looked at ({sample.squares:,})"
     else:
         with_objects = sum(share > 0 for share in sample.shares)
-        number = counted(len(sample.shares), "random square")
+        number = counted(len(sample.shares), "random draw")
         basis = f"95 % sure ({number}, {with_objects:,} with objects)"
-    text = f"at most {most} of {objects} in {land}, {basis}; {above}"
-    if sample.waiting:
-        later = counted(sample.waiting, "later answer")
-        text += f"; {later} will count once all squares before are answered"
-    return text
+    text = f"at most {most} of {objects} in {land}, of which {rises}, {basis}"
+    return text + later * bool(sample.waiting)
 
 
 def _needed(sample: Sample, rising_m2: float, wide: float) -> str:
@@ -69,7 +65,9 @@ def _needed(sample: Sample, rising_m2: float, wide: float) -> str:
     power = math.ceil(math.log10(rising)) - 1
     bounds = []
     for bound in (10**power, 10 ** (power - 1)):
-        needed = min(draws_needed(bound / rising), sample.squares)
-        if bound >= 1:
+        needed = draws_needed(bound / rising)
+        if bound >= 1 and needed < sample.squares:
             bounds.append(f"{needed:,} for at most {small_area_text(bound * wide**2, wide)}")
-    return f"squares without an object that are needed, 95 % sure: {', '.join(bounds) or '1'}"
+    if not bounds:
+        return f"look at {'the square' if sample.squares == 1 else f'all {sample.squares:,} squares'}"
+    return f"draws without an object that are needed, 95 % sure: {', '.join(bounds)}"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,24 +13,28 @@ from typing import Any
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate.rasters import BLOCK, open_raster, raster_named
 from tiler.apps.page_file import validate_page, write_page
-from tiler.apps.review import MAKER, SECONDS, SECONDS_PER_PLACE, run_in
+from tiler.apps.review import SECONDS, SECONDS_PER_PLACE, run_in
 from tiler.apps.statement.answers import SHARES, read_answers
 from tiler.apps.statement.sample import Sample, sample_of
 from tiler.apps.statement.squares import Squares, Terrain
 from tiler.apps.statement.words import statement_text
-from tiler.core.records import digest_of
+from tiler.core.records import new_digest
+from tiler.core.units import length_text
 from tiler.errors import ConfigError, InputError
-from tiler.io.foreign_content import member
+from tiler.io.cloud_reading import BLOCK_BYTES
 from tiler.io.locations import is_url
-from tiler.io.result_folder import STATEMENT_PAGE, written_rasters
+from tiler.io.result_folder import STATEMENT_PAGE
 from tiler.io.vector import Feature
 from tiler.report.cards import Card, views
 from tiler.report.document import el, page, section
 from tiler.report.places import Detail, open_survey, place_card, store_of, units_of
 from tiler.schedule import call_isolated, half_of_memory
 
+MAKER = "tiler review --statement"
 SECONDS_PER_BLOCK = 20.0
 """Time that the search of a block of pixels may take. It takes 1 s with pixels of 1 m, and 3 s with pixels of 0.1 m."""
+MIN_PIXEL_M, MAX_PIXEL_M = 0.1, 5.0
+"""Sides of pixels for which a statement is made."""
 AROUND_M = 10.0
 """Land around a square, to which the picture adds more."""
 
@@ -41,8 +47,9 @@ class Statement:
     ----------
     text : str
         Statement as a sentence.
-    most_m2 : float
-        Upper bound of the area of the objects in square metres, which holds with a probability of 95 %.
+    most_m2 : float or None
+        Upper bound of the area of the objects in square metres, which holds with a probability of 95 %. None if no
+        terrain rises.
     terrain_m2, rising_m2 : float
         Areas of the terrain, and of what rises above the land around.
     draws, with_objects, waiting : int
@@ -56,7 +63,7 @@ class Statement:
     """
 
     text: str
-    most_m2: float
+    most_m2: float | None
     terrain_m2: float
     rising_m2: float
     draws: int
@@ -127,8 +134,10 @@ def write_statement(
             f"{answers}: its answers are of another terrain; give those of this run, or begin without --answers"
         )
     statement = _statement(run, found, str(target))
-    if statement.page:
-        write_page(target, _page(Path(out), run, found, statement.text))
+    # A page without squares replaces an earlier one, whose statement is out of date.
+    if statement.page or (found.sample is not None and target.exists()):
+        again = _command(out, page_path, store_url)
+        write_page(target, _page(Path(out), run, found, statement.text, again))
     return statement
 
 
@@ -155,12 +164,15 @@ def _read(
     wide, high = units_of(run)
     with open_survey(dtm, run, store_url, detail) as survey:
         pixel_m = abs(survey.terrain.transform.a) * wide
+        _validate_pixel(dtm, pixel_m, wide)
         terrain = Terrain(survey.terrain, pixel_m, high)
         squares = terrain.squares()
-        key = squares.digest(_terrain_digest(run))
+        key = squares.digest(_terrain_digest(survey.terrain))
         if given is not None and given[0] != key:
             return None
         answers = {} if given is None else given[1]
+        if not squares.pixels:
+            raise InputError(f"{dtm}: has no heights, so there is nothing to state; run again")
         if not squares.rising.size:
             return _Found(squares, pixel_m, key, answers, None, {})
         sample = sample_of(squares, key, answers, detail.places)
@@ -172,12 +184,26 @@ def _read(
     return _Found(squares, pixel_m, key, answers, sample, cards)
 
 
-def _terrain_digest(run: Mapping[str, Any]) -> str:
-    """Return a digest of the bytes of the terrain's files, from which the draws follow, so that nobody chooses them."""
-    name = written_rasters(run).get("dtm", "")
-    folder = f"{name.rpartition('.')[0]}/"
-    digests = member(run, "digests").items()
-    return digest_of({p: digest for p, digest in digests if p == name or p.startswith(folder)})
+def _validate_pixel(dtm: str, pixel_m: float, wide: float) -> None:
+    """Raise InputError if the windows have too many pixels for the memory, or an object is smaller than a pixel."""
+    if not MIN_PIXEL_M <= pixel_m <= MAX_PIXEL_M:
+        sizes = f"{length_text(MIN_PIXEL_M, wide)} to {length_text(MAX_PIXEL_M, wide)}"
+        raise InputError(
+            f"{dtm}: has pixels of {length_text(pixel_m, wide)}, and a statement needs {sizes}; run with another "
+            "--resolution into another OUT"
+        )
+
+
+def _terrain_digest(raster: Any) -> str:
+    """Return a digest of the terrain's GeoTIFFs. The draws follow from it, so that nothing else chooses them."""
+    digest = new_digest()
+    for name in sorted(raster.files):
+        # Programs that open a raster may write statistics beside it.
+        if Path(name).suffix.lower() in (".tif", ".tiff"):
+            with open(name, "rb") as stream:
+                while part := stream.read(BLOCK_BYTES):
+                    digest.update(part)
+    return digest.hexdigest()
 
 
 def _statement(run: Mapping[str, Any], found: _Found, target: str) -> Statement:
@@ -186,7 +212,7 @@ def _statement(run: Mapping[str, Any], found: _Found, target: str) -> Statement:
     shares = () if sample is None else sample.shares
     return Statement(
         text=statement_text(sample, squares.pixels, rising, pixel_m2, units_of(run)),
-        most_m2=0.0 if sample is None else sample.most_pixels * pixel_m2,
+        most_m2=None if sample is None else sample.most_pixels * pixel_m2,
         terrain_m2=squares.pixels * pixel_m2,
         rising_m2=rising * pixel_m2,
         draws=len(shares),
@@ -199,17 +225,29 @@ def _statement(run: Mapping[str, Any], found: _Found, target: str) -> Statement:
     )
 
 
-def _page(out: Path, run: Mapping[str, Any], found: _Found, text: str) -> bytes:
+def _command(out: str | Path, page_path: str | Path | None, store_url: str | None) -> str:
+    """Return the command that reads the answers, as the user can type it."""
+    words = ["tiler", "review", str(out), "--statement", "--answers", "FILE"]
+    words += [] if page_path is None else ["--page", str(page_path)]
+    words += [] if store_url is None else ["--store", store_url]
+    return subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)
+
+
+def _page(out: Path, run: Mapping[str, Any], found: _Found, text: str, again: str) -> bytes:
     title = f"Random squares of {out.resolve().name}"
-    again = f"tiler review {shlex.quote(str(out))} --statement --answers answers.json"
     header = el(
         "header",
         el("h1", title),
         el("p", f"{text[0].upper()}{text[1:]}.", class_="lead"),
         el(
             "p",
+            f"Run written {run.get('written', 'at an unknown time')} (UTC).",
+            class_="quiet",
+        ),
+        el(
+            "p",
             "The red outline has the terrain of a square that rises above the land around. Answer how much of the "
-            f"outlined area is an object, save the answers, and call: {again}",
+            f"outlined area is an object, save the answers, and call with the saved file: {again}",
         ),
         el(
             "p", "Keys: n next, p previous, 0 to 4 answer, u no answer, s save.", class_="quiet"
