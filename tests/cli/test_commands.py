@@ -36,6 +36,7 @@ class Result:
     exit_code: int = 5
     summary: dict[str, Any] = field(default_factory=lambda: SUMMARY)
     did_nothing: bool = False
+    others: tuple[Any, ...] = ()
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         seen.append({"inputs": inputs, "out": out, "config": config, "until": until})
         return Result()
 
-    monkeypatch.setattr("tiler.pipeline.run", run)
+    monkeypatch.setattr("tiler.apps.resolutions.run", run)
     return seen
 
 

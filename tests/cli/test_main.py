@@ -99,7 +99,7 @@ def test_interrupt(
     def run(*arguments: Any, **settings: Any) -> None:
         raise error
 
-    monkeypatch.setattr("tiler.pipeline.run", run)
+    monkeypatch.setattr("tiler.apps.resolutions.run", run)
     assert main(["run", "a.laz", "-o", str(tmp_path)]) == 130
     assert (
         capsys.readouterr().err.strip()

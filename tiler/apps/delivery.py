@@ -26,7 +26,15 @@ from tiler.io.foreign_content import excerpt, parse_json_object
 from tiler.io.las.headers import read_header
 from tiler.io.locations import is_url
 from tiler.io.overwrite_check import check_links
-from tiler.io.result_folder import CHECK, CLASSIFIED, REPORT, REVIEW, read_run, written_rasters
+from tiler.io.result_folder import (
+    CHECK,
+    CLASSIFIED,
+    REPORT,
+    REVIEW,
+    give_results,
+    read_run,
+    written_rasters,
+)
 from tiler.report.accuracy import read_measured, seams_text
 from tiler.report.client import client_page
 from tiler.report.runfile import run_file_errors
@@ -152,7 +160,9 @@ def _make(target: Path) -> None:
 def _finished_run(out: Path) -> dict[str, Any]:
     run = read_run(str(out))
     if run is None:
-        raise ConfigError(f"{out}: has no results of a run; give the OUT of a finished run")
+        raise ConfigError(
+            f"{out}: has no results of a run; {give_results(out, 'finished run')}"
+        )
     if run["state"] != "done" or not run.get("outputs"):
         raise ConfigError(f"{out}: its run is not finished; run the same command again")
     return run

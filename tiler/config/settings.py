@@ -16,7 +16,13 @@ from typing import Any
 from tiler.config.parsing import parse_value, plain_value
 from tiler.config.sources import load_preset, over_preset, preset_names
 from tiler.core.file_names import DEFAULT, DRAWN
-from tiler.core.products import NODATA, PRODUCTS, PRODUCTS_HELP, VECTOR_PRODUCTS
+from tiler.core.products import (
+    MAX_RESOLUTIONS,
+    NODATA,
+    PRODUCTS,
+    PRODUCTS_HELP,
+    VECTOR_PRODUCTS,
+)
 from tiler.core.selection import ALL, DROP_WITHHELD, KEEP_WITHHELD, ONLY_GROUND, Selection
 from tiler.core.units import Sides
 from tiler.errors import ConfigError
@@ -122,10 +128,13 @@ class RunConfig:
         kind="product_names",
     )
     empty_sheets: bool = flag(False, "also write sheets that contain points but no heights")
-    resolution: Fraction | None = length(
+    resolution: Fraction | tuple[Fraction, ...] | None = setting(
         None,
         "pixel size; default: 1 m (2 ft), or the point spacing if it is larger. Photogrammetric clouds get 0.1, "
-        "0.25 or 0.5 m if such a pixel holds about ten points. In feet: 0.1, 0.2, 0.5, 1, 2, 5 or 10 ft",
+        "0.25 or 0.5 m if such a pixel holds about ten points. In feet: 0.1, 0.2, 0.5, 1, 2, 5 or 10 ft. With several "
+        f"(0.5,2; at most {MAX_RESOLUTIONS}), each has a folder: OUT/0.5m, OUT/2m",
+        unit="m",
+        kind="lengths",
     )
     tile_size: Fraction | None = length(
         None, "side of a filter tile; default: from density and memory"
@@ -357,6 +366,13 @@ class RunConfig:
     overwrite: bool = flag(False, "start from the beginning instead of resuming the run in OUT")
     force: bool = flag(False, "replace files in OUT that no run of this OUT wrote")
     clean_store: bool = flag(False, "remove the store when the run is done")
+
+    @property
+    def pixel(self) -> Fraction | None:
+        """Setting `resolution`, or the finest of several."""
+        if isinstance(self.resolution, tuple):
+            return self.resolution[0]
+        return self.resolution
 
     @property
     def surface_percent(self) -> int | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -86,6 +87,8 @@ RESULTS = (
 
 _KEYS = frozenset(("state", "version", "configuration", "plan", "stages"))
 """Keys that every version of tiler writes to ``run.json``."""
+_RESOLUTION = re.compile(r"[0-9.e+-]+(m|ft)$")
+"""Name of the folder of a resolution (`tiler.apps.resolutions.folder_name`)."""
 _KEYS_OF_CHANGES = frozenset(("changed", "added", "removed", "unchanged", "sheets"))
 """Keys that every version of tiler writes to ``changed.json``."""
 
@@ -172,6 +175,22 @@ def is_results(place: str) -> bool:
         return None not in sizes_at([joined(place, RUN), joined(place, EVENTS)])
     except OSError:  # Reading the place itself reports the error.
         return False
+
+
+def resolution_folders(out: str | Path) -> list[str]:
+    """Return the paths of the results in ``out`` of a run with several resolutions, or an empty list."""
+    if not Path(out, REPORT).is_file():
+        return []
+    folders = sorted(path for path in Path(out).glob("[0-9]*") if _RESOLUTION.match(path.name))
+    return [str(path) for path in folders if read_run(str(path)) is not None]
+
+
+def give_results(out: str | Path, of: str = "run") -> str:
+    """Return the remedy if ``out`` has no results of a run, which the OUT of a ``of`` has."""
+    folders = [] if is_url(str(out)) else resolution_folders(out)
+    if folders:
+        return f"give the folder of one of its resolutions: {', '.join(folders)}"
+    return f"give the OUT of a {of}"
 
 
 def below(out: str, place: str) -> str:

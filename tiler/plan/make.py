@@ -110,6 +110,9 @@ def make_plan(
     validate_proj_database()
     params = params_of(config)
     notes: list[str] = []
+    if isinstance(config.resolution, tuple):
+        notes.append(f"the plan is for the finest of {len(config.resolution)} resolutions")
+        config = config.updated(resolution=config.pixel)
     folder = None if out is None or is_url(out) else Path(out)
     ept = EptInputs(config)
     left_out: list[tuple[str, str]] = []
@@ -318,7 +321,7 @@ def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, F
     """Yield the name, the value and the unit in the CRS of each length in the settings."""
     for spec in fields(config):
         value = getattr(config, spec.name)
-        if spec.metadata["kind"] not in ("length", "sheets") or not isinstance(
+        if spec.metadata["kind"] not in ("length", "lengths", "sheets") or not isinstance(
             value, Fraction | Sides
         ):
             continue
@@ -354,7 +357,7 @@ def settled_by(plan: Plan, store: TileStore) -> Plan:
     config, known = plan.config, {**store.settled, **(store.get_state(FROM_POINTS) or {})}
     try:
         tile = config.tile_size or Fraction(known["tile"])
-        resolution = config.resolution or Fraction(known["resolution"])
+        resolution = config.pixel or Fraction(known["resolution"])
         same_tiles = tile == Fraction(known["tile"])
         memory = known["memory"] if same_tiles else plan.resources.memory
         workers = int(known.get("workers", 0)) if same_tiles else plan.method.tile_workers

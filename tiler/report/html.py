@@ -24,6 +24,7 @@ from tiler.io.result_folder import (
     REPORT,
     REVIEW,
     RUN,
+    give_results,
     local_folder,
     read_run,
     written_rasters,
@@ -131,7 +132,7 @@ def _read_run(out: Path | str) -> dict[str, Any]:
         return parse_json_object(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"
+            f"{path}: cannot be read ({error.strerror}); {give_results(out)}"
         ) from error
     except ValueError as error:
         raise InputError(f"{path}: not valid JSON ({error}); {AGAIN_WITHOUT_RUN}") from error
