@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,7 @@ def run(
     listener: Listener = ignore_events,
     until: str = "export",
     known: Sequence[SourceInfo] = (),
+    finest: Fraction | None = None,
 ) -> RunResult:
     """Make terrain from clouds, or resume the run in ``out``.
 
@@ -101,7 +103,8 @@ def run(
     until : str
         Last stage to run: ``ingest``, ``filter``, ``grid`` or ``export``.
     known : sequence of SourceInfo
-        Inputs that were inspected before, see `tiler.plan.make_plan`.
+    finest : Fraction, optional
+        Inputs that were inspected before, and the finest resolution of the survey, see `tiler.plan.make_plan`.
 
     Raises
     ------
@@ -113,7 +116,7 @@ def run(
     out, started = local_folder(products), time.monotonic()
     if prepare_workers(config, products):
         import_dask()  # The import runs while the headers are read.
-    plan = make_plan(inputs, config, products, known)
+    plan = make_plan(inputs, config, products, known, finest)
     with _opened(plan, inputs, out, products, listener) as job:
         # Stages replace the plan of the job when they decide what it leaves open.
         plan = job.plan

@@ -68,12 +68,18 @@ def run_resolutions(
         first = run(inputs, Path(out, folder), first_settings, listener, until)
         if until != "export":
             return first
-        known, runs = first.plan.inputs.sources, {folder: first}
+        known, finest, runs = (
+            first.plan.inputs.sources,
+            first.plan.grid.resolution,
+            {folder: first},
+        )
         settings = _following(settings, first)
         for folder, pixel in others:
             is_last = len(runs) + 1 == len(folders)
             own = settings.updated(resolution=pixel, clean_store=config.clean_store and is_last)
-            runs[folder] = run(inputs, Path(out, folder), own, listener, known=known)
+            runs[folder] = run(
+                inputs, Path(out, folder), own, listener, known=known, finest=finest
+            )
     summaries = {folder: result.summary for folder, result in runs.items()}
     write_page(target, resolutions_page(Path(out), summaries))
     return replace(

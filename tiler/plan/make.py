@@ -86,6 +86,7 @@ def make_plan(
     config: RunConfig,
     out: str | Path | None = None,
     known: Sequence[SourceInfo] = (),
+    finest: Fraction | None = None,
 ) -> Plan:
     """Read the headers, and decide CRS, units, method and sizes of a run.
 
@@ -99,6 +100,8 @@ def make_plan(
         free space of a folder is checked.
     known : sequence of SourceInfo
         Headers of the inputs that were read shortly before. If they include all inputs, none is read again.
+    finest : Fraction, optional
+        Side of a pixel in metres of the run with the finest resolution, if this is a coarser one of the same survey.
 
     Raises
     ------
@@ -154,7 +157,16 @@ def make_plan(
     inspected = inspected.without(
         files_beyond_frame(inspected.filled, area, crs.wkt, metres), config
     )
-    plan = _plan_for(inspected, config, params)
+    if finest is not None:
+        notes.append(
+            f"the terrain is the surface of the run with pixels of {length_text(finest, crs.units.horizontal)}"
+        )
+
+    def planned(inspected: InspectedInputs, config: RunConfig) -> Plan:
+        plan = _plan_for(inspected, config, params)
+        return replace(plan, grid=replace(plan.grid, finest=finest))
+
+    plan = planned(inspected, config)
     # Otherwise a pixel of impossible size could be reported as a large raster.
     validate_resolution(plan)
     validate_pixel_count(plan, folder)
@@ -162,12 +174,12 @@ def make_plan(
         inspected = inspected.without(
             outlying_files(plan.inputs.filled, crs.wkt, metres, remedy), config
         )
-        plan = _plan_for(inspected, config, params)
+        plan = planned(inspected, config)
     validate_distances(plan, inputs)
     plan = with_drawn_sheets(with_user_features(plan))
 
     def replan(**values: Any) -> Plan:
-        other = _plan_for(inspected, config.updated(**values), params)
+        other = planned(inspected, config.updated(**values))
         drawn = plan.inputs
         features = replace(
             other.inputs,

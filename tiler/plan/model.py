@@ -137,12 +137,20 @@ class Grid:
         Halo in metres of a block of the terrain that usually suffices, 1 % more than `max_edge`.
     thin : bool or None
         Whether the first run on the store thinned the ground points; None if this is the first run.
+    finest : Fraction or None
+        Side of a pixel in metres of the finest resolution, if this is a coarser one.
     """
 
     meta: StoreMeta
     resolution: Fraction
     halo_m: Fraction
     thin: bool | None = None
+    finest: Fraction | None = None
+
+    @property
+    def surface_pixel(self) -> Fraction:
+        """Side of a pixel in metres on which the surface depends: heights of all resolutions are on one surface."""
+        return self.finest or self.resolution
 
     @property
     def bucket_m(self) -> float:
@@ -298,7 +306,7 @@ class Plan:
         points = self.inputs.max_points(side)
         if self.surface_cells is None:
             return points
-        return min(points, (side * self.surface_cells / float(self.grid.resolution)) ** 2)
+        return min(points, (side * self.surface_cells / float(self.grid.surface_pixel)) ** 2)
 
     @property
     def block_points(self) -> int:
@@ -328,6 +336,6 @@ class Plan:
     def line_bytes(self) -> int:
         """Bytes that a worker needs for breaklines."""
         counts = self.grid.meta.frame.counts
-        pixel = float(counts(self.grid.resolution))
+        pixel = float(counts(self.grid.surface_pixel))
         window = float(counts(Fraction(self.grid.part_side_m(BLOCK_PIXELS))))
         return breakline_bytes(self.inputs.lines, pixel, window)
