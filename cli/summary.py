@@ -45,9 +45,7 @@ def run_lines(results: Sequence[RunResult], out: str) -> list[str]:
         folder = joined(out, Path(result.out).name)
         lines += [f"resolution  {folder}"]
         lines += summary_lines(result.summary, folder, result.did_nothing)
-    if any("outputs" in result.summary for result in results):
-        lines.append(f"all         {joined(out, REPORT)}")
-    return lines
+    return [*lines, f"all         {joined(out, REPORT)}"]
 
 
 def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = False) -> list[str]:

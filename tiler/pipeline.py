@@ -234,12 +234,16 @@ def _tell(job: Job, until: str) -> None:
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}; copies go to {job.products} when the run ends"
         )
+    listener(JobStarted(expected_stages(plan, until)))
+
+
+def expected_stages(plan: Plan, until: str) -> list[ExpectedStage]:
+    """Return the stages of a run up to the stage ``until``, with their expected times."""
     seconds = stage_seconds(plan, [raster.stage for raster in required_rasters(plan)], until)
-    stages = [
+    return [
         ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3))
         for s, t in seconds.items()
     ]
-    listener(JobStarted(stages))
 
 
 def _record_failure(job: Job, error: BaseException) -> None:

@@ -197,7 +197,7 @@ def test_summary_of_an_early_stage() -> None:
 
 
 def test_plan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("tiler.plan.make_plan", lambda inputs, config, out: 4)
+    monkeypatch.setattr("tiler.apps.resolutions.make_plan", lambda inputs, config, out: 4)
     monkeypatch.setattr("tiler.plan.plan_lines", lambda plan: ["inputs  1", f"tiles   {plan}"])
     monkeypatch.setattr("tiler.plan.plan_json", lambda plan: {"tiles": plan})
     assert main(["plan", "a.laz"]) == 0

@@ -27,7 +27,7 @@ def failing_plan(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     def make_plan(*arguments: Any) -> None:
         raise error
 
-    monkeypatch.setattr("tiler.plan.make_plan", make_plan)
+    monkeypatch.setattr("tiler.apps.resolutions.make_plan", make_plan)
 
 
 class Panic(BaseException):

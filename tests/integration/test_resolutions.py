@@ -6,7 +6,9 @@ import json
 import re
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
+import laspy
 import numpy as np
 import pytest
 import rasterio
@@ -15,10 +17,17 @@ from cli.main import main
 from tests.invariants import clouds
 from tests.invariants.runs import output_digests, settings
 from tests.scenes.drawings import ground, written
-from tiler.apps.resolutions import folder_name, run_resolutions
+from tiler.apps.clean import clean
+from tiler.apps.resolutions import (
+    _write_page,
+    folder_name,
+    plan_resolutions,
+    run_resolutions,
+)
 from tiler.config import RunConfig
 from tiler.core.units import US_SURVEY_FOOT, parse_length
 from tiler.errors import ConfigError
+from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.pipeline import RunResult, run
 from tiler.simulate import DemoScene
 
@@ -144,7 +153,9 @@ def test_commands_name_the_folders(
         ("1/3", "0.333333m"),
         ("2ft", "2ft"),
         ("0.5usft", "0.5ft"),
-        ("0.6096", "0.6096m"),
+        ("0.6096", "2ft"),
+        ("3", "3m"),
+        ("0.61", "0.61m"),
     ],
 )
 def test_name_of_a_folder(written: str, folder: str) -> None:
@@ -195,11 +206,133 @@ def test_an_out_of_one_resolution_is_refused_with_its_store(
     assert str(city_run / "store.zarr") in str(error.value)
 
 
-def test_a_page_of_somebody_else_is_kept(cloud: Path, tmp_path: Path) -> None:
+def test_what_out_cannot_be(cloud: Path, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     page.write_text("mine")
-    with pytest.raises(ConfigError, match="is not a page of this command"):
-        run_resolutions([str(cloud)], tmp_path, settings(resolution="1,2"))
+    for out, words in (
+        (str(tmp_path), "report.html: already exists and was not written by a run"),
+        ("s3://bucket/out", "is a URL"),
+        ("", "has no name"),
+        (str(tmp_path / "out.tif"), "has the name of a file"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            run_resolutions([str(cloud)], out, settings(resolution="1,2"))
     assert page.read_text() == "mine"
-    with pytest.raises(ConfigError, match="is a URL"):
-        run_resolutions([str(cloud)], "s3://bucket/out", settings(resolution="1,2"))
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_two_resolutions_have_two_names(cloud: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="same 6 digits"):
+        run_resolutions([str(cloud)], tmp_path, settings(resolution="1/3,0.333333"))
+
+
+def test_a_resolution_that_cannot_be_made_ends_the_run_at_its_start(
+    cloud: Path, tmp_path: Path
+) -> None:
+    config = settings(resolution="0.5,3", sheets="25")
+    with pytest.raises(ConfigError, match="whole number of pixels of 3 m"):
+        plan_resolutions([str(cloud)], config, tmp_path)
+    with pytest.raises(ConfigError, match="whole number of pixels of 3 m"):
+        run_resolutions([str(cloud)], tmp_path, config)
+    assert list(tmp_path.iterdir()) == [cloud]
+
+
+def test_a_plan_of_a_finished_run_is_accepted(
+    made: Made, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, _, inputs = made
+    assert main(["plan", *inputs, "-o", str(out), "--resolution", "1,3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[1] for line in lines if line.startswith("resolution")] == ["1m", "3m"]
+
+
+def test_the_page_tells_of_a_run_that_did_not_end(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, out = settings(resolution="1,2"), tmp_path / "out"
+    run_resolutions([str(cloud)], out, config)
+    assert ">Finished<" in (out / "report.html").read_text("utf-8")
+
+    def interrupted(*arguments: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tiler.apps.resolutions.run", interrupted)
+    monkeypatch.setattr("tiler.apps.resolutions._write_page", _write_first)
+    with pytest.raises(KeyboardInterrupt):
+        run_resolutions([str(cloud)], out, config)
+    page = (out / "report.html").read_text("utf-8")
+    assert ">Not finished<" in page
+    assert ">Finished<" not in page
+
+
+def _write_first(out: Path, plans: Any, is_running: bool = False) -> None:
+    """Write only the page of the start, as if the process were killed later."""
+    if is_running:
+        _write_page(out, plans, is_running)
+
+
+def test_a_single_run_leaves_the_folder_of_a_resolution(made: Made) -> None:
+    out, _, inputs = made
+    with pytest.raises(ConfigError, match="is the folder of one of several resolutions"):
+        run_resolutions(inputs, out / "3m", settings())
+    with pytest.raises(ConfigError, match=r"report\.html: already exists"):
+        run_resolutions(inputs, out, settings())
+
+
+def test_progress_is_that_of_one_job(cloud: Path, tmp_path: Path) -> None:
+    records: list[Progress] = []
+    run_resolutions(
+        [str(cloud)],
+        tmp_path / "out",
+        settings(resolution="1,2"),
+        ProgressRecords(records.append),
+    )
+    shares = [record["progress"] for record in records if record["progress"] is not None]
+    assert shares == sorted(shares)
+    assert [record["message"] for record in records].count("done") == 1
+    assert records[-1]["message"] == "done"
+
+
+def test_folders_that_were_moved_find_their_store(cloud: Path, tmp_path: Path) -> None:
+    run_resolutions([str(cloud)], tmp_path / "out", settings(resolution="1,2"))
+    moved = (tmp_path / "out").rename(tmp_path / "moved")
+    assert clean(moved / "2m").store_bytes > 0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"surface": "p10"},
+        {"voids": "fill", "interpolation": "natural"},
+        {"edits": "ground"},
+        {"breaklines": "lines"},
+    ],
+    ids=str,
+)
+def test_heights_agree_with_all_settings_of_the_surface(
+    cloud: Path, tmp_path: Path, changes: dict[str, str]
+) -> None:
+    with laspy.open(cloud) as source:
+        (west, south), crs = source.header.mins[:2], source.header.parse_crs()
+    box = [[west + x, south + y] for x, y in ((20, 20), (40, 20), (40, 40), (20, 40), (20, 20))]
+    line = [[west + 5, south + 10, 99.0], [west + 50, south + 13, 101.0]]
+    features = {
+        "edits": {"type": "Polygon", "coordinates": [box]},
+        "lines": {"type": "LineString", "coordinates": line},
+    }
+    drawn = {}
+    for name, geometry in features.items():
+        feature = {"type": "Feature", "properties": {"action": "ground"}, "geometry": geometry}
+        named = {"type": "name", "properties": {"name": f"EPSG:{crs.to_epsg()}"}}
+        content = {"type": "FeatureCollection", "crs": named, "features": [feature]}
+        drawn[name] = tmp_path / f"{name}.geojson"
+        drawn[name].write_text(json.dumps(content))
+    values = {
+        key: str(drawn.get(key if key == "edits" else value, value))
+        for key, value in changes.items()
+    }
+    result = run_resolutions(
+        [str(cloud)], tmp_path / "out", settings(resolution="1,3", **values)
+    )
+    fine, coarse = (Path(one.out, "dtm.tif") for one in (result, *result.others))
+    assert_heights_agree(fine, coarse)

@@ -14,9 +14,7 @@ HEAD_BYTES = 8192
 """Bytes at the start of a page in which the name of its command stands."""
 
 
-def validate_page(
-    target: Path, reads: Iterable[str | Path], maker: str, option: str = "--page"
-) -> None:
+def validate_page(target: Path, reads: Iterable[str | Path], maker: str) -> None:
     """Raise ConfigError if a page cannot be written, or would replace a file that is not an earlier page.
 
     Parameters
@@ -27,33 +25,36 @@ def validate_page(
         Paths and URLs of all files that the command reads.
     maker : str
         Name of the command, which its pages have in their head (`tiler.report.document.page`).
-    option : str
-        Option that gives the file or its folder.
     """
     if is_url_path(target):
-        raise ConfigError(f"{option} {target}: is a URL; give a file on this machine")
-    check_targets([Target(option, target, (".html",))], reads)
+        raise ConfigError(f"--page {target}: is a URL; give a file on this machine")
+    check_targets([Target("--page", target, (".html",))], reads)
     if target.is_symlink():
-        raise link_error(target, option)
+        raise link_error(target, "--page")
     if not target.parent.is_dir():
         raise ConfigError(
-            f"{option} {target}: its folder does not exist; make it, or give another file"
+            f"--page {target}: its folder does not exist; make it, or give another file"
         )
     if not target.exists():
         return
     try:
-        is_earlier = False
-        if target.is_file():
-            with target.open("rb") as stream:
-                is_earlier = f'content="{maker}"'.encode() in stream.read(HEAD_BYTES)
+        is_earlier = is_page_of(target, maker)
     except OSError as error:
         raise ConfigError(
-            f"{option} {target}: cannot be read ({error.strerror}); give another file"
+            f"--page {target}: cannot be read ({error.strerror}); give another file"
         ) from error
     if not is_earlier:
         raise ConfigError(
-            f"{option} {target}: exists and is not a page of this command; give another file"
+            f"--page {target}: exists and is not a page of this command; give another file"
         )
+
+
+def is_page_of(target: Path, maker: str) -> bool:
+    """Return whether a file is an earlier page of a command."""
+    if not target.is_file():
+        return False
+    with target.open("rb") as stream:
+        return f'content="{maker}"'.encode() in stream.read(HEAD_BYTES)
 
 
 def write_page(target: Path, content: bytes) -> None:

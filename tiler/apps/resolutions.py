@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-from tiler.apps.page_file import validate_page, write_page
+from tiler.apps.page_file import is_page_of, write_page
 from tiler.config import AUTO_WATER, NO_WATER, RunConfig
-from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, FeetLength
-from tiler.errors import ConfigError
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT
+from tiler.errors import ConfigError, ProcessingError, write_error
+from tiler.io.cloud_formats import SUFFIXES
 from tiler.io.locations import is_url
-from tiler.io.result_folder import REPORT, STORE, WATER, is_results, read_run
-from tiler.observe.events import Listener, ignore_events
-from tiler.pipeline import run
+from tiler.io.overwrite_check import check_names
+from tiler.io.result_folder import REPORT, STORE, WATER, read_run, resolution_folders
+from tiler.observe.events import Listener, Note, ignore_events
+from tiler.observe.several_runs import OneOfSeveral, stages_of
+from tiler.pipeline import expected_stages, run
+from tiler.plan import Plan, make_plan
 from tiler.report.resolutions import MAKER, resolutions_page
 from tiler.runs.job import RunResult
 from tiler.schedule import fork_server_running
 
 DIGITS = 6
 """Maximum number of digits of a length in the name of a folder."""
+UNITS = {METRE: "m", FOOT: "ft", US_SURVEY_FOOT: "ft"}
+"""Units in the names of folders. The name has the one in which the length is shortest, or else the first."""
 
 
 def run_resolutions(
@@ -32,10 +39,9 @@ def run_resolutions(
 ) -> RunResult:
     """Make terrain from clouds as `tiler.pipeline.run` does, with one resolution or several.
 
-    Each of several resolutions has a folder in ``out`` with the results of a run. They share the ground, the edits and
-    the bodies of water, which are found with the finest resolution, so that the heights at one position agree. The
-    classified clouds are in the folder of the finest only. The page ``report.html`` in ``out`` lists the folders. A run
-    that ends before the stage ``export`` makes the finest only.
+    Each of several resolutions has a folder in ``out`` with the results of a run. All heights are on the surface of the
+    finest one, which also finds the bodies of water and has the classified clouds. The page ``report.html`` in ``out``
+    lists the folders. A run that ends before the stage ``export`` makes the finest only.
 
     Parameters
     ----------
@@ -50,83 +56,177 @@ def run_resolutions(
     Raises
     ------
     ConfigError
-        With several resolutions: ``out`` is a URL, has the results of a run with one resolution, or its report.html is
-        another page.
+        A resolution cannot be made with the settings. Or ``out`` is a URL, has the results of a run with one
+        resolution, or its report.html is another page.
     TilerError
         `tiler.pipeline.run` raises it.
     """
     config = config or RunConfig()
     if not isinstance(config.resolution, tuple):
+        _check_folder(out)
         return run(inputs, out, config, listener, until)
-    folders = {folder_name(pixel): pixel for pixel in config.resolution}
-    target = Path(out, REPORT)
-    _check(out, target, config, inputs)
-    settings = config.updated(store=config.store or str(Path(out).resolve() / STORE))
     with fork_server_running():  # All runs share the imports of its children.
-        (folder, pixel), *others = folders.items()
-        first_settings = settings.updated(resolution=pixel, clean_store=False)
-        first = run(inputs, Path(out, folder), first_settings, listener, until)
-        if until != "export":
-            return first
-        known, finest, runs = (
-            first.plan.inputs.sources,
-            first.plan.grid.resolution,
-            {folder: first},
-        )
-        settings = _following(settings, first)
-        for folder, pixel in others:
-            is_last = len(runs) + 1 == len(folders)
-            own = settings.updated(resolution=pixel, clean_store=config.clean_store and is_last)
-            runs[folder] = run(
-                inputs, Path(out, folder), own, listener, known=known, finest=finest
-            )
-    summaries = {folder: result.summary for folder, result in runs.items()}
-    write_page(target, resolutions_page(Path(out), summaries))
+        plans = plan_resolutions(inputs, config, out)
+        _tell_of_others(out, plans, listener)
+        _write_page(Path(out), plans, is_running=True)
+        try:
+            results = _run_all(inputs, Path(out), config, plans, listener, until)
+        except BaseException:
+            with suppress(ProcessingError):  # The error that ended the run is reported.
+                _write_page(Path(out), plans)
+            raise
+    _write_page(Path(out), plans)
     return replace(
-        first,
-        exit_code=max(result.exit_code for result in runs.values()),
-        did_nothing=all(result.did_nothing for result in runs.values()),
-        others=tuple(runs.values())[1:],
+        results[0],
+        exit_code=max(result.exit_code for result in results),
+        did_nothing=all(result.did_nothing for result in results),
+        others=tuple(results[1:]),
     )
 
 
-def _following(settings: RunConfig, first: RunResult) -> RunConfig:
-    """Return the settings of the resolutions after the first one."""
-    water = settings.water
-    if water == AUTO_WATER:
-        # A search with other pixels would find other shores and levels.
-        water = first.files.get(WATER, NO_WATER) if first.summary.get("water") else NO_WATER
-    return settings.updated(classified="none", overwrite=False, water=water)
+def plan_resolutions(
+    inputs: Sequence[str], config: RunConfig, out: str | Path | None = None
+) -> dict[str, Plan]:
+    """Return the plan of each resolution by the name of its folder, which is empty if there is only one.
+
+    Parameters
+    ----------
+    inputs, config, out
+        Arguments of `tiler.plan.make_plan`.
+
+    Raises
+    ------
+    ConfigError, InputError
+        `tiler.plan.make_plan` raises it for one of the resolutions, or ``out`` cannot be used for several.
+    """
+    if not isinstance(config.resolution, tuple):
+        return {"": make_plan(inputs, config, out)}
+    folders = {folder_name(pixel): pixel for pixel in config.resolution}
+    if len(folders) < len(config.resolution):
+        raise ConfigError(
+            f"resolution: two lengths have the same {DIGITS} digits ({', '.join(folders)}); give one of them"
+        )
+    if out is not None:
+        _check_out(out, config)
+    plans: dict[str, Plan] = {}
+    for folder, pixel in folders.items():
+        first = next(iter(plans.values()), None)
+        plans[folder] = make_plan(
+            inputs,
+            _settings(config, out, pixel, first is None),
+            None if out is None else Path(out, folder),
+            known=first.inputs.sources if first else (),
+            finest=first.grid.resolution if first else None,
+        )
+    return plans
+
+
+def _settings(
+    config: RunConfig, out: str | Path | None, pixel: Fraction, is_first: bool
+) -> RunConfig:
+    """Return the settings of one of several resolutions."""
+    store = config.store
+    if store is None and out is not None:
+        store = str(Path(out).resolve() / STORE)
+    own = config.updated(resolution=pixel, store=store)
+    return own if is_first else own.updated(classified="none", overwrite=False)
+
+
+def _run_all(
+    inputs: Sequence[str],
+    out: Path,
+    config: RunConfig,
+    plans: Mapping[str, Plan],
+    listener: Listener,
+    until: str,
+) -> list[RunResult]:
+    """Run all resolutions, the finest first."""
+    results: list[RunResult] = []
+    later = [
+        stage
+        for name in list(plans)[1:]
+        for stage in stages_of(name, expected_stages(plans[name], until))
+    ]
+    known = next(iter(plans.values())).inputs.sources
+    for folder, plan in plans.items():
+        is_last = len(results) + 1 == len(plans) or until != "export"
+        settings = plan.config.updated(clean_store=config.clean_store and is_last)
+        finest = None
+        if results:
+            finest = results[0].plan.grid.resolution
+            settings = settings.updated(water=_water(config, results[0]))
+        told = OneOfSeveral(listener, folder if results else "", later, is_last)
+        results.append(run(inputs, out / folder, settings, told, until, known, finest))
+        if is_last:
+            break
+    return results
+
+
+def _water(config: RunConfig, first: RunResult) -> str:
+    """Return the setting `water` of the resolutions after the first one."""
+    if config.water != AUTO_WATER:
+        return config.water
+    # A search with other pixels would find other shores and levels.
+    return first.files.get(WATER, NO_WATER) if first.summary.get("water") else NO_WATER
 
 
 def folder_name(pixel: Fraction) -> str:
     """Return the name of the folder of a resolution, such as ``0.5m`` or ``2ft``."""
-    if isinstance(pixel, FeetLength):
-        return f"{float(pixel / FOOT):.{DIGITS}g}ft"
-    in_metres, in_survey_feet = (
-        f"{float(pixel / unit):.{DIGITS}g}" for unit in (METRE, US_SURVEY_FOOT)
-    )
-    if Fraction(in_metres) != pixel and Fraction(in_survey_feet) * US_SURVEY_FOOT == pixel:
-        return f"{in_survey_feet}ft"
-    return f"{in_metres}m"
+    names = []
+    for unit, name in UNITS.items():
+        text = f"{float(pixel / unit):.{DIGITS}g}"
+        if Fraction(text) * unit == pixel:
+            names.append(f"{text}{name}")
+    return min(names, key=len, default=f"{float(pixel):.{DIGITS}g}m")
 
 
-def _store_of(out: str | Path) -> str:
-    configured = (read_run(str(out)) or {}).get("configuration", {}).get("store")
-    return str(configured or Path(out, STORE))
+def _check_folder(out: str | Path) -> None:
+    """Raise ConfigError if ``out`` is the folder of one of several resolutions."""
+    if not is_url(str(out)) and str(Path(out)) in resolution_folders(Path(out).parent):
+        whole = Path(out).parent
+        raise ConfigError(
+            f"-o {out}: is the folder of one of several resolutions; give -o {whole} with all of them (--resolution)"
+        )
 
 
-def _check(out: str | Path, target: Path, config: RunConfig, inputs: Sequence[str]) -> None:
+def _check_out(out: str | Path, config: RunConfig) -> None:
     """Raise ConfigError if the folders of several resolutions, or their page, cannot be in ``out``."""
+    if not str(out):
+        raise ConfigError("-o: has no name; give a folder for the results")
     if is_url(str(out)):
         raise ConfigError(
             f"-o {out}: is a URL, where only one resolution can be written; give one --resolution, and --store for "
             "the next"
         )
-    if is_results(str(out)):
+    check_names("-o", str(out))
+    page = Path(out, REPORT)
+    if Path(out).suffix.lower() in (*SUFFIXES, ".tif"):
+        raise ConfigError(f"-o {out}: has the name of a file; give a folder")
+    earlier = read_run(str(out)) or {}
+    if earlier.get("outputs"):
+        store = earlier["configuration"].get("store") or Path(out, STORE)
         raise ConfigError(
-            f"-o {out}: has the results of a run with one resolution; give another folder, and --store "
-            f"{_store_of(out)} to use its points again"
+            f"-o {out}: has the results of a run with one resolution; give another folder, and --store {store} to use "
+            "its points again"
         )
-    if target.exists() and not config.force:
-        validate_page(target, inputs, MAKER, "-o")
+    if page.is_dir() or (page.exists() and not config.force and not is_page_of(page, MAKER)):
+        raise ConfigError(
+            f"-o {out}: {REPORT}: already exists and was not written by a run in this folder; use another -o, or "
+            "--force to replace it"
+        )
+
+
+def _tell_of_others(out: str | Path, plans: Mapping[str, Plan], listener: Listener) -> None:
+    """Note the folders of earlier runs with other resolutions."""
+    others = [path for path in resolution_folders(out) if Path(path).name not in plans]
+    if others:
+        listener(Note(f"{', '.join(others)}: of an earlier run with other resolutions"))
+
+
+def _write_page(out: Path, plans: Mapping[str, Plan], is_running: bool = False) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_error(str(out), error, out) from error
+    runs = {folder: read_run(str(out / folder)) for folder in plans}
+    write_page(out / REPORT, resolutions_page(out, runs, is_running))

@@ -179,10 +179,34 @@ def is_results(place: str) -> bool:
 
 def resolution_folders(out: str | Path) -> list[str]:
     """Return the paths of the results in ``out`` of a run with several resolutions, or an empty list."""
-    if not Path(out, REPORT).is_file():
+    if not Path(out, REPORT).is_file():  # It is written before the first of them.
         return []
     folders = sorted(path for path in Path(out).glob("[0-9]*") if _RESOLUTION.match(path.name))
     return [str(path) for path in folders if read_run(str(path)) is not None]
+
+
+def results_name(out: Path) -> str:
+    """Return the name of a folder of results for titles: ``town``, or ``town, 2m`` for one of several resolutions."""
+    out = out.resolve()
+    if _RESOLUTION.match(out.name) and str(out) in resolution_folders(out.parent):
+        return f"{out.parent.name}, {out.name}"
+    return out.name
+
+
+def store_of(out: str | Path, run: Mapping[str, Any], given: str | None = None) -> str:
+    """Return the location of the store of a run: the given one, that of its settings, or `STORE` in its folder.
+
+    The store of several resolutions moves together with their folders.
+    """
+    location = given or _mapping(run, "configuration").get("store")
+    if is_url(str(out)):
+        return str(location or joined(str(out), STORE))
+    folder = Path(out).resolve()
+    beside = folder.parent / STORE
+    is_moved = location and not given and _RESOLUTION.match(folder.name)
+    if is_moved and not os.path.exists(str(location)) and beside.is_dir():
+        return str(beside)
+    return str(location or folder / STORE)
 
 
 def give_results(out: str | Path, of: str = "run") -> str:

@@ -114,7 +114,7 @@ def make_plan(
     params = params_of(config)
     notes: list[str] = []
     if isinstance(config.resolution, tuple):
-        notes.append(f"the plan is for the finest of {len(config.resolution)} resolutions")
+        notes.append(f"only the finest of {len(config.resolution)} resolutions is planned here")
         config = config.updated(resolution=config.pixel)
     folder = None if out is None or is_url(out) else Path(out)
     ept = EptInputs(config)

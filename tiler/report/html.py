@@ -27,6 +27,8 @@ from tiler.io.result_folder import (
     give_results,
     local_folder,
     read_run,
+    results_name,
+    store_of,
     written_rasters,
 )
 from tiler.redaction import shown
@@ -41,7 +43,7 @@ from tiler.report.cards import small_card
 from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn, shapes
 from tiler.report.pictures import VIRIDIS, Pictures, css, draw, ramp_colour, reading_rasters
-from tiler.report.places import Detail, read_open_places, store_of, units_of
+from tiler.report.places import Detail, read_open_places, units_of
 from tiler.report.problems import marked_places, problems
 from tiler.report.runfile import run_file_errors, title_of, write_run_file
 from tiler.report.tables import specification
@@ -145,7 +147,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     check = accuracy.read_measured(out, CHECK, run)
     run = {**run, "check": check}
     evaluation = accuracy.read_measured(out, EVALUATION, run)
-    title = run.get("report_title") or f"Terrain of {out.resolve().name}"
+    title = run.get("report_title") or f"Terrain of {results_name(out)}"
     parts = [
         specification(run),
         problems(run),

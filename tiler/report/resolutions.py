@@ -7,26 +7,31 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from urllib.parse import quote
 
-from tiler.core.words import counted
-from tiler.io.result_folder import REPORT, written_rasters
+from tiler.io.result_folder import REPORT, REVIEW, results_name, written_rasters
 from tiler.report.client_map import client_map
 from tiler.report.document import Content, Node, el, page, section, table
 from tiler.report.pictures import reading_rasters
 from tiler.report.problems import Run, kinds_text
+from tiler.report.runfile import run_file_errors
 from tiler.report.sections import is_good, length, made_text, share_with_height, state_text
 
 MAKER = "tiler run"
 """Command in the head of the page, which recognises an earlier page by it."""
+NOT_FINISHED = "Not finished"
 
 
-def resolutions_page(out: Path, runs: Mapping[str, Run]) -> bytes:
+def resolutions_page(
+    out: Path, runs: Mapping[str, Run | None], is_running: bool = False
+) -> bytes:
     """Return the page.
 
     Parameters
     ----------
     out : Path
-    runs : mapping of str to mapping
-        Content of the run.json in each folder of ``out``, by the name of the folder.
+    runs : mapping of str to mapping or None
+        Content of the run.json in each folder of ``out``, by the name of the folder. None if there is none.
+    is_running : bool
+        Whether the runs are still under way. Then the page has no map.
 
     Returns
     -------
@@ -37,10 +42,14 @@ def resolutions_page(out: Path, runs: Mapping[str, Run]) -> bytes:
     ------
     ProcessingError
         A raster cannot be read.
+    InputError
+        A run.json has other content than this version writes.
     """
-    title = f"Terrain of {out.resolve().name}"
+    title = f"Terrain of {results_name(out)}"
     folder, first = next(iter(runs.items()))
-    states = {state_text(run): is_good(run) for run in runs.values()}
+    states = {NOT_FINISHED: False} if is_running or None in runs.values() else {}
+    if not is_running:
+        states |= {state_text(run): is_good(run) for run in runs.values() if run}
     header = el(
         "header",
         *(
@@ -48,32 +57,37 @@ def resolutions_page(out: Path, runs: Mapping[str, Run]) -> bytes:
             for text, good in states.items()
         ),
         el("h1", title),
-        el(
-            "p",
-            f"{made_text(first)}. Coarser terrains have the same ground and water.",
-            class_="lead",
-        ),
     )
-    columns = ("pixel", "terrain", "pixels", "with a height", "problems", "report")
-    rows = [tuple(_cells(folder, run)) for folder, run in runs.items()]
-    sections = [section("resolutions", "Resolutions", table(columns, rows, ()))]
-    if terrain := written_rasters(first).get("dtm"):
-        with reading_rasters(out):
-            drawn = client_map(first, (), str(out / folder / terrain))
-        sections.append(section("map", "Map", drawn))
+    text = (
+        f"All have the surface and the water of {folder}. Decide about places to review in {folder}/{REVIEW}, and give "
+        "it to the whole run with --edits."
+    )
+    columns = ("folder", "terrain", "pixels", "with a height", "problems", "report")
+    rows = [(name, *_cells(name, None if is_running else run)) for name, run in runs.items()]
+    sections = [section("resolutions", "Resolutions", table(columns, rows, ()), el("p", text))]
+    if not is_running and first and first["state"] == "done":
+        with run_file_errors(out / folder), reading_rasters(out):
+            header.append(el("p", f"{made_text(first)}.", class_="lead"))
+            terrain = written_rasters(first).get("dtm")
+            if terrain and (out / folder / terrain).is_file():
+                drawn = client_map(first, (), str(out / folder / terrain))
+                sections.append(section("map", "Map", drawn))
     return page(title, header, sections, maker=MAKER)
 
 
-def _cells(folder: str, run: Run) -> Iterator[Content]:
-    """Yield the cells of a row: the links are relative to the page."""
+def _cells(folder: str, run: Run | None) -> Iterator[Content]:
+    """Yield the cells of a row after the first: the links are relative to the page."""
+    if run is None or run["state"] != "done":
+        yield from (NOT_FINISHED, "-", "-", "-", "-")
+        return
     terrain, dtm = written_rasters(run).get("dtm"), run.get("dtm")
-    yield length(run, run["plan"]["resolution_m"])
     yield _link(f"{folder}/{terrain}") if terrain else "none"
-    yield f"{dtm['width']:,} x {dtm['height']:,}" if dtm else "-"
+    size = f"{dtm['width']:,} x {dtm['height']:,}" if dtm else "-"
+    yield f"{size} of {length(run, run['plan']['resolution_m'])}"
     yield share_with_height(run["voids"]) if "voids" in run else "-"
     problems = run.get("problems") or ()
     yield kinds_text(problems) if problems else "none"
-    yield _link(f"{folder}/{REPORT}") if run.get("report") else counted(0, "report")
+    yield _link(f"{folder}/{REPORT}") if run.get("report") else "none"
 
 
 def _link(path: str) -> Node:

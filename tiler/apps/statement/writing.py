@@ -23,11 +23,11 @@ from tiler.core.units import length_text
 from tiler.errors import ConfigError, InputError
 from tiler.io.cloud_reading import BLOCK_BYTES
 from tiler.io.locations import is_url
-from tiler.io.result_folder import STATEMENT_PAGE
+from tiler.io.result_folder import STATEMENT_PAGE, store_of
 from tiler.io.vector import Feature
 from tiler.report.cards import Card, views
 from tiler.report.document import el, page, section
-from tiler.report.places import Detail, open_survey, place_card, store_of, units_of
+from tiler.report.places import Detail, open_survey, place_card, units_of
 from tiler.schedule import call_isolated, half_of_memory
 
 MAKER = "tiler review --statement"
