@@ -6,7 +6,7 @@ Only cells are kept, so memory does not grow with the points.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -206,6 +206,14 @@ class CellCounter:
             self._counts = [np.add.reduceat(counts[order], first, axis=0)]
             self._waiting = 0
         return self._keys[0], self._counts[0]
+
+
+def merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:
+    """Return the distinct keys of several files, sorted, and the sums of their counts."""
+    counter = CellCounter()
+    for keys, counts in pieces:
+        counter.add(keys, counts)
+    return counter.merge()
 
 
 @dataclass

@@ -42,6 +42,8 @@ class Measurements:
         Files with such points.
     coverage : Coverage or str
         Sheets that are not covered, or why they are not known.
+    strays : str
+        Note about first returns far from all others, which are left out of ``cells``.
     """
 
     files: list[FileCounts]
@@ -55,6 +57,7 @@ class Measurements:
     n_duplicates: int
     with_duplicates: list[Path]
     coverage: Coverage | str
+    strays: str
 
     def total(self, count: Callable[[FileCounts], int]) -> int:
         """Return the sum of a count over all files."""

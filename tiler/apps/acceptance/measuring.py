@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,13 +21,11 @@ from tiler.apps.acceptance.cells import (
 )
 from tiler.apps.acceptance.counts import (
     MAX_HEIGHT_M,
-    CellCounter,
     Cells,
     DigestPlan,
     FileCounts,
-    Int64s,
-    Keys,
     count_file,
+    merged,
 )
 from tiler.apps.acceptance.duplicates import (
     DigestFiles,
@@ -47,6 +45,7 @@ from tiler.apps.acceptance.separation import (
 )
 from tiler.apps.acceptance.sheets import Coverage, Sheets, covered_sheets, read_sheets
 from tiler.apps.acceptance.specification import Specification
+from tiler.apps.acceptance.strays import Survey, survey_of
 from tiler.apps.page_file import validate_page, write_page
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
 from tiler.core.crs import crs_name, same_horizontal, split
@@ -68,6 +67,8 @@ MAX_CHILDREN = 8
 """Maximum number of processes that read files at the same time."""
 SIDE_TOLERANCE = 1.25
 """Ratio of the sides of cells, by the headers and by the measured density, above which the points are counted again."""
+MAX_COUNTS = 6
+"""Number of times that points are counted, with better sides of cells. More than two are for bounds with strays."""
 BOUNDS_MARGIN = 1.0
 """Width in units of the CRS by which the bounds of a file are widened, since headers may be rounded."""
 
@@ -219,7 +220,7 @@ def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
 
 
 def _notes(measured: Measurements) -> list[str]:
-    notes = []
+    notes = [measured.strays] if measured.strays else []
     if too_high := measured.total(lambda file: file.too_high):
         notes.append(
             f"{counted(too_high, 'single return')} with heights beyond {MAX_HEIGHT_M:,} m left out of the "
@@ -271,15 +272,19 @@ def _measure(
     files = _count(children, infos, cells, plans, metres)
     duplicates = _duplicates(plans, files)
     limits = {} if specification is None else specification.limits
-    of_cells = files
+    of_cells, survey = files, None
     findings: CellFindings | str = DIFFERENT_CRS
-    if cells is not None:
-        findings = _examined(files, cells, metres, limits.get("pulse_density"))
+    for n_counts in range(1, MAX_COUNTS + 1):
+        if cells is None:
+            break
+        survey = survey_of(of_cells, cells)
+        findings = _examined(survey, cells, metres, limits.get("pulse_density"))
         better = None if asked else _better_spacing(findings, spacing)
-        if better is not None:
-            cells = _cells(infos, better / metres)
-            of_cells = _count(children, infos, cells, [None] * len(infos), metres)
-            findings = _examined(of_cells, cells, metres, limits.get("pulse_density"))
+        if better is None or n_counts == MAX_COUNTS:
+            break
+        spacing = better
+        cells = _cells(infos, spacing / metres)
+        of_cells = _count(children, infos, cells, [None] * len(infos), metres)
     vertical_names = _different_crs(infos, 1)
     separation = _separated(of_cells, cells, metres, len(vertical_names))
     measured = Measurements(
@@ -293,7 +298,8 @@ def _measure(
         separation,
         sum(duplicates.values()),
         [path for path, number in duplicates.items() if number],
-        _coverage(of_cells, cells, grid, findings),
+        _coverage(survey, cells, grid, findings),
+        survey.note if survey is not None else "",
     )
     return measured, None if isinstance(findings, str) else findings.side_m
 
@@ -366,19 +372,18 @@ def _count(
 
 
 def _examined(
-    files: Sequence[FileCounts], cells: Cells, metres: float, asked: float | None
+    survey: Survey, cells: Cells, metres: float, asked: float | None
 ) -> CellFindings | str:
     """Return what the cells of all files show, or why they cannot be examined."""
-    keys, counts = _merged((file.keys, file.counts) for file in files)
-    if not keys.size:
+    if not survey.keys.size:
         return "no first return that is not withheld"
-    needed = needed_bytes(keys)
+    needed = needed_bytes(survey.keys)
     if needed > half_of_memory():
         return (
             f"the extent has too many cells of {cells.side * metres:.3g} m for this machine's memory "
             f"({needed / 1e9:,.0f} GB); give parts of the survey, or withhold points far from it"
         )
-    return examine_cells(keys, counts, cells, metres, asked)
+    return examine_cells(survey.keys, survey.counts, cells, metres, asked)
 
 
 def _separated(
@@ -394,7 +399,7 @@ def _separated(
         return DIFFERENT_VERTICAL_CRS
     if not any(source for file in files for source in file.sources):
         return WITHOUT_SOURCES
-    keys, sums = _merged((file.height_keys, file.height_sums) for file in files)
+    keys, sums = merged((file.height_keys, file.height_sums) for file in files)
     found = separate_swaths(keys, sums, cells, metres, half_of_memory())
     if found != NO_OVERLAP:
         return found
@@ -402,13 +407,13 @@ def _separated(
         return (
             f"no overlap of swaths, but {counted(n_without, 'point')} without a point source id"
         )
-    if share_cells(_merged((file.keys, file.counts) for file in files)[0]):
+    if share_cells(merged((file.keys, file.counts) for file in files)[0]):
         return "no single returns of two swaths in the same cell, although they overlap"
     return NO_OVERLAP
 
 
 def _coverage(
-    files: Sequence[FileCounts],
+    survey: Survey | None,
     cells: Cells | None,
     grid: Sheets | None,
     findings: CellFindings | str,
@@ -416,18 +421,10 @@ def _coverage(
     """Return the sheets that are not covered, or why they are not known."""
     if grid is None:
         return "no sheets were given (--sheets)"
-    if cells is None or isinstance(findings, str):
+    if survey is None or cells is None or isinstance(findings, str):
         return str(findings)
-    keys, _ = _merged((file.keys, file.counts) for file in files)
     spacing_m = 1 / math.sqrt(findings.per_m2) if findings.per_m2 else findings.side_m
-    return covered_sheets(grid, keys, cells, spacing_m * cells.side / findings.side_m)
-
-
-def _merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:
-    counter = CellCounter()
-    for keys, counts in pieces:
-        counter.add(keys, counts)
-    return counter.merge()
+    return covered_sheets(grid, survey.keys, cells, spacing_m * cells.side / findings.side_m)
 
 
 def _digest_plans(folder: Path, infos: Sequence[SourceInfo]) -> list[DigestPlan]:

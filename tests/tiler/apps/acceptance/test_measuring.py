@@ -307,9 +307,28 @@ def test_the_side_of_cells_follows_the_density_without_a_specification(tmp_path:
     assert {row["state"] for row in summary["rows"]} == {"not asked"}
 
 
-def test_a_point_far_away_does_not_change_the_figures_or_has_a_reason(tmp_path: Path) -> None:
+@pytest.mark.parametrize("far", [6e4, 1e6])
+@pytest.mark.parametrize("spec", [ASKED, None])
+def test_a_stray_is_left_out_of_the_rows_of_cells_and_named(
+    tmp_path: Path, far: float, spec: Specification | None
+) -> None:
+    swaths = square() + Pulses(*lattice(40, 100, 0, 60), 2)
+    without = found(swaths.write(tmp_path / "a.laz"), spec)
+    swaths.x[-1] = swaths.y[-1] = far
+    summary = check_clouds([swaths.write(tmp_path / "b.laz")], spec)
+    with_stray = {row["name"]: row["found"] for row in summary["rows"]}
+    for name in ("pulse_density", "swath_overlap", "swath_density_least", "distribution"):
+        assert with_stray[name] == pytest.approx(without[name], rel=0.03)
+    assert (with_stray["swath_gaps"], with_stray["voids"]) == (0, 0)
+    [note] = (note for note in summary["notes"] if "far from all others" in note)
+    x, y = (float(text) for text in note.rsplit(" ", 2)[1:])
+    assert (x, y) == pytest.approx((5e5 + far, 5e6 + far), abs=1)
+    assert note.startswith(f"{tmp_path / 'b.laz'}: 1 first return ")
+
+
+def test_many_points_far_away_are_no_strays_and_have_a_reason(tmp_path: Path) -> None:
     cloud = square()
-    cloud.x[0], cloud.y[0] = 1e6, 1e6
+    cloud.x[:20] = cloud.y[:20] = 1e6
     density = rows(cloud.write(tmp_path / "a.laz"))["pulse_density"]
     assert density["state"] == "not measured"
     assert "far from it" in density["remark"]
