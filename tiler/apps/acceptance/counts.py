@@ -227,8 +227,8 @@ class FileCounts:
     point_format, points : int
     wkt_bit : bool
         Whether the header says that the CRS is in the WKT record.
-    scale : float
-        Largest scale factor, in units of the CRS.
+    scale_m : float
+        Largest scale factor in metres.
     stated_returns : tuple of int
         Number of points by return in the header.
     outside : int
@@ -263,7 +263,7 @@ class FileCounts:
     point_format: int
     points: int
     wkt_bit: bool
-    scale: float
+    scale_m: float
     stated_returns: tuple[int, ...]
     outside: int = 0
     returns: Int64s = field(default_factory=lambda: np.zeros(16, np.int64))
@@ -312,7 +312,10 @@ class DigestPlan:
 
 
 def count_file(
-    path: Path, cells: Cells | None, plan: DigestPlan | None, height_unit_m: float = 1.0
+    path: Path,
+    cells: Cells | None,
+    plan: DigestPlan | None,
+    units_m: tuple[float, float] = (1.0, 1.0),
 ) -> FileCounts:
     """Count the points of a file, piece by piece.
 
@@ -323,17 +326,18 @@ def count_file(
         Cells of the first returns. None: do not count them, and do not sum heights.
     plan : DigestPlan or None
         How to find duplicates. None: do not look for them.
-    height_unit_m : float
-        Metres per unit of the heights.
+    units_m : (float, float)
+        Metres per unit of x and y, and per unit of the heights.
     """
     header = read_header(path)
+    unit_m, height_unit_m = units_m
     found = FileCounts(
         path,
         "{}.{}".format(*header.version),
         header.point_format,
         header.point_count,
         header.prefers_wkt,
-        max(header.scales),
+        max(max(header.scales[:2]) * unit_m, header.scales[2] * height_unit_m),
         header.points_by_return,
     )
     sources = np.zeros(1 << 16, np.int64)

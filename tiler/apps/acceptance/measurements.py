@@ -30,8 +30,6 @@ class Measurements:
         Files without a horizontal or a vertical CRS.
     crs_names, vertical_names : list of str
         Names of the different horizontal and vertical CRSs.
-    metres : float
-        Metres per unit of the CRS.
     cells : CellFindings or str
         Or the reason why cells were not examined.
     separation : Separation or str
@@ -51,7 +49,6 @@ class Measurements:
     crs_names: list[str]
     vertical_names: list[str]
     without_vertical: list[Path]
-    metres: float
     cells: CellFindings | str
     separation: Separation | str
     n_duplicates: int

@@ -293,7 +293,6 @@ def _measure(
         crs_names,
         vertical_names,
         [info.path for info in infos if not _has_vertical(info.georeference.wkt)],
-        metres,
         findings,
         separation,
         sum(duplicates.values()),
@@ -365,8 +364,9 @@ def _count(
     def count(guard: ChildProcess, item: tuple[SourceInfo, DigestPlan | None]) -> FileCounts:
         info, plan = item
         crs = info.georeference
-        height_unit_m = float(crs.vertical or crs.horizontal or metres)
-        return read_in_child(guard, count_file, info.path, cells, plan, height_unit_m)
+        unit_m = float(crs.horizontal or metres)
+        units_m = unit_m, float(crs.vertical or unit_m)
+        return read_in_child(guard, count_file, info.path, cells, plan, units_m)
 
     return [result() for result in children.each(count, zip(infos, plans, strict=True))]
 

@@ -297,6 +297,27 @@ def test_feet_give_the_figures_of_metres(tmp_path: Path) -> None:
     assert feet["coordinate_step"] == pytest.approx(0.001 * FEET)
 
 
+@pytest.mark.parametrize(
+    ("crs", "scales", "expected"),
+    [
+        # Feet of x and y with metres of heights, and the reverse.
+        ("EPSG:2994+5703", (0.001, 0.001, 0.01), 0.01),
+        ("EPSG:2994+5703", (0.01, 0.001, 0.001), 0.01 * FEET),
+        ("EPSG:25832+8228", (0.001, 0.001, 0.01), 0.01 * FEET),
+        ("EPSG:25832+8228", (0.001, 0.005, 0.01), 0.005),
+        ("EPSG:2994", (0.001, 0.001, 0.01), 0.01 * FEET),
+    ],
+)
+def test_the_coordinate_step_has_the_unit_of_each_axis(
+    tmp_path: Path, crs: str, scales: tuple[float, float, float], expected: float
+) -> None:
+    def change(las: Any) -> None:
+        las.change_scaling(scales=np.array(scales))
+
+    path = square(20).write(tmp_path / "a.laz", crs=crs, change=change)
+    assert found(path)["coordinate_step"] == pytest.approx(expected)
+
+
 def test_the_side_of_cells_follows_the_density_without_a_specification(tmp_path: Path) -> None:
     # The bounds are four times as large as the area of the points.
     islands = Pulses(*lattice(0, 40, 0, 40)) + Pulses(*lattice(80, 120, 80, 120))
