@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -60,6 +61,7 @@ from tiler.inputs import (
     validate_lengths,
 )
 from tiler.io.atomic_files import SCRATCH_PREFIX
+from tiler.io.las.headers import AGAIN, SALVAGE
 from tiler.io.overwrite_check import check_difference
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
 
@@ -122,6 +124,7 @@ def check_clouds(
         validate_page(page, [*paths, *([sheets] if sheets else [])], MAKER)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
+        _remedies_of_check(),
         TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
         ChildPool(n_children, half_of_memory() // n_children) as children,
     ):
@@ -163,6 +166,17 @@ def check_clouds(
     if page is not None:
         write_page(page, acceptance_page(summary))
     return summary
+
+
+@contextmanager
+def _remedies_of_check() -> Iterator[None]:
+    """Leave out the remedy to salvage a damaged file, which a check does not do: its points would be judged as all."""
+    try:
+        yield
+    except InputError as error:
+        if SALVAGE not in str(error):
+            raise
+        raise InputError(str(error).replace(SALVAGE, AGAIN)) from error
 
 
 def _write_differences(
@@ -311,7 +325,7 @@ def _validate_crs(info: SourceInfo) -> None:
             f"{info.path}: CRS {crs.name} is {crs.kind}, not projected; reproject the file to a projected CRS"
         )
     if crs.kind == "missing" and info.points:
-        validate_lengths(info)
+        validate_lengths(info, "write their CRS into the file")
 
 
 def _different_crs(infos: Sequence[SourceInfo], part: int) -> list[str]:
