@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,7 @@ from tiler.apps.acceptance.duplicates import (
 from tiler.apps.acceptance.measurements import Found, Measurements, Row
 from tiler.apps.acceptance.page import MAKER, acceptance_page
 from tiler.apps.acceptance.rows import MISSING_SHEETS, ROWS, WITHOUT_SOURCES
+from tiler.apps.acceptance.scratch import scratch_folder
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
     NO_OVERLAP,
@@ -60,7 +60,6 @@ from tiler.inputs import (
     read_in_child,
     validate_lengths,
 )
-from tiler.io.atomic_files import SCRATCH_PREFIX
 from tiler.io.las.headers import AGAIN, SALVAGE
 from tiler.io.overwrite_check import check_difference
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
@@ -125,7 +124,7 @@ def check_clouds(
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
         _remedies_of_check(),
-        TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
+        scratch_folder() as folder,
         ChildPool(n_children, half_of_memory() // n_children) as children,
     ):
         infos = [look() for look in children.each(inspect_in_child, paths)]
@@ -137,7 +136,7 @@ def check_clouds(
         if sheets is not None:
             grid = read_sheets(sheets, sheet_field, _wkt(infos))
             notes += grid.notes
-        measured, cell_m = _measure(children, infos, specification, Path(folder), grid)
+        measured, cell_m = _measure(children, infos, specification, folder, grid)
     limits = {} if specification is None else specification.limits
     notes += _notes(measured)
     separation = measured.separation
