@@ -44,7 +44,13 @@ from tiler.apps.acceptance.separation import (
     separate_swaths,
     share_cells,
 )
-from tiler.apps.acceptance.sheets import Coverage, Sheets, covered_sheets, read_sheets
+from tiler.apps.acceptance.sheets import (
+    Coverage,
+    Sheets,
+    covered_sheets,
+    read_sheets,
+    validate_not_grid,
+)
 from tiler.apps.acceptance.specification import Specification
 from tiler.apps.acceptance.strays import Survey, survey_of
 from tiler.apps.page_file import validate_page, write_page
@@ -109,7 +115,8 @@ def check_clouds(
     ------
     ConfigError
         A path does not exist. Or ``difference`` is an input, or not the name of a GeoTIFF in a folder. Or ``page`` is
-        an input, a file that is not an earlier page, or not the name of an HTML file in a folder.
+        an input, a file that is not an earlier page, or not the name of an HTML file in a folder. Or ``sheets`` is a
+        length.
     InputError
         A file cannot be read, its CRS has angles, no file has points, or the sheets do not have the field.
     ProcessingError
@@ -117,6 +124,8 @@ def check_clouds(
     """
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
+    if sheets is not None:
+        validate_not_grid(sheets)
     if difference is not None:
         check_difference(difference, paths)
     if page is not None:
