@@ -67,6 +67,8 @@ MAX_HEIGHT_M = 16_000
 """Largest absolute height that is summed."""
 OFFSET_STEPS = 1024
 """Steps per cell to which the position of a point inside its cell is rounded down."""
+N_SUMS = 10
+"""Number of sums per cell of heights."""
 
 Bounds = tuple[float, ...]
 Keys = npt.NDArray[np.uint64]
@@ -115,24 +117,27 @@ class Cells:
     def height_sums(
         self, x: Floats, y: Floats, height_m: Floats, source: npt.NDArray[np.uint16]
     ) -> tuple[Keys, Int64s]:
-        """Return the distinct keys of the cells of points, sorted, and sums per cell, int64, shape (n, 5).
+        """Return the distinct keys of the cells of points, sorted, and sums per cell, int64, shape (n, `N_SUMS`).
 
-        The sums are the number of points, those of their heights in millimetres and of the squares, and those of their
-        offsets from the lowest corner along x and y in `OFFSET_STEPS`. Points too far away or too high are left out.
-        Sums of squares beyond 2**63 wrap around.
+        The sums are the number of points, those of their heights z in millimetres and of z z, those of their offsets x
+        and y from the lowest corner in `OFFSET_STEPS`, and those of x x, y y, x y, x z and y z. Points too far away or
+        too high are left out. Sums beyond 2**63 wrap around.
         """
         x, y = x / self.side + _EDGE - self.column, y / self.side + _EDGE - self.row
         column, row = np.floor(x), np.floor(y)
         near = _inside(column) & _inside(row) & (np.abs(height_m) <= MAX_HEIGHT_M)
-        x, y, column, row = x[near], y[near], column[near], row[near]
-        height = np.rint(height_m[near] * STEPS_PER_METRE).astype(np.int64)
+        if not near.all():
+            x, y, height_m, source = x[near], y[near], height_m[near], source[near]
+            column, row = column[near], row[near]
+        height = np.rint(height_m * STEPS_PER_METRE).astype(np.int64)
         offset_x = ((x - column) * OFFSET_STEPS).astype(np.int64)
         offset_y = ((y - row) * OFFSET_STEPS).astype(np.int64)
-        keys = self._encoded(column, row, source[near])
+        keys = self._encoded(column, row, source)
         order, first = _grouped(keys)
+        z, dx, dy = height[order], offset_x[order], offset_y[order]
         sums = [np.diff(first, append=keys.size)]
-        for values in (height, height**2, offset_x, offset_y):
-            sums.append(np.add.reduceat(values[order], first))
+        for values in (z, z * z, dx, dy, dx * dx, dy * dy, dx * dy, dx * z, dy * z):
+            sums.append(np.add.reduceat(values, first))
         return keys[order][first], np.stack(sums, axis=1)
 
     @staticmethod
@@ -278,7 +283,7 @@ class FileCounts:
     keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
     counts: Int64s = field(default_factory=lambda: np.empty(0, np.int64))
     height_keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
-    height_sums: Int64s = field(default_factory=lambda: np.empty((0, 5), np.int64))
+    height_sums: Int64s = field(default_factory=lambda: np.empty((0, N_SUMS), np.int64))
     too_high: int = 0
     duplicates: int = 0
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from tiler.apps.acceptance.cells import CellFindings
 from tiler.apps.acceptance.counts import FileCounts
+from tiler.apps.acceptance.repeatability import Precision
 from tiler.apps.acceptance.separation import Separation
 from tiler.apps.acceptance.sheets import Coverage
 
@@ -34,6 +35,8 @@ class Measurements:
         Or the reason why cells were not examined.
     separation : Separation or str
         Differences of swaths, or the reason why they were not measured.
+    precision : list of Precision or str
+        Repeatability of swaths, the worst first, or the reason.
     n_duplicates : int
         Number of points that equal another one.
     with_duplicates : list of Path
@@ -51,6 +54,7 @@ class Measurements:
     without_vertical: list[Path]
     cells: CellFindings | str
     separation: Separation | str
+    precision: list[Precision] | str
     n_duplicates: int
     with_duplicates: list[Path]
     coverage: Coverage | str

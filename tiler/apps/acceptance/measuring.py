@@ -21,6 +21,7 @@ from tiler.apps.acceptance.cells import (
 )
 from tiler.apps.acceptance.counts import (
     MAX_HEIGHT_M,
+    N_SUMS,
     Cells,
     DigestPlan,
     FileCounts,
@@ -35,14 +36,17 @@ from tiler.apps.acceptance.duplicates import (
 )
 from tiler.apps.acceptance.measurements import Found, Measurements, Row
 from tiler.apps.acceptance.page import MAKER, acceptance_page
+from tiler.apps.acceptance.repeatability import Precision, repeatability
 from tiler.apps.acceptance.rows import MISSING_SHEETS, ROWS, WITHOUT_SOURCES
 from tiler.apps.acceptance.scratch import scratch_folder
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
     NO_OVERLAP,
     Separation,
+    find_surfaces,
     separate_swaths,
     share_cells,
+    too_large,
 )
 from tiler.apps.acceptance.sheets import (
     Coverage,
@@ -308,7 +312,7 @@ def _measure(
         cells = _cells(infos, spacing / metres)
         of_cells = _count(children, infos, cells, [None] * len(infos), metres)
     vertical_names = _different_crs(infos, 1)
-    separation = _separated(of_cells, cells, metres, len(vertical_names))
+    separation, precision = _of_heights(of_cells, cells, metres, len(vertical_names))
     measured = Measurements(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
@@ -317,6 +321,7 @@ def _measure(
         [info.path for info in infos if not _has_vertical(info.georeference.wkt)],
         findings,
         separation,
+        precision,
         sum(duplicates.values()),
         [path for path, number in duplicates.items() if number],
         _coverage(survey, cells, grid, findings),
@@ -408,30 +413,38 @@ def _examined(
     return examine_cells(survey.keys, survey.counts, cells, metres, asked)
 
 
-def _separated(
+def _of_heights(
     files: Sequence[FileCounts],
     cells: Cells | None,
     metres: float,
     n_vertical_crs: int,
-) -> Separation | str:
-    """Return the differences of the swaths of all files, or why they cannot be measured."""
+) -> tuple[Separation | str, list[Precision] | str]:
+    """Return the differences and the repeatability of the swaths of all files, or why they cannot be measured."""
+    reason = ""
     if cells is None:
-        return DIFFERENT_CRS
+        return DIFFERENT_CRS, DIFFERENT_CRS
     if n_vertical_crs > 1:
-        return DIFFERENT_VERTICAL_CRS
-    if not any(source for file in files for source in file.sources):
-        return WITHOUT_SOURCES
+        reason = DIFFERENT_VERTICAL_CRS
+    elif not any(source for file in files for source in file.sources):
+        reason = WITHOUT_SOURCES
     keys, sums = merged((file.height_keys, file.height_sums) for file in files)
-    found = separate_swaths(keys, sums, cells, metres, half_of_memory())
+    reason = reason or too_large(keys.size, half_of_memory())
+    if reason:
+        return reason, reason
+    sums = sums.reshape(-1, N_SUMS)  # There may be none.
+    lattice = cells.of_heights
+    surfaces = find_surfaces(keys, sums, lattice.side * metres)
+    precision = repeatability(keys, sums, surfaces[1], lattice)
+    found = separate_swaths(keys, sums, cells, metres, half_of_memory(), surfaces)
     if found != NO_OVERLAP:
-        return found
+        return found, precision
     if n_without := sum(file.sources.get(0, 0) for file in files):
-        return (
+        found = (
             f"no overlap of swaths, but {counted(n_without, 'point')} without a point source id"
         )
-    if share_cells(merged((file.keys, file.counts) for file in files)[0]):
-        return "no single returns of two swaths in the same cell, although they overlap"
-    return NO_OVERLAP
+    elif share_cells(merged((file.keys, file.counts) for file in files)[0]):
+        found = "no single returns of two swaths in the same cell, although they overlap"
+    return found, precision
 
 
 def _coverage(
