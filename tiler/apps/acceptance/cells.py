@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tiler.apps.acceptance.counts import Cells, Int64s, Keys, decoded
+from tiler.apps.acceptance.counts import SIDE_BITS, Cells, Int64s, Keys, decoded
 from tiler.apps.acceptance.rasters import (
     Area,
     Mask,
@@ -46,6 +46,11 @@ average."""
 GAP_STEPS = 4
 GAP_FACTORS = (1, 2, 4, 8, 16)
 """Widths of gaps between swaths: gaps of 3 to 8 cells are found in cells that are so many times as large."""
+
+MANY_SOURCES = 100
+"""Number of point source ids above which they may be random. Each takes the time of a swath."""
+MIN_NEIGHBOURS_SHARE = 0.05
+"""Share of the cells of swaths with a neighbour of the same swath in a row or a column, below which ids are random."""
 
 _NO_SWATH = 2**32 - 1
 """Number of no swath, above those of all swaths."""
@@ -96,6 +101,8 @@ class CellFindings:
         Number of separate parts of the outline, of at least `MIN_SWATH_CELLS` each.
     void_share : float
         Share of the outline in wide voids, which are left out if it is not above `MOST_LEFT_OUT`.
+    n_random : int
+        Number of point source ids if they look random, so that there are no swaths, else 0.
     """
 
     side_m: float
@@ -108,6 +115,7 @@ class CellFindings:
     overlap_share: float | None
     parts: int
     void_share: float
+    n_random: int
 
 
 @dataclass(frozen=True)
@@ -172,7 +180,8 @@ def examine_cells(
     coverage = Coverage(shape)
     swaths: list[Swath] = []
     n_small = 0
-    for swath in _swaths(source, columns, rows, counts):
+    n_random = _number_of_random(keys)
+    for swath in () if n_random else _swaths(source, columns, rows, counts):
         near, footprint = outlined(swath.points > 0)
         coverage.add(swath.box, footprint, whole_cells(near, footprint), swath.points)
         usable = footprint & outline[swath.box]
@@ -192,10 +201,23 @@ def examine_cells(
         _dense_share(per_cell, whole, raster, asked_per_m2),
         [raster.place(area) for area in void_areas],
         [raster.place(area) for area in coverage.gaps()],
-        coverage.overlap_share,
+        None if n_random else coverage.overlap_share,
         parts,
         void_share,
+        n_random,
     )
+
+
+def _number_of_random(keys: Keys) -> int:
+    """Return the number of point source ids if they are many and almost no neighbours have the same, else 0."""
+    number = np.unique(keys >> np.uint64(2 * SIDE_BITS)).size
+    if number <= MANY_SOURCES:
+        return 0
+    if np.mean(np.diff(keys) == 1) >= MIN_NEIGHBOURS_SHARE:
+        return 0
+    above = keys + np.uint64(1 << SIDE_BITS)
+    near = np.minimum(np.searchsorted(keys, above), keys.size - 1)
+    return number if np.mean(keys[near] == above) < MIN_NEIGHBOURS_SHARE else 0
 
 
 def outlined(occupied: Mask) -> tuple[Mask, Mask]:

@@ -37,7 +37,12 @@ from tiler.apps.acceptance.duplicates import (
 from tiler.apps.acceptance.measurements import Found, Measurements, Row
 from tiler.apps.acceptance.page import MAKER, acceptance_page
 from tiler.apps.acceptance.repeatability import Precision, repeatability
-from tiler.apps.acceptance.rows import MISSING_SHEETS, ROWS, WITHOUT_SOURCES
+from tiler.apps.acceptance.rows import (
+    MISSING_SHEETS,
+    RANDOM_SOURCES,
+    ROWS,
+    WITHOUT_SOURCES,
+)
 from tiler.apps.acceptance.scratch import scratch_folder
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
@@ -261,6 +266,11 @@ def _notes(measured: Measurements) -> list[str]:
         notes.append(
             f"no CRS, coordinates are assumed to be in metres or like those of the other files: {names}"
         )
+    if not isinstance(measured.cells, str) and (n_random := measured.cells.n_random):
+        notes.append(
+            f"{n_random:,} point source ids look random, as almost no cell has a neighbour with points of the same id: "
+            "rows per swath were left out"
+        )
     if not isinstance(measured.cells, str) and measured.cells.voids:
         notes.append(
             "data voids may be water or dark surfaces, which points alone do not tell apart from missing data; look at "
@@ -312,7 +322,9 @@ def _measure(
         cells = _cells(infos, spacing / metres)
         of_cells = _count(children, infos, cells, [None] * len(infos), metres)
     vertical_names = _different_crs(infos, 1)
-    separation, precision = _of_heights(of_cells, cells, metres, len(vertical_names))
+    separation, precision = _of_heights(
+        of_cells, cells, metres, _reason_without_swaths(files, findings, len(vertical_names))
+    )
     measured = Measurements(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
@@ -413,20 +425,27 @@ def _examined(
     return examine_cells(survey.keys, survey.counts, cells, metres, asked)
 
 
+def _reason_without_swaths(
+    files: Sequence[FileCounts], findings: CellFindings | str, n_vertical_crs: int
+) -> str:
+    """Return why the heights of swaths are not compared, empty if they are."""
+    if n_vertical_crs > 1:
+        return DIFFERENT_VERTICAL_CRS
+    if not any(source for file in files for source in file.sources):
+        return WITHOUT_SOURCES
+    is_random = not isinstance(findings, str) and findings.n_random
+    return RANDOM_SOURCES if is_random else ""
+
+
 def _of_heights(
     files: Sequence[FileCounts],
     cells: Cells | None,
     metres: float,
-    n_vertical_crs: int,
+    reason: str,
 ) -> tuple[Separation | str, list[Precision] | str]:
-    """Return the differences and the repeatability of the swaths of all files, or why they cannot be measured."""
-    reason = ""
+    """Return the differences and the repeatability of the swaths of all files, or the ``reason`` why not."""
     if cells is None:
         return DIFFERENT_CRS, DIFFERENT_CRS
-    if n_vertical_crs > 1:
-        reason = DIFFERENT_VERTICAL_CRS
-    elif not any(source for file in files for source in file.sources):
-        reason = WITHOUT_SOURCES
     keys, sums = merged((file.height_keys, file.height_sums) for file in files)
     reason = reason or too_large(keys.size, half_of_memory())
     if reason:

@@ -155,8 +155,9 @@ def test_overlap_is_that_of_random_pulses_whatever_the_cells(
         swaths.x = x * math.cos(angle) - y * math.sin(angle)
         swaths.y = x * math.sin(angle) + y * math.cos(angle)
         errors.append(found(swaths.write(tmp_path / "a.laz"))["swath_overlap"] - 20)
-    assert max(map(abs, errors)) < 0.25
-    assert abs(np.mean(errors)) < 0.1
+    # The standard deviation of 40 such surveys is 0.08.
+    assert max(map(abs, errors)) < 0.3
+    assert abs(np.mean(errors)) < 0.15
 
 
 def test_missing_lines_are_gaps(tmp_path: Path) -> None:
@@ -214,6 +215,40 @@ def test_a_gap_between_swaths_is_found(tmp_path: Path, width: int) -> None:
         area = float(gaps["swath_gaps"]["where"][0].split("(")[1].split()[0].replace(",", ""))
         assert area == pytest.approx(width * 120, rel=0.3)  # Its ends are rounded.
     assert gaps["swath_gaps"]["found"] + gaps["voids"]["found"] >= 1
+
+
+PER_SWATH = (
+    *("swath_density_median", "swath_density_least", "distribution", "distribution_median"),
+    *("swath_overlap", "swath_gaps", "swath_difference", "swath_step", "repeatability"),
+)
+
+
+def test_random_point_source_ids_are_no_swaths(tmp_path: Path) -> None:
+    def change(las: Any) -> None:
+        ids = np.random.default_rng(1).integers(1, 1 << 16, len(las.x))
+        las.point_source_id = ids.astype(np.uint16)
+
+    summary = check_clouds([square(120).write(tmp_path / "a.laz", change=change)], ASKED)
+    found_rows = {row["name"]: row for row in summary["rows"]}
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4)
+    for name in PER_SWATH:
+        assert found_rows[name]["found"] is None
+        assert found_rows[name]["remark"] == "the point source ids look random"
+    [note] = summary["notes"]
+    assert note.startswith(f"{found_rows['swaths']['found']:,} point source ids look random")
+
+
+@pytest.mark.parametrize("along", ["x", "y"])
+def test_many_narrow_swaths_are_not_random(tmp_path: Path, along: str) -> None:
+    """150 scan lines of 10 pulses per metre, each with its own id, 1 m apart."""
+    x, y = np.meshgrid(np.arange(0, 60, 0.1) + 0.05, np.arange(150) + 0.5)
+    lines = Pulses(x.ravel(), y.ravel())
+    lines.source = np.repeat(np.arange(150) + 1, x.shape[1])
+    if along == "y":
+        lines.x, lines.y = lines.y, lines.x
+    found_rows = rows(lines.write(tmp_path / "a.laz"))
+    assert found_rows["swath_overlap"]["found"] == pytest.approx(0, abs=1)
+    assert found_rows["swaths"]["found"] == 150
 
 
 @pytest.mark.parametrize("degrees", [0, 10, 30, 45, 70])
