@@ -2,8 +2,9 @@
 
 `measuring` reads each file once, in child processes. `counts` has the counts of one file, `cells` what follows from the
 first returns in cells without `strays`, `separation` the differences of swaths, `difference_raster` their raster,
-`repeatability` the spread within a swath, `duplicates` the repeated points, and `scratch` their folder. `rows` is the table of all rows, with those of `separation_rows`, `measurements` has their classes, and
-`specification` reads the limits.
+`repeatability` the spread within a swath, `duplicates` the repeated points, and `scratch` their folder. `rows` is the
+table of all rows, with those of `separation_rows`, `measurements` has their classes, and `specification` reads the
+limits.
 """
 
 from tiler.apps.acceptance.measuring import check_clouds
