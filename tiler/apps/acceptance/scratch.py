@@ -1,0 +1,56 @@
+"""Temporary folder of a check, with a locked file, so that the next check knows if its process was killed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
+
+from tiler.io.atomic_files import SCRATCH_PREFIX
+
+if sys.platform != "win32":
+    import fcntl
+
+PREFIX = f"{SCRATCH_PREFIX}check-"
+_LOCK = "lock"
+"""Name of the file that the process of a folder keeps locked. A folder without it is not removed."""
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Yield a temporary folder that is removed at the end, after those of checks that were killed."""
+    for folder in Path(gettempdir()).glob(f"{PREFIX}*"):
+        if _is_abandoned(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+    with TemporaryDirectory(prefix=PREFIX) as name, _locked(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep the file `_LOCK` of a folder locked. Windows does not remove a file that is open."""
+    # It has its name only once it is locked, so that no other check takes it for abandoned.
+    name = _LOCK if sys.platform == "win32" else f"{_LOCK}.new"
+    with open(folder / name, "xb") as stream:
+        if sys.platform != "win32":
+            with suppress(OSError):  # Some disks of a network have no locks.
+                fcntl.flock(stream, fcntl.LOCK_EX)
+                os.rename(folder / name, folder / _LOCK)
+        yield
+
+
+def _is_abandoned(folder: Path) -> bool:
+    lock = folder / _LOCK
+    try:
+        if sys.platform == "win32":
+            lock.unlink()
+        else:
+            with open(lock, "r+b") as stream:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
