@@ -76,6 +76,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "--reclass": "classes that change in the classified clouds",
         "--drop-classes": "",
         "--withheld": "",
+        "--priority": "",
         "--returns": "",
         "--scan-angle": "",
         "--source-id": "",

@@ -274,7 +274,7 @@ def _rate(stage: Mapping[str, Any]) -> str:
 
 def _order(stage: str) -> tuple[int, str]:
     """Return the sort key of a stage by its position in a run."""
-    known = ("spool", "assemble", "filter", "grid-", "export", "mosaic")
+    known = ("spool", "surveys", "assemble", "filter", "grid-", "export", "mosaic")
     return next(
         (i for i, name in enumerate(known) if stage.startswith(name)), len(known)
     ), stage
