@@ -336,8 +336,9 @@ def _report_surveys(
     )
     for result in results:
         for step in result.steps:
+            side = "below" if step.median_m < 0 else "above"
             text = (
-                f"survey {result.name} lies {step.median_m:.2f} m above {step.other} (median of "
+                f"survey {result.name} lies {abs(step.median_m):.2f} m {side} {step.other} (median of "
                 f"{counted(step.cells, 'flat cell')} with points of both, MAD {step.mad_m:.2f} m)"
             )
             job.note(text)
