@@ -158,7 +158,10 @@ def test_what_each_survey_gave_is_told(runs: dict[str, Any], files: dict[str, Pa
     assert any("0.30 m above 2023-05-01" in text for text in runs["both"].warnings)
     report = (runs["folder"] / "both" / "report.html").read_text("utf-8")
     assert "+0.30 m to 2023-05-01" in report
-    assert "2 surveys: 2023-05-01 (1 file), then 2015-05-01" in " ".join(runs["both"].notes)
+    assert (
+        "2 surveys, the first counts most: 2023-05-01 (1 file), 2015-05-01 (1 file)"
+        in " ".join(runs["both"].notes)
+    )
 
 
 def test_clouds_keep_all_points_and_the_class_of_those_that_do_not_count(
@@ -200,6 +203,18 @@ def test_order_cut_and_buckets_change_no_byte(
     assert [step["median_m"] for step in result.summary["surveys"][1]["steps"]] == [
         step["median_m"] for step in first[1]["steps"]
     ]
+
+
+def test_a_part_has_the_terrain_of_the_whole(
+    runs: dict[str, Any], files: dict[str, Path], tmp_path: Path
+) -> None:
+    west, south, east, north = 40, 60, 80, 90
+    bounds = [WEST + west, SOUTH + south, WEST + east, SOUTH + north]
+    made([files["old"], files["new"]], tmp_path, priority="newest", bounds=bounds)
+    part, x, y = heights(tmp_path)
+    whole, _, _ = heights(runs["folder"] / "both")
+    inside = within(x, y, (west, south, east, north))
+    np.testing.assert_array_equal(part[inside], whole[inside])
 
 
 @pytest.mark.processes

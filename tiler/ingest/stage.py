@@ -306,7 +306,7 @@ def _find_surveys(
     commits = run_stage(job, "surveys", tasks)
     if len(commits) < len(tasks):
         raise ProcessingError(
-            f"surveys cannot be told apart; the first error: {job.record.first_error('surveys')}"
+            f"the cells of surveys could not be found; the first error: {job.record.first_error('surveys')}"
         )
     return found_surveys(commits, buckets, surveys)
 

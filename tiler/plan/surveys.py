@@ -17,9 +17,11 @@ from tiler.inputs import SourceInfo
 from tiler.io.locations import is_url, without_query
 
 MAX_DAYS_APART = 30
-"""Longest time in days between two files of one survey, if surveys are told apart by their days."""
+"""Longest time in days between two files of one survey, if days decide the surveys."""
 MAX_FILE_BYTES = 1 << 20
 """Maximum size of a file of surveys in bytes."""
+MAX_LISTED = 10
+"""Maximum number of surveys in a note. The others are counted."""
 OTHERS = "other files"
 """Name of the survey of the files that no line takes."""
 
@@ -65,8 +67,9 @@ def surveys_of(
         surveys = _by_days(days)
     else:
         surveys = _by_file(Path(config.priority_file), paths, days)
-    names = ", then ".join(survey.text for survey in surveys)
-    return surveys, [f"decided: {counted(len(surveys), 'survey')}: {names} (--priority)"]
+    names = listed([survey.text for survey in surveys], MAX_LISTED, "surveys")
+    number = counted(len(surveys), "survey")
+    return surveys, [f"decided: {number}, the first counts most: {names} (--priority)"]
 
 
 def _days_of(source: SourceInfo) -> Days | None:

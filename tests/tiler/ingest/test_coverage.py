@@ -1,4 +1,4 @@
-"""Which points another survey covers: by distances between all cells, and for any cut into buckets and files."""
+"""Points that another survey covers: by distances between all cells, and for any cut into buckets and files."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def _in_bucket(bucket: BucketParts, surveys: Surveys) -> dict[int, Sources]:
 
 @dataclass
 class FoundSurveys:
-    """What the tasks found.
+    """Results of the tasks of `survey_tasks` in all buckets.
 
     Attributes
     ----------
