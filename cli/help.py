@@ -77,6 +77,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "--reclass": "classes that change in the classified clouds",
         "--drop-classes": "",
         "--withheld": "",
+        "--priority": "",
         "--returns": "",
         "--scan-angle": "",
         "--source-id": "",

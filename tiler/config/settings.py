@@ -35,6 +35,9 @@ AUTO_WATER = "auto"
 LOW_AS_NOISE = "noise"
 KEEP_LOW = "keep"
 
+NEWEST = "newest"
+"""Value of `RunConfig.priority` that is not the name of a file."""
+
 # Values of `RunConfig.canopy`.
 FILL_CANOPY = "fill"
 VOID_CANOPY = "void"
@@ -325,6 +328,12 @@ class RunConfig:
         "points flagged as withheld: drop (they are neither filtered nor gridded), or keep (as other points)",
         choices=(DROP_WITHHELD, KEEP_WITHHELD),
     )
+    priority: str | None = file(
+        None,
+        "which of several surveys of one place counts there: newest, or FILE with a line per survey, the first line "
+        "counts most. A line has patterns of files or folders, separated by semicolons. Elsewhere the other surveys "
+        "count; default: all points count",
+    )
     skip_synthetic: bool = flag(
         False, "do not filter points flagged as synthetic; they keep their class"
     )
@@ -392,6 +401,11 @@ class RunConfig:
     def water_file(self) -> str | None:
         """File of the setting `water`, or None if the setting has another value."""
         return None if self.water in (NO_WATER, AUTO_WATER) else self.water
+
+    @property
+    def priority_file(self) -> str | None:
+        """File of the setting `priority`, or None if the setting has another value."""
+        return None if self.priority == NEWEST else self.priority
 
     @property
     def sheet_file(self) -> str | None:

@@ -56,6 +56,7 @@ from tiler.plan.method import (
 )
 from tiler.plan.model import Grid, Inputs, Plan, Resources, filled_sources
 from tiler.plan.sizes import DensityMap, resolution_of
+from tiler.plan.surveys import surveys_of
 from tiler.plan.validation import (
     validate,
     validate_output_paths,
@@ -177,6 +178,9 @@ def make_plan(
         plan = planned(inspected, config)
     validate_distances(plan, inputs)
     plan = with_drawn_sheets(with_user_features(plan))
+    surveys, notes = surveys_of(config, paths, sources)
+    inputs_of_surveys = replace(plan.inputs, surveys=surveys)
+    plan = replace(plan, inputs=inputs_of_surveys, notes=(*plan.notes, *notes))
 
     def replan(**values: Any) -> Plan:
         other = planned(inspected, config.updated(**values))
@@ -187,6 +191,7 @@ def make_plan(
             lines=drawn.lines,
             waters=drawn.waters,
             sheets=drawn.sheets,
+            surveys=drawn.surveys,
         )
         return replace(other, inputs=features)
 

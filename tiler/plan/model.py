@@ -17,6 +17,7 @@ from tiler.core.drawn_sheets import DrawnSheet
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS, MIN_PART
+from tiler.core.surveys import REACH_M
 from tiler.core.water import Water
 from tiler.inputs import SourceInfo
 from tiler.plan.memory import (
@@ -28,6 +29,7 @@ from tiler.plan.memory import (
 )
 from tiler.plan.method import KEEP, MethodPlan, PlannedPass, nested
 from tiler.plan.sizes import DensityMap
+from tiler.plan.surveys import Survey
 from tiler.store import StoreMeta
 
 BRIDGE_REACH_M = 300
@@ -81,6 +83,8 @@ class Inputs:
         Bodies of water in the file given by ``--water``, with heights if it has them.
     sheets : tuple of DrawnSheet
         Sheets in the file given by ``--sheets`` near the points, in the order of their file.
+    surveys : tuple of Survey
+        Surveys of the setting `priority`, the one that counts most first; empty if all points count.
     """
 
     sources: tuple[SourceInfo, ...]
@@ -96,6 +100,7 @@ class Inputs:
     lines: tuple[Counts, ...] = ()
     waters: tuple[Water, ...] = ()
     sheets: tuple[DrawnSheet, ...] = ()
+    surveys: tuple[Survey, ...] = ()
 
     @property
     def filled(self) -> list[SourceInfo]:
@@ -258,6 +263,7 @@ class Plan:
 
         It is the largest of three distances: the halos with which passes start, the distance
         over which labels and bridges are decided, and the halo of a block of the terrain.
+        With several surveys, the distance over which one covers another is added.
         """
         labels = max(
             (Fraction(step.pass_.label_margin_m) for step in self.method.steps),
@@ -266,6 +272,8 @@ class Plan:
         if self.config.bridges == "remove":
             labels += BRIDGE_REACH_M
         margin_m = max(Fraction(self.method.halo_m), self.grid.halo_m, labels)
+        if self.config.priority is not None:
+            margin_m += REACH_M
         return math.ceil(self.grid.meta.frame.counts(margin_m))
 
     @property

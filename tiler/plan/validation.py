@@ -108,7 +108,13 @@ model."""
 
 def other_inputs(config: RunConfig) -> list[str]:
     """Return the files that a run reads in addition to its clouds."""
-    names = (config.aoi, config.edits, config.water_file, config.sheet_file)
+    names = (
+        config.aoi,
+        config.edits,
+        config.water_file,
+        config.sheet_file,
+        config.priority_file,
+    )
     return [*(name for name in names if name is not None), *config.breaklines]
 
 

@@ -21,7 +21,15 @@ from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, bar, el, facts, section, table
 from tiler.report.problems import MAX_ROWS, Run
 from tiler.report.runfile import title_of
-from tiler.report.sections import OF_MACHINE, SETTINGS, done_before, length, settled, value_text
+from tiler.report.sections import (
+    OF_MACHINE,
+    SETTINGS,
+    area,
+    done_before,
+    length,
+    settled,
+    value_text,
+)
 
 _GIVEN_BY_NAME = "no EPSG code known"
 _CLOUDS = {"laz": "LAZ", "las": "LAS", "copc": "COPC (LAZ)"}
@@ -115,9 +123,11 @@ def _survey_dates(run: Run) -> str:
     dates = run.get("dates")
     if not dates:
         return "unknown"
-    first, last = dates["first"], dates["last"]
-    days = first if first == last else f"{first} to {last}"
-    return f"{days} ({dates['by']})"
+    return f"{_days(dates['first'], dates['last'])} ({dates['by']})"
+
+
+def _days(first: str, last: str) -> str:
+    return first if first == last else f"{first} to {last}"
 
 
 SLOWEST = 10
@@ -191,8 +201,36 @@ def inputs(run: Run) -> Node:
     about = f"{counted(len(files), 'file')}{notes}."
     listed = table(columns, rows, (1, 2, 4))
     return section(
-        "inputs", "Input files", el("p", about), listed, _more(len(files)), heading="h3"
+        "inputs",
+        "Input files",
+        el("p", about),
+        listed,
+        _more(len(files)),
+        *_surveys(run),
+        heading="h3",
     )
+
+
+def _surveys(run: Run) -> list[Content]:
+    """Return the table of surveys, the one that counts most first, if the run has a priority."""
+    rows = [
+        (
+            survey["name"],
+            _days(survey["first"], survey["last"]) if survey["first"] else "unknown",
+            f"{survey['files']:,}",
+            f"{survey['points']:,}",
+            f"{survey['used']:,}",
+            area(run, survey["area_m2"]),
+            "; ".join(
+                f"{step['median_m']:+.2f} m to {step['other']} (MAD {step['mad_m']:.2f} m)"
+                for step in survey["steps"]
+            )
+            or "-",
+        )
+        for survey in run.get("surveys", ())
+    ]
+    columns = ("survey", "days", "files", "points", "used", "area given", "height above others")
+    return [el("h4", "Surveys"), table(columns, rows, (2, 3, 4, 5))] if rows else []
 
 
 def _more(number: int) -> Node | None:
@@ -274,7 +312,7 @@ def _rate(stage: Mapping[str, Any]) -> str:
 
 def _order(stage: str) -> tuple[int, str]:
     """Return the sort key of a stage by its position in a run."""
-    known = ("spool", "assemble", "filter", "grid-", "export", "mosaic")
+    known = ("spool", "surveys", "assemble", "filter", "grid-", "export", "mosaic")
     return next(
         (i for i, name in enumerate(known) if stage.startswith(name)), len(known)
     ), stage

@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from tiler.config import plain_value
+from tiler.core.dates import dates_of_gps, dates_of_header
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
@@ -88,7 +89,7 @@ class Cloud:
     @property
     def dates(self) -> Any:
         """First and last day by the GPS times of the points, or else by the date in the header of the source."""
-        return stac.dates_of_gps(self.record.statistics["gps"]) or stac.dates_of_header(
+        return dates_of_gps(self.record.statistics["gps"]) or dates_of_header(
             self.source.info.created
         )
 
@@ -106,8 +107,8 @@ def written_clouds(plan: Plan, sources: Sequence[Source], written: Commits) -> l
 
 def survey_dates(clouds: Sequence[Cloud], sources: Sequence[Source]) -> SurveyDates | None:
     """Return the days on which the points were measured, or else on which their files were made."""
-    measured = [stac.dates_of_gps(cloud.record.statistics["gps"]) for cloud in clouds]
-    made = [stac.dates_of_header(source.info.created) for source in sources]
+    measured = [dates_of_gps(cloud.record.statistics["gps"]) for cloud in clouds]
+    made = [dates_of_header(source.info.created) for source in sources]
     for by, found in ((_BY_GPS, measured), (_BY_HEADER, made)):
         known = [days for days in found if days is not None]
         if found and len(known) == len(found):
@@ -380,7 +381,7 @@ class _Catalogue:
     def _dates(self) -> dict[str, str | None]:
         if self.clouds:
             return stac.dates(cloud.dates for cloud in self.clouds)
-        return stac.dates(stac.dates_of_header(source.info.created) for source in self._sources)
+        return stac.dates(dates_of_header(source.info.created) for source in self._sources)
 
     @cached_property
     def _id(self) -> str:
