@@ -12,6 +12,7 @@ import laspy
 import numpy as np
 import pytest
 import rasterio
+from laspy.header import GpsTimeType
 
 from cli.main import main
 from tests.invariants import clouds
@@ -91,6 +92,22 @@ def test_all_resolutions_have_the_water_that_the_finest_finds(tmp_path: Path) ->
     assert len(levels[0]) == 1
     assert levels[1] == levels[0]
     assert_heights_agree(Path(fine.out, "dtm.tif"), Path(coarse.out, "dtm.tif"))
+
+
+def test_all_have_the_date_of_the_survey(cloud: Path, tmp_path: Path) -> None:
+    las = laspy.convert(laspy.read(cloud), point_format_id=6)
+    las.header.global_encoding.gps_time_type = GpsTimeType.STANDARD
+    las.gps_time = np.full(
+        len(las), 3.5e8
+    )  # Seconds from 2011-09-14, a billion after the GPS epoch.
+    las.write(tmp_path / "timed.laz")
+    result = run_resolutions(
+        [str(tmp_path / "timed.laz")], tmp_path / "out", settings(resolution="1,2")
+    )
+    for one in (result, *result.others):
+        assert one.summary["dates"]["first"] == "2022-10-17"
+        stac = json.loads(Path(one.out, "stac.json").read_text())
+        assert stac["properties"]["datetime"].startswith("2022-10-17")
 
 
 def test_the_page_links_to_files_that_exist(made: Made) -> None:

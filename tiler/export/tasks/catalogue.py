@@ -108,6 +108,8 @@ def written_clouds(plan: Plan, sources: Sequence[Source], written: Commits) -> l
 def survey_dates(clouds: Sequence[Cloud], sources: Sequence[Source]) -> SurveyDates | None:
     """Return the days on which the points were measured, or else on which their files were made."""
     measured = [dates_of_gps(cloud.record.statistics["gps"]) for cloud in clouds]
+    if not clouds:  # The plan read the times of some points of each source.
+        measured = [dates_of_gps(source.info.times) for source in sources]
     made = [dates_of_header(source.info.created) for source in sources]
     for by, found in ((_BY_GPS, measured), (_BY_HEADER, made)):
         known = [days for days in found if days is not None]
@@ -381,7 +383,10 @@ class _Catalogue:
     def _dates(self) -> dict[str, str | None]:
         if self.clouds:
             return stac.dates(cloud.dates for cloud in self.clouds)
-        return stac.dates(dates_of_header(source.info.created) for source in self._sources)
+        infos = [source.info for source in self._sources]
+        return stac.dates(
+            dates_of_gps(info.times) or dates_of_header(info.created) for info in infos
+        )
 
     @cached_property
     def _id(self) -> str:
