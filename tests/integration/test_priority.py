@@ -261,3 +261,37 @@ def test_a_survey_elsewhere_leaves_the_buckets_alone(
     before = first.summary["stages"]["assemble"]["tasks"]
     stage = result.summary["stages"]["assemble"]
     assert (stage["done"], stage["tasks"] - stage["computed"]) == (before, before)
+
+
+def test_noise_of_the_newer_survey_beyond_its_border_is_found_beside_the_older_one(
+    files: dict[str, Path], tmp_path: Path
+) -> None:
+    """Points 0.8 m below the terrain, far from one another, where the newer survey has no others."""
+    x, y = np.meshgrid(np.arange(8.0, 50, 14), np.arange(8.0, 110, 14))
+    low = np.column_stack([x.ravel(), y.ravel(), terrain(x, y).ravel() + STEP_M - 0.8])
+    new = np.concatenate([survey(NEW, 6, 2), low])
+    noisy = write(tmp_path / "noisy.laz", new, date(2023, 5, 1))
+    made([files["old"], noisy], tmp_path / "out", priority="newest", method="auto")
+    found, x, y = heights(tmp_path / "out")
+    west = within(x, y, (0, 0, 54, 120), 2)
+    assert np.abs(found - terrain(x, y) - STEP_M)[west].max() < 0.2
+
+
+def test_a_sparse_survey_before_a_dense_one_is_warned_of(
+    files: dict[str, Path], tmp_path: Path
+) -> None:
+    x, y = np.meshgrid(np.arange(60.5, 170, 4), np.arange(20.5, 100, 4))
+    thin = np.column_stack([x.ravel(), y.ravel(), terrain(x, y).ravel()])
+    sparse = write(tmp_path / "sparse.laz", thin, date(2023, 5, 1))
+    result = made([files["old"], sparse], tmp_path / "out", priority="newest")
+    assert any("which is much denser" in text for text in result.warnings)
+    assert any("no step to other surveys was measured" in text for text in result.notes)
+
+
+def test_a_step_of_a_geoid_height_is_told_in_full(
+    files: dict[str, Path], tmp_path: Path
+) -> None:
+    high = survey(NEW, 6, 2) + (0, 0, 47.3)
+    other = write(tmp_path / "high.laz", high, date(2023, 5, 1))
+    result = made([files["old"], other], tmp_path / "out", priority="newest")
+    assert any("lies 47.00 m below" in text for text in result.warnings)

@@ -175,9 +175,12 @@ class SurveyResult(Record):
     first, last : str or None
         First and last day (ISO 8601), if all files have a date.
     files, points, used : int
-        Number of files, of their stored points, and of points at places where the survey counts.
+        Number of files, of their stored points, and of these without the points that another survey hides.
+    density : float
+        Points per square metre of the cells with points of the survey.
     area_m2 : float
-        Area of the cells that have points of the survey and in which it counts (`tiler.core.surveys`).
+        Area of the cells that have points of the survey and in which it counts (`tiler.core.surveys`). With a part of
+        the survey (`--bounds`, `--aoi`), cells of its margin are among them.
     steps : list of SurveyStep
         Steps to the surveys that count more, where both have points.
     """
@@ -188,6 +191,7 @@ class SurveyResult(Record):
     files: int
     points: int
     used: int
+    density: float
     area_m2: float
     steps: list[SurveyStep]
 

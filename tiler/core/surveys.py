@@ -1,7 +1,9 @@
 """Coverage of several surveys in cells, from which follows which survey counts at a place.
 
-A survey covers the cells with its points, and the gaps of up to `GAP_M` between them. Next to these cells, points of
-other surveys do not count over a width of `SEAM_M`, so that the terrain has a ramp between two surveys and no step.
+A survey covers places with points up to `NEAR_M` apart that are at least as wide as `MIN_WIDTH_M`, and the gaps of up
+to `GAP_M` between such places. Points by themselves cover nothing: they may be noise, which only the points of other
+surveys show. Next to these cells, points of other surveys do not count over a width of `SEAM_M`, so that the terrain has
+a ramp between two surveys and no step.
 """
 
 from __future__ import annotations
@@ -20,11 +22,15 @@ from tiler.core.records import Record
 
 CELL_M = 2
 """Side of a cell in metres. The side of every bucket is a multiple of it."""
+NEAR_M = 8
+"""Largest distance in metres of points that cover the place between them."""
+MIN_WIDTH_M = 8
+"""Smallest width in metres of a place that such points cover."""
 GAP_M = 20
-"""Widest gap, in metres, between points of a survey that still belongs to the survey, as in its outline."""
+"""Widest gap, in metres, between covered places that is covered as well."""
 SEAM_M = 4
 """Width in metres of the seam, in which only the facets between two surveys give heights."""
-REACH_M = GAP_M + SEAM_M + CELL_M
+REACH_M = NEAR_M + MIN_WIDTH_M + GAP_M + SEAM_M + CELL_M
 """Distance in metres over which points of a survey decide which survey counts."""
 
 
@@ -56,6 +62,14 @@ class CellMask(Record):
         """Return the mask of cells, bool (height, width), whose south-west cell is at a column and row."""
         bits = base64.b64encode(zlib.compress(np.packbits(cells).tobytes())).decode()
         return cls(column, row, cells.shape[1], cells.shape[0], bits)
+
+    @classmethod
+    def united(
+        cls, masks: Iterable[CellMask], column: int, row: int, width: int, height: int
+    ) -> CellMask | None:
+        """Return the cells of any of the masks in a rectangle, or None if it has none."""
+        cells = union_in(masks, column, row, width, height)
+        return cls.packed(column, row, cells) if cells.any() else None
 
     @property
     def cells(self) -> npt.NDArray[np.bool_]:

@@ -13,10 +13,20 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.lattice import CoordFrame
-from tiler.core.points import NOISE, SOURCE_SHIFT, UNSEEN_FLAGS, UNSELECTED_FLAG, PointBlock
+from tiler.core.points import (
+    NOISE,
+    SOURCE_SHIFT,
+    STRAY_FLAG,
+    UNSEEN_FLAGS,
+    UNSELECTED_FLAG,
+    WITHHELD_FLAG,
+    PointBlock,
+)
 from tiler.core.surveys import (
     CELL_M,
     GAP_M,
+    MIN_WIDTH_M,
+    NEAR_M,
     REACH_M,
     SEAM_M,
     CellMask,
@@ -33,7 +43,7 @@ class Outranked:
     """Survey in a bucket: the numbers of its sources, and the cells near the bucket of surveys that count more."""
 
     sources: tuple[int, ...]
-    cells: tuple[CellMask, ...]
+    cells: CellMask
 
 
 def flag_outranked(
@@ -45,29 +55,34 @@ def flag_outranked(
     columns, rows = cells_of(block, frame)
     column, row = int(columns.min()), int(rows.min())
     size = (int(columns.max()) - column + 1, int(rows.max()) - row + 1)
-    seen, flags = is_seen(block), block.flags.copy()
+    seen, flags = (block.flags & UNSEEN_FLAGS) == 0, block.flags.copy()
     numbers = []
     for survey in surveys:
         hidden = covered(survey.cells, column, row, *size)[rows - row, columns - column]
         hidden &= is_of_sources(block, survey.sources)
         flags[hidden] |= UNSELECTED_FLAG
         keys = (rows * size[0] + columns)[hidden & seen]
-        numbers.append(
-            [survey.sources[0], int(np.count_nonzero(hidden)), int(np.unique(keys).size)]
-        )
+        numbers.append([survey.sources[0], keys.size, int(np.unique(keys).size)])
     return replace(block, flags=flags), numbers
 
 
-def covered(masks: Sequence[CellMask], column: int, row: int, width: int, height: int) -> Bools:
+def covered(cells: CellMask, column: int, row: int, width: int, height: int) -> Bools:
     """Return the cells of a rectangle that surveys cover, with gaps and seam (`tiler.core.surveys`).
 
-    ``masks`` must contain all cells of the surveys up to `REACH_M` around the rectangle.
+    ``cells`` must contain all cells of the surveys up to `REACH_M` around the rectangle.
     """
     pad = REACH_M // CELL_M
-    window = union_in(masks, column - pad, row - pad, width + 2 * pad, height + 2 * pad)
-    radius = GAP_M / 2 / CELL_M
-    closed = ~_widened(~_widened(window, radius), radius)
-    return _widened(closed, SEAM_M / CELL_M)[pad : pad + height, pad : pad + width]
+    window = union_in([cells], column - pad, row - pad, width + 2 * pad, height + 2 * pad)
+    near, narrow, gap = (length / 2 / CELL_M for length in (NEAR_M, MIN_WIDTH_M, GAP_M))
+    places = _narrowed(_widened(window, near), near)
+    places = _widened(_narrowed(places, narrow), narrow)
+    places = _narrowed(_widened(places, gap), gap)
+    return _widened(places, SEAM_M / CELL_M)[pad : pad + height, pad : pad + width]
+
+
+def _narrowed(cells: Bools, radius: float) -> Bools:
+    """Return the cells that are farther than a distance, in cells, from all other cells."""
+    return ~_widened(~cells, radius)
 
 
 def _widened(cells: Bools, radius: float) -> Bools:
@@ -79,12 +94,15 @@ def _widened(cells: Bools, radius: float) -> Bools:
     return widened
 
 
-def is_seen(block: PointBlock) -> Bools:
-    """Return the mask of the points that the run sees and that are not noise."""
+def covers(block: PointBlock) -> Bools:
+    """Return the mask of the points that cover a place: all but noise, strays and withheld points.
+
+    Points that the settings do not select cover as well, since their survey measured the place.
+    """
     if block.flags is None or block.classification is None:
         raise ValueError("fragments of the spool must have classes and flags")
-    seen: Bools = (block.flags & UNSEEN_FLAGS) == 0
-    return seen & ~np.isin(block.classification, NOISE)
+    valid: Bools = (block.flags & (WITHHELD_FLAG | STRAY_FLAG)) == 0
+    return valid & ~np.isin(block.classification, NOISE)
 
 
 def is_of_sources(block: PointBlock, sources: Sequence[int]) -> Bools:

@@ -11,7 +11,7 @@ from pathlib import Path
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell
 from tiler.core.points import sum_by_class
 from tiler.core.records import SpoolRecord, TileRecord, buckets_in
-from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
+from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray, SurveyResult
 from tiler.core.selection import WITHHELD
 from tiler.core.units import in_unit_of_crs
 from tiler.core.words import counted
@@ -58,6 +58,8 @@ its process."""
 
 MAX_STEP_M = 0.15
 """Largest step in metres between two surveys that is not warned of."""
+SPARSE = 4
+"""Ratio of densities from which a warning tells that the sparser survey counts before the denser one."""
 MIN_STEP_CELLS = 100
 """Minimum number of cells from which a step is warned of."""
 
@@ -334,19 +336,38 @@ def _report_surveys(
         f"--priority {job.plan.config.priority}: {n_hidden:,} of the points read are neither filtered nor gridded, "
         "because another survey counts at their place; the clouds keep them"
     )
-    for result in results:
-        for step in result.steps:
-            side = "below" if step.median_m < 0 else "above"
-            text = (
-                f"survey {result.name} lies {abs(step.median_m):.2f} m {side} {step.other} (median of "
-                f"{counted(step.cells, 'flat cell')} with points of both, MAD {step.mad_m:.2f} m)"
-            )
-            job.note(text)
-            if abs(step.median_m) > MAX_STEP_M and step.cells >= MIN_STEP_CELLS:
-                remedy = (
-                    "check whether both have the same vertical datum, and shift one of them"
+    for number, result in enumerate(results):
+        _report_steps(job, result)
+        denser = [
+            other for other in results[:number] if SPARSE * other.density < result.density
+        ]
+        if denser and result.used < result.points:
+            others = ", ".join(f"{o.name} ({o.density:.2g} points/m2)" for o in denser)
+            job.listener(
+                Warned(
+                    f"{others} counts before {result.name} ({result.density:.2g} points/m2), which is much denser; "
+                    "give --priority FILE if the denser survey is better"
                 )
-                job.listener(Warned(in_unit_of_crs(f"{text}; {remedy}", job.plan.frame.units)))
+            )
+
+
+def _report_steps(job: Job, result: SurveyResult) -> None:
+    """Report the steps of a survey to those that count more. Warn of large ones."""
+    if result.used < result.points and not result.steps:
+        job.note(
+            f"survey {result.name}: no step to other surveys was measured, as no flat cell has three points of both"
+        )
+    for step in result.steps:
+        side = "below" if step.median_m < 0 else "above"
+        text = (
+            f"survey {result.name} lies {abs(step.median_m):.2f} m {side} {step.other} (median of "
+            f"{counted(step.cells, 'flat cell')} with points of both, MAD {step.mad_m:.2f} m)"
+        )
+        if abs(step.median_m) <= MAX_STEP_M or step.cells < MIN_STEP_CELLS:
+            job.note(text)
+            continue
+        remedy = "check whether both have the same vertical datum, and shift one of them"
+        job.listener(Warned(in_unit_of_crs(f"{text}; {remedy}", job.plan.frame.units)))
 
 
 def _settle_grid(job: Job, assembled: IngestResult, complete: bool) -> None:

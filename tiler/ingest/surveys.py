@@ -14,7 +14,7 @@ from tiler.core.points import PointBlock
 from tiler.core.records import Record
 from tiler.core.surveys import CellMask
 from tiler.ingest.assemble import BucketParts, read_bucket
-from tiler.ingest.coverage import Ints, cells_of, is_of_sources, is_seen
+from tiler.ingest.coverage import Ints, cells_of, covers, is_of_sources
 from tiler.store import TileStore
 
 MIN_POINTS = 3
@@ -23,8 +23,8 @@ MAX_STD_M = 0.15
 """Largest standard deviation, in metres, of the heights in such a cell. Others are steep, or have plants."""
 BINS_PER_M = 100
 """Bins of a difference of heights in a metre."""
-MAX_DIFFERENCE_M = 10
-"""Largest difference of heights in metres. Larger ones count as this one."""
+MAX_DIFFERENCE_M = 200
+"""Largest difference of heights in metres, above all heights of the geoid. Larger ones count as this one."""
 MAX_DEVIATION = 1 << 20
 """Largest deviation from the mean of a cell in counts, so that sums of squares are exact."""
 
@@ -102,7 +102,7 @@ def surveys_in(
         Numbers of the sources of each survey in the bucket, the survey that counts most first.
     frame : CoordFrame
     """
-    block = block.take(is_seen(block))
+    block = block.take(covers(block))
     masks, numbers, differences = [], [], []
     if len(block):
         columns, rows = cells_of(block, frame)

@@ -6,7 +6,6 @@ import math
 from collections import defaultdict
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +13,21 @@ import pytest
 from tiler.core.lattice import Cell, CoordFrame, Lattice
 from tiler.core.points import (
     HIGH_NOISE,
+    STRAY_FLAG,
     UNSELECTED_FLAG,
     WITHHELD_FLAG,
     PointBlock,
     pack_origin,
 )
-from tiler.core.surveys import GAP_M, REACH_M, SEAM_M, CellMask
+from tiler.core.surveys import (
+    GAP_M,
+    MIN_WIDTH_M,
+    NEAR_M,
+    REACH_M,
+    SEAM_M,
+    CellMask,
+    survey_cells_of,
+)
 from tiler.core.units import Units
 from tiler.ingest.coverage import Outranked, covered, flag_outranked
 from tiler.ingest.surveys import SurveyCells, surveys_in
@@ -64,16 +72,16 @@ def hidden(
         for cell, bucket in buckets.items()
     }
     positions = set()
-    reach = math.ceil(frame.counts(Fraction(REACH_M)))
+    cells = survey_cells_of(frame)
+    whole = (*(cells.index_of(origin) - 60 for origin in frame.origin), 240, 240)
     for cell, bucket in buckets.items():
-        near = lattice.among(lattice.bounds(cell).pad(reach), found)
-        outranked = tuple(
-            Outranked(
-                sources, tuple(found[c].masks[above] for c in near for above in range(rank))
-            )
+        reach = math.ceil(frame.counts(Fraction(REACH_M)))
+        near = list(lattice.among(lattice.bounds(cell).pad(reach), found))
+        above = (
+            (sources, CellMask.united((m for c in near for m in found[c].masks[:rank]), *whole))
             for rank, sources in enumerate(surveys)
-            if rank
         )
+        outranked = tuple(Outranked(sources, mask) for sources, mask in above if mask)
         flagged, _ = flag_outranked(bucket, outranked, frame)
         assert flagged.flags is not None
         x, y, _ = flagged.xyz[:, (flagged.flags & UNSELECTED_FLAG) > 0]
@@ -83,9 +91,9 @@ def hidden(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_covered_cells_are_those_of_the_definition(seed: int) -> None:
-    """Distances between all pairs of cells: gaps are closed by a disk, and the seam is added."""
+    """Distances between all pairs of cells: disks close gaps and take what is narrow, the seam is added."""
     rng = np.random.default_rng(seed)
-    size = 60
+    size = 70
     cells = rng.random((size, size)) < (0.01, 0.03, 0.1, 0.5)[seed]
     cells[:, 35:] = False
     rows, columns = np.indices((size, size))
@@ -96,16 +104,22 @@ def test_covered_cells_are_those_of_the_definition(seed: int) -> None:
         apart = np.hypot(*(positions[:, None, :] - some[None, :, :]).transpose(2, 0, 1))
         return apart.min(axis=1, initial=np.inf).reshape(size, size)
 
-    near = nearest(cells) <= GAP_M / 2
-    expected = nearest(nearest(~near) > GAP_M / 2) <= SEAM_M
+    def closed(mask: np.ndarray, gap: float) -> np.ndarray:
+        return nearest(nearest(mask) > gap / 2) > gap / 2
+
+    places = closed(cells, NEAR_M)
+    wide = nearest(nearest(~places) > MIN_WIDTH_M / 2) <= MIN_WIDTH_M / 2
+    expected = nearest(closed(wide, GAP_M)) <= SEAM_M
     # The disk of a cell at the edge of the square has no cells beyond it.
-    core = slice(14, size - 14)
+    core = slice(22, size - 22)
     masks = [
         CellMask.packed(0, 0, cells[:20]),
         CellMask.packed(0, 20, cells[20:, :30]),
         CellMask.packed(30, 20, cells[20:, 30:]),
     ]
-    found = covered(masks, 14, 14, size - 28, size - 28)
+    mask = CellMask.united(masks, 0, 0, size, size)
+    assert mask is not None
+    found = covered(mask, 22, 22, size - 44, size - 44)
     np.testing.assert_array_equal(found, expected[core, core])
 
 
@@ -152,18 +166,37 @@ def test_a_narrow_gap_is_closed_and_a_wide_one_is_not(gap_m: int, closed: bool) 
     assert {72_000, 30_000} <= found  # The seam, and the inside.
 
 
+SQUARE = np.stack(np.meshgrid(np.arange(20.5, 40), np.arange(20.5, 40)), axis=-1).reshape(-1, 2)
+"""A point per square metre of 20 m."""
+
+
 @pytest.mark.parametrize(
-    "change",
-    [{"flags": WITHHELD_FLAG}, {"flags": UNSELECTED_FLAG}, {"classification": HIGH_NOISE}],
-    ids=["withheld", "unselected", "noise"],
+    ("change", "covers"),
+    [
+        ({"flags": 0}, True),
+        ({"flags": UNSELECTED_FLAG}, True),
+        ({"flags": WITHHELD_FLAG}, False),
+        ({"flags": STRAY_FLAG}, False),
+        ({"classification": HIGH_NOISE}, False),
+    ],
+    ids=str,
 )
-def test_points_that_a_run_does_not_use_cover_nothing(change: dict[str, Any]) -> None:
-    new, old = points(np.full((5, 2), 30.0), 0), points(np.full((1, 2), 31.0), 1)
-    both = PointBlock.concatenate([new, old])
-    assert (31_000, 31_000) in hidden(both, [(0,), (1,)], 32, METRES)
+def test_points_cover_unless_they_are_withheld_or_noise(
+    change: dict[str, int], covers: bool
+) -> None:
+    new, old = points(SQUARE, 0), points(np.full((1, 2), 30.1), 1)
     values = {name: np.full(len(new), value, np.uint8) for name, value in change.items()}
     block = PointBlock.concatenate([replace(new, **values), old])
-    assert (31_000, 31_000) not in hidden(block, [(0,), (1,)], 32, METRES)
+    assert ((30_100, 30_100) in hidden(block, [(0,), (1,)], 32, METRES)) == covers
+
+
+def test_points_by_themselves_hide_nothing() -> None:
+    """Noise of a survey beyond its border, or in its voids, is seen as noise beside points of another one."""
+    rng = np.random.default_rng(2)
+    new = np.concatenate([SQUARE, rng.uniform(70, 150, (12, 2)), [[100.0, 40.0]]])
+    old = rng.uniform(60, 160, (3000, 2))
+    block = PointBlock.concatenate([points(new, 0), points(old, 1)])
+    assert not hidden(block, [(0,), (1,)], 64, METRES)
 
 
 def test_the_difference_is_that_of_flat_cells_alone() -> None:

@@ -11,10 +11,10 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.lattice import Cell
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.records import BucketRecord
 from tiler.core.results import SurveyResult, SurveyStep
-from tiler.core.surveys import CELL_M, REACH_M, CellMask
+from tiler.core.surveys import CELL_M, REACH_M, CellMask, survey_cells_of
 from tiler.ingest.assemble import BucketParts
 from tiler.ingest.coverage import Outranked
 from tiler.ingest.surveys import BINS_PER_M, Sources, find_surveys
@@ -92,10 +92,13 @@ def with_outranked(
     plan: Plan, buckets: Iterable[BucketParts], found: FoundSurveys, surveys: Surveys
 ) -> Iterator[BucketParts]:
     """Yield the buckets with their outranked surveys, those near which a survey counts more."""
+    lattice = survey_cells_of(plan.frame)
     reach = math.ceil(plan.frame.counts(Fraction(REACH_M)))
     for bucket in buckets:
         of_bucket = _in_bucket(bucket, surveys)
-        near = plan.buckets.among(plan.buckets.bounds(bucket.cell).pad(reach), found.masks)
+        around = plan.buckets.bounds(bucket.cell).pad(reach)
+        near = plan.buckets.among(around, found.masks)
+        window = _cells_in(lattice, around)
         outranked = []
         for number, sources in of_bucket.items():
             above = (
@@ -104,9 +107,15 @@ def with_outranked(
                 for other, mask in found.masks[cell].items()
                 if other < number
             )
-            if cells := tuple(mask for mask in above if mask.width):
+            if cells := CellMask.united(above, *window):
                 outranked.append(Outranked(sources, cells))
         yield replace(bucket, outranked=tuple(outranked)) if outranked else bucket
+
+
+def _cells_in(lattice: Lattice, bounds: Bounds) -> tuple[int, int, int, int]:
+    """Return column and row of the first cell that touches the bounds, and the numbers of columns and rows."""
+    column, row = lattice.index_of(bounds.x0), lattice.index_of(bounds.y0)
+    return column, row, lattice.end_of(bounds.x1) - column, lattice.end_of(bounds.y1) - row
 
 
 def survey_results(
@@ -142,6 +151,7 @@ def survey_results(
             files=len(survey.paths),
             points=points[number],
             used=points[number] - hidden[number],
+            density=points[number] / max(found.cells[number] * CELL_M**2, 1),
             area_m2=float((found.cells[number] - hidden_cells[number]) * CELL_M**2),
             steps=[
                 _step(plan.inputs.surveys[other].name, histogram)
