@@ -2,8 +2,8 @@
 
 A survey covers places with points up to `NEAR_M` apart that are at least as wide as `MIN_WIDTH_M`, and the gaps of up
 to `GAP_M` between such places. Points by themselves cover nothing: they may be noise, which only the points of other
-surveys show. Next to these cells, points of other surveys do not count over a width of `SEAM_M`, so that the terrain has
-a ramp between two surveys and no step.
+surveys show. Next to these cells, points of other surveys do not count over a width of `SEAM_M`, so that the terrain
+has a ramp between two surveys and no step.
 """
 
 from __future__ import annotations
