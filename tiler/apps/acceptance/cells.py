@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter
 
 from tiler.apps.acceptance.counts import SIDE_BITS, Cells, Int64s, Keys, decoded
 from tiler.apps.acceptance.rasters import (
@@ -37,6 +38,13 @@ COARSE = 8
 """Side of the larger cells, which are closed by the same steps, so that wide gaps between scan lines are inside."""
 MOST_LEFT_OUT = 0.25
 """Share of the outline up to which wide voids are left out of density and distribution. More are not only water."""
+MIN_INNER_CELLS, GAPS_RATIO = 500, 0.9
+"""Number of cells inside the wide outline from which gaps that are open to its edge count, and the ratio of the
+densities with and without them below which they do. In fewer cells the corners of the outline have the same effect."""
+MIN_WHOLE_CELLS = 25
+"""Least number of whole cells with points of a swath, below which its density is chance."""
+NEAR_CELLS = 7
+"""Side, in cells, of the square around a cell at the edge in which the density of a swath is taken."""
 MIN_SWATH_CELLS = 100
 """Number of cells of a swath below which its distribution and density are not reported: a few cells at the edge of a
 delivery say nothing about a swath."""
@@ -49,8 +57,9 @@ GAP_FACTORS = (1, 2, 4, 8, 16)
 
 MANY_SOURCES = 100
 """Number of point source ids above which they may be random. Each takes the time of a swath."""
-MIN_NEIGHBOURS_SHARE = 0.05
-"""Share of the cells of swaths with a neighbour of the same swath in a row or a column, below which ids are random."""
+CHANCES = 2
+"""Ratio of the share of cells of swaths with a neighbour of the same swath to the share by chance, below which ids are
+random."""
 
 _NO_SWATH = 2**32 - 1
 """Number of no swath, above those of all swaths."""
@@ -86,9 +95,9 @@ class CellFindings:
     ----------
     side_m : float
     per_m2 : float or None
-        First returns per square metre of the `whole_cells` inside the outline that are not in a wide void.
+        First returns per square metre of the outline without its edge and without wide voids.
     swaths : list of Swath
-        Swaths of at least `MIN_SWATH_CELLS`, by point source id.
+        Swaths of at least `MIN_SWATH_CELLS` and `MIN_WHOLE_CELLS`, by point source id.
     n_small : int
         Number of smaller swaths.
     dense_share : float or None
@@ -182,20 +191,20 @@ def examine_cells(
     n_small = 0
     n_random = _number_of_random(keys)
     for swath in () if n_random else _swaths(source, columns, rows, counts):
-        near, footprint = outlined(swath.points > 0)
-        coverage.add(swath.box, footprint, whole_cells(near, footprint), swath.points)
+        near_of_swath, footprint = outlined(swath.points > 0)
+        coverage.add(swath.box, footprint, whole_cells(near_of_swath, footprint), swath.points)
         usable = footprint & outline[swath.box]
-        n_usable = int(usable.sum())
-        if n_usable < MIN_SWATH_CELLS:
+        n_usable, whole_of_swath = int(usable.sum()), whole_cells(near_of_swath, usable)
+        n_whole = np.count_nonzero(whole_of_swath & (swath.points > 0))
+        if n_usable < MIN_SWATH_CELLS or n_whole < MIN_WHOLE_CELLS:
             n_small += 1
             continue
         share = int(np.count_nonzero(swath.points)) / n_usable
-        whole_of_swath = whole_cells(near, usable)
-        per_m2 = float(swath.points[whole_of_swath].mean()) / raster.area_m2
+        per_m2 = _mean_points(swath.points, whole_of_swath, usable) / raster.area_m2
         swaths.append(Swath(swath.source, n_usable, share, per_m2))
     return CellFindings(
         cells.side * metres,
-        float(per_cell[whole].mean()) / raster.area_m2,
+        _mean_points(per_cell, whole if whole.any() else outline, outline) / raster.area_m2,
         swaths,
         n_small,
         _dense_share(per_cell, whole, raster, asked_per_m2),
@@ -209,15 +218,17 @@ def examine_cells(
 
 
 def _number_of_random(keys: Keys) -> int:
-    """Return the number of point source ids if they are many and almost no neighbours have the same, else 0."""
-    number = np.unique(keys >> np.uint64(2 * SIDE_BITS)).size
-    if number <= MANY_SOURCES:
+    """Return the number of point source ids if they are many and neighbours have the same only by chance, else 0."""
+    bits = np.uint64(2 * SIDE_BITS)
+    n_cells = np.unique(keys >> bits, return_counts=True)[1]
+    if n_cells.size <= MANY_SOURCES:
         return 0
-    if np.mean(np.diff(keys) == 1) >= MIN_NEIGHBOURS_SHARE:
-        return 0
+    n_occupied = np.unique(keys & np.uint64((1 << 2 * SIDE_BITS) - 1)).size
+    by_chance = float((n_cells**2).sum()) / (n_occupied * keys.size)
     above = keys + np.uint64(1 << SIDE_BITS)
     near = np.minimum(np.searchsorted(keys, above), keys.size - 1)
-    return number if np.mean(keys[near] == above) < MIN_NEIGHBOURS_SHARE else 0
+    found = max(np.mean(np.diff(keys) == 1), np.mean(keys[near] == above))
+    return n_cells.size if found < CHANCES * by_chance else 0
 
 
 def outlined(occupied: Mask) -> tuple[Mask, Mask]:
@@ -230,17 +241,42 @@ def outlined(occupied: Mask) -> tuple[Mask, Mask]:
     return filled(near), filled(near | inner)
 
 
+def _mean_points(points: npt.NDArray[np.int32], whole: Mask, outline: Mask) -> float:
+    """Return the mean number of points in the whole cells, or also in wide gaps that are open to the edge."""
+    mean = float(points[whole].mean())
+    inner = _without_edge(outline)
+    if np.count_nonzero(inner) < MIN_INNER_CELLS:
+        return mean
+    with_gaps = float(points[inner].mean())
+    return with_gaps if with_gaps < GAPS_RATIO * mean else mean
+
+
+def _means_near(points: npt.NDArray[np.int32], full: Mask) -> npt.NDArray[np.float32]:
+    """Return the mean number of points in the full cells around each cell, or in the cell itself without any."""
+    n, sums = (
+        uniform_filter(values.astype(np.float32), NEAR_CELLS, mode="constant")
+        for values in (full, points * full)
+    )
+    found = n > 0.5 / NEAR_CELLS**2
+    return np.where(found, sums / np.where(found, n, 1), np.maximum(points, 1))
+
+
+def _without_edge(mask: Mask) -> Mask:
+    """Return the cells of a mask with no neighbour outside it. Cells beyond the raster are outside."""
+    return ~grown_once(~np.pad(mask, 1))[1:-1, 1:-1]
+
+
 def whole_cells(near: Mask, outline: Mask) -> Mask:
-    """Return the cells that are wholly inside both outlines (`outlined`), or all if there are none.
+    """Return the cells that are wholly inside both outlines (`outlined`).
 
     The edge of the survey lies anywhere in the cells at the edge of the outline that follows the points.
     """
-    whole = ~grown_once(~np.pad(near & outline, 1))[1:-1, 1:-1]
+    whole = _without_edge(near & outline)
     # Cells beyond the raster are outside.
     padded = np.pad(outline, COARSE)
     wide = _inner(_larger(padded, np.logical_and), padded.shape)
     whole |= wide[COARSE:-COARSE, COARSE:-COARSE]
-    return whole if whole.any() else outline
+    return whole
 
 
 def _inner(larger: Mask, shape: tuple[int, ...]) -> Mask:
@@ -351,15 +387,15 @@ class Coverage:
     ) -> None:
         """Add the footprint of a swath in a box of the raster, its `whole_cells`, and the points in each cell.
 
-        The covered share of a cell at the edge is its points divided by the mean of the whole cells, which is right on
-        average over the cells.
+        The covered share of a cell at the edge is its points divided by the mean of the whole cells around it, which is
+        right on average over the cells.
         """
         self._added += 1
         for number, mask in ((self._n, footprint), (self._n_whole, whole)):
             of_box = number[box]
             of_box += mask & (of_box < 255)
         edge = footprint & ~whole
-        self._edges[box][edge] += points[edge] / points[whole].mean()
+        self._edges[box][edge] += points[edge] / _means_near(points, whole & (points > 0))[edge]
         hull = convex_hull(opened(footprint))
         lowest, highest = self._lowest[box], self._highest[box]
         lowest[hull] = np.minimum(lowest[hull], self._added)
@@ -373,7 +409,7 @@ class Coverage:
         share = self._edges / np.maximum(n_edges, 1)
         covered = np.where(self._n_whole > 0, self._n > 0, share)
         shared = np.where(self._n_whole > 1, 1, np.where(self._n > 1, share, 0))
-        return float(shared.sum(dtype=np.float64) / covered.sum(dtype=np.float64))
+        return min(float(shared.sum(dtype=np.float64) / covered.sum(dtype=np.float64)), 1.0)
 
     def gaps(self) -> list[Area]:
         """Return the areas between two swaths, the largest first."""

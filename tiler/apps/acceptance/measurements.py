@@ -35,7 +35,7 @@ class Measurements:
         Or the reason why cells were not examined.
     separation : Separation or str
         Differences of swaths, or the reason why they were not measured.
-    precision : list of Precision or str
+    precision : (list of Precision, list of int) or str
         Repeatability of swaths, the worst first, or the reason.
     n_duplicates : int
         Number of points that equal another one.
@@ -54,7 +54,7 @@ class Measurements:
     without_vertical: list[Path]
     cells: CellFindings | str
     separation: Separation | str
-    precision: list[Precision] | str
+    precision: tuple[list[Precision], list[int]] | str
     n_duplicates: int
     with_duplicates: list[Path]
     coverage: Coverage | str

@@ -379,9 +379,13 @@ def _spacing_by_headers(infos: Sequence[SourceInfo]) -> float:
 
 
 def _cells(infos: Sequence[SourceInfo], spacing: float) -> Cells:
-    """Return cells for a pulse spacing in units of the CRS, around the middle of all files."""
-    boxes = np.array([info.bounds for info in infos if info.bounds is not None])
-    middle = (boxes[:, :2].min(axis=0) + boxes[:, 3:5].max(axis=0)) / 2
+    """Return cells for a pulse spacing in units of the CRS, around the middle of most places in all files."""
+    boxes = [(patch.x0, patch.y0, patch.x1, patch.y1) for i in infos for patch in i.patches]
+    if not boxes:
+        bounds = (info.bounds for info in infos if info.bounds is not None)
+        boxes = [(west, south, east, north) for west, south, _, east, north, _ in bounds]
+    # A stray moves the middle of the bounds.
+    middle = np.median(np.array(boxes).reshape(-1, 2, 2).mean(axis=1), axis=0)
     return Cells.around(float(middle[0]), float(middle[1]), SPACINGS_PER_CELL * spacing)
 
 
@@ -442,7 +446,7 @@ def _of_heights(
     cells: Cells | None,
     metres: float,
     reason: str,
-) -> tuple[Separation | str, list[Precision] | str]:
+) -> tuple[Separation | str, tuple[list[Precision], list[int]] | str]:
     """Return the differences and the repeatability of the swaths of all files, or the ``reason`` why not."""
     if cells is None:
         return DIFFERENT_CRS, DIFFERENT_CRS

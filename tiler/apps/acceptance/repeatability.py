@@ -21,6 +21,8 @@ from tiler.apps.acceptance.counts import (
 
 MIN_CELL_POINTS = 8
 """Least number of points of a swath in a cell. A plane takes three degrees of freedom."""
+MAX_LIMIT_M = 0.08
+"""Largest limit in metres: cells with a larger spread are not even, so the figures of rougher swaths do not grow."""
 MIN_CELLS = 30
 """Least number of cells of a swath, and of an area where it is worst."""
 AREA_CELLS = 16
@@ -60,8 +62,11 @@ class Precision:
 
 def repeatability(
     keys: Keys, sums: Int64s, fault: npt.NDArray[np.uint8], lattice: Cells
-) -> list[Precision]:
-    """Return the repeatability of the swaths with at least `MIN_CELLS` even cells, the worst first.
+) -> tuple[list[Precision], list[int]]:
+    """Return the repeatability of the swaths with at least `MIN_CELLS` even cells, the worst first, and the others.
+
+    The others are the point source ids of the swaths with at least `MIN_CELLS` cells of which too few are even, or have
+    enough points.
 
     Parameters
     ----------
@@ -74,12 +79,13 @@ def repeatability(
     lattice : Cells
         Cells of heights.
     """
+    sources, n_cells = np.unique(decoded(keys)[0], return_counts=True)
     usable = np.flatnonzero((fault == 0) & (sums[:, 0] >= MIN_CELL_POINTS))
     variance = _variances(sums[usable])
     is_plane = ~np.isnan(variance)
     variance = variance[is_plane]
     if not variance.size:
-        return []
+        return [], sources[n_cells >= MIN_CELLS].tolist()
     source, column, row = decoded(keys[usable[is_plane]])
     x, y = (column + lattice.column) // AREA_CELLS, (row + lattice.row) // AREA_CELLS
     order = np.lexsort((variance, x, y, source))
@@ -113,7 +119,9 @@ def repeatability(
                 float((y[at] + 0.5) * AREA_CELLS * lattice.side),
             )
         )
-    return sorted(found, key=lambda swath: (-swath.sigma_m, swath.source))
+    measured = [swath.source for swath in found]
+    others = sources[(n_cells >= MIN_CELLS) & ~np.isin(sources, measured)]
+    return sorted(found, key=lambda swath: (-swath.sigma_m, swath.source)), others.tolist()
 
 
 def _variances(sums: Int64s) -> Floats:

@@ -101,9 +101,9 @@ def _step(pair: SwathPair) -> str:
 
 
 def _repeatability(measured: Measurements) -> Found:
-    found = measured.precision
-    if isinstance(found, str):
-        return Found(None, remark=found)
+    if isinstance(measured.precision, str):
+        return Found(None, remark=measured.precision)
+    found, others = measured.precision
     if not found:
         return Found(
             None,
@@ -114,7 +114,13 @@ def _repeatability(measured: Measurements) -> Found:
         f"{swath.x:.1f} {swath.y:.1f} ({100 * swath.worst_m:.2f} cm)"
         for swath in found[:MAX_PLACES]
     ]
-    return Found(found[0].sigma_m, where, counted(len(found), "swath"))
+    if not others:
+        return Found(found[0].sigma_m, where, counted(len(found), "swath"))
+    remark = (
+        f"{counted(len(others), 'swath')} without {MIN_CELLS} even cells with {MIN_CELL_POINTS} single returns: point "
+        f"sources {listed([str(source) for source in others], MAX_NAMES)}"
+    )
+    return Found(None, where, remark)
 
 
 def _signed(metres: float) -> str:

@@ -141,6 +141,34 @@ def test_a_lake_does_not_change_the_density_of_random_pulses(
     assert abs(np.mean(errors)) < 3 / math.sqrt(3 * shore.x.size)
 
 
+def test_missing_strips_lower_the_density(tmp_path: Path) -> None:
+    corridor = random_pulses(np.random.default_rng(3), 400, 24, 4)
+    half = corridor.where(lambda x, y: x % 16 < 8)
+    spec = Specification("made", {"pulse_density": 4.0})
+    found_rows = found(half.write(tmp_path / "a.laz"), spec)
+    # Without the gaps it would be 4. At the corners of the gaps the outline is too narrow.
+    assert 2 <= found_rows["pulse_density"] < 2.5
+
+
+def test_a_swath_without_a_whole_cell_has_an_overlap_and_no_density(tmp_path: Path) -> None:
+    """A ring one cell wide around another swath, whose footprint is the whole square."""
+    rng = np.random.default_rng(4)
+    ring = random_pulses(rng, 100, 100, 4, 2).where(
+        lambda x, y: np.maximum(abs(x - 50), abs(y - 50)) > 49
+    )
+    both = random_pulses(rng, 100, 100, 4) + ring
+    found_rows = rows(both.write(tmp_path / "a.laz"))
+    assert 0 < found_rows["swath_overlap"]["found"] <= 100
+    assert found_rows["swath_density_least"]["found"] == pytest.approx(4, rel=0.05)
+
+
+def test_ids_of_many_pulses_in_a_cell_may_be_random(tmp_path: Path) -> None:
+    pulses = random_pulses(np.random.default_rng(6), 100, 100, 8)
+    pulses.source = np.random.default_rng(7).integers(1, 200, pulses.x.size)
+    found_rows = rows(pulses.write(tmp_path / "a.laz"))
+    assert found_rows["swath_overlap"]["remark"] == "the point source ids look random"
+
+
 @pytest.mark.parametrize("degrees", [0, 25])
 def test_overlap_is_that_of_random_pulses_whatever_the_cells(
     tmp_path: Path, degrees: float

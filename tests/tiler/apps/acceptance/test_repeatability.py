@@ -10,9 +10,10 @@ import pytest
 
 from tests.tiler.apps.acceptance.pulses import Pulses, lattice
 from tests.tiler.apps.acceptance.test_measuring import ASKED, FEET, rows
-from tiler.apps.acceptance import Specification
+from tiler.apps.acceptance import Specification, read_specification
 from tiler.apps.acceptance.counts import Cells
 from tiler.apps.acceptance.repeatability import repeatability
+from tiler.errors import ConfigError
 
 
 def noisy(
@@ -92,7 +93,7 @@ def test_deviations_are_those_of_planes_of_least_squares() -> None:
     z = np.round(100 + 0.1 * x - 0.05 * y + random.normal(0, 0.02, n), 3)
     cells = Cells.around(30.0, 30.0, lattice_side)
     keys, sums = cells.of_heights.height_sums(x, y, z, np.full(n, 7, np.uint16))
-    [found] = repeatability(keys, sums, np.zeros(keys.size, np.uint8), cells.of_heights)
+    [found], others = repeatability(keys, sums, np.zeros(keys.size, np.uint8), cells.of_heights)
     variances = []
     for column in range(30):
         for row in range(30):
@@ -103,5 +104,22 @@ def test_deviations_are_those_of_planes_of_least_squares() -> None:
             plane = np.stack((x[mine], y[mine], np.ones(freedom + 3)), 1)
             squares = np.linalg.lstsq(plane, z[mine])[1][0]
             variances.append(squares / freedom / (1 - 2 / (9 * freedom)) ** 3)
-    assert (found.source, found.cells) == (7, len(variances))
+    assert (found.source, found.cells, others) == (7, len(variances), [])
     assert found.sigma_m == pytest.approx(np.sqrt(np.median(variances)), rel=1e-3)
+
+
+def test_a_swath_without_enough_even_cells_is_named_and_nothing_passes(tmp_path: Path) -> None:
+    asked = Specification("made", {"pulse_spacing": 0.5, "repeatability": 0.03})
+    cloud = noisy(0.02) + noisy(0.5, source=2)
+    row = rows(cloud.write(tmp_path / "a.laz"), asked)["repeatability"]
+    assert row["state"] == "not measured"
+    assert row["remark"].startswith("1 swath without 30 even cells")
+    assert row["remark"].endswith("point sources 2")
+    assert row["where"][0].startswith("point source 1: 2.0")
+
+
+def test_a_limit_above_what_even_cells_show_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "spec.toml"
+    file.write_text("repeatability = 0.1\n")
+    with pytest.raises(ConfigError, match=r"must be 0\.08 m or below"):
+        read_specification(str(file))
