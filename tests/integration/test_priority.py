@@ -159,7 +159,7 @@ def test_what_each_survey_gave_is_told(runs: dict[str, Any], files: dict[str, Pa
     report = (runs["folder"] / "both" / "report.html").read_text("utf-8")
     assert "+0.30 m to 2023-05-01" in report
     assert (
-        "2 surveys, the first counts most: 2023-05-01 (1 file), 2015-05-01 (1 file)"
+        "2 surveys by the days in the headers, the first counts most: 2023-05-01 (1 file), 2015-05-01 (1 file)"
         in " ".join(runs["both"].notes)
     )
 

@@ -405,7 +405,7 @@ class RunConfig:
     @property
     def priority_file(self) -> str | None:
         """File of the setting `priority`, or None if the setting has another value."""
-        return None if self.priority == NEWEST else self.priority
+        return None if (self.priority or "").lower() == NEWEST else self.priority
 
     @property
     def sheet_file(self) -> str | None:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.matched.evidence import Evidence
+from tiler.core.dates import are_gps_times
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.io.las.headers import LasHeader
@@ -71,7 +72,8 @@ class Extent:
     evidence : Evidence
         Evidence on the source of the cloud, found in the fields of the sample.
     times : tuple of 2 float, or None
-        First and last adjusted standard GPS time in the sample, or None if it has none.
+        First and last adjusted standard GPS time in the sample without the first and last percent of its valid times,
+        or None if it has none.
     """
 
     bounds: tuple[float, ...] | None
@@ -160,12 +162,13 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
 
 
 def _times_of(header: LasHeader, records: Records) -> tuple[float, float] | None:
-    """Return the first and last adjusted standard GPS time of records. A time of 0 was not set."""
+    """Return the first and last valid adjusted standard GPS time of records, without the first and last percent."""
     if not header.has_standard_times:
         return None
     times = as_standard_times(records, header)["gps_time"]
-    times = times[np.isfinite(times) & (times != 0)]
-    return (float(times.min()), float(times.max())) if times.size else None
+    times = np.sort(times[are_gps_times(times)])
+    n_left_out = times.size // 100
+    return (float(times[n_left_out]), float(times[-1 - n_left_out])) if times.size else None
 
 
 def _patches_of(

@@ -81,7 +81,7 @@ class SourceInfo:
     created : tuple of int
         Year and day of the year of the file's creation, from the header; 0 if unknown.
     times : tuple of 2 float, or None
-        First and last adjusted standard GPS time in a sample of points, or None if they have none.
+        First and last adjusted standard GPS time in a sample of points (`Extent.times`), or None if they have none.
     """
 
     path: Path

@@ -178,9 +178,13 @@ def make_plan(
         plan = planned(inspected, config)
     validate_distances(plan, inputs)
     plan = with_drawn_sheets(with_user_features(plan))
-    surveys, notes = surveys_of(config, paths, sources)
-    inputs_of_surveys = replace(plan.inputs, surveys=surveys)
-    plan = replace(plan, inputs=inputs_of_surveys, notes=(*plan.notes, *notes))
+    surveys, notes, warnings = surveys_of(config, paths, sources)
+    plan = replace(
+        plan,
+        inputs=replace(plan.inputs, surveys=surveys),
+        notes=(*plan.notes, *notes),
+        warnings=(*plan.warnings, *warnings),
+    )
 
     def replan(**values: Any) -> Plan:
         other = planned(inspected, config.updated(**values))

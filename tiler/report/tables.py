@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,8 +14,9 @@ from pyproj import CRS
 
 from tiler.config import RunConfig
 from tiler.core.crs import at_degrees, split, vertical_name
+from tiler.core.dates import days_text
 from tiler.core.products import NODATA, PRODUCTS
-from tiler.core.units import Sides
+from tiler.core.units import Sides, Units, in_unit_of_crs
 from tiler.core.words import GRID, counted
 from tiler.io.result_folder import CLASSIFIED, REVIEW, written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
@@ -123,11 +125,7 @@ def _survey_dates(run: Run) -> str:
     dates = run.get("dates")
     if not dates:
         return "unknown"
-    return f"{_days(dates['first'], dates['last'])} ({dates['by']})"
-
-
-def _days(first: str, last: str) -> str:
-    return first if first == last else f"{first} to {last}"
+    return f"{days_text((dates['first'], dates['last']))} ({dates['by']})"
 
 
 SLOWEST = 10
@@ -216,21 +214,25 @@ def _surveys(run: Run) -> list[Content]:
     rows = [
         (
             survey["name"],
-            _days(survey["first"], survey["last"]) if survey["first"] else "unknown",
+            days_text((survey["first"], survey["last"])) if survey["first"] else "unknown",
             f"{survey['files']:,}",
             f"{survey['points']:,}",
             f"{survey['used']:,}",
             area(run, survey["area_m2"]),
-            "; ".join(
-                f"{step['median_m']:+.2f} m to {step['other']} (MAD {step['mad_m']:.2f} m)"
-                for step in survey["steps"]
-            )
-            or "-",
+            "; ".join(_step(run, step) for step in survey["steps"]) or "-",
         )
         for survey in run.get("surveys", ())
     ]
     columns = ("survey", "days", "files", "points", "used", "area given", "height above others")
     return [el("h4", "Surveys"), table(columns, rows, (2, 3, 4, 5))] if rows else []
+
+
+def _step(run: Run, step: Mapping[str, Any]) -> str:
+    """Return a step between surveys as text in the unit of the CRS, as in the log."""
+    metres = run["plan"].get("metres_per_unit", {})
+    units = Units(*(Fraction(metres.get(axis, 1)) for axis in ("horizontal", "vertical")))
+    text = f"{step['median_m']:+.2f} m to {step['other']} (MAD {step['mad_m']:.2f} m)"
+    return in_unit_of_crs(text, units)
 
 
 def _more(number: int) -> Node | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,9 @@ import numpy as np
 import pytest
 
 from tiler.config import RunConfig
-from tiler.errors import ConfigError
+from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo, inspect
+from tiler.io.locations import as_path
 from tiler.plan.surveys import Survey, surveys_of
 
 Write = Any
@@ -46,9 +49,16 @@ def write(tmp_path: Path) -> Write:
     return made
 
 
-def surveys(priority: str | Path, sources: list[SourceInfo]) -> tuple[Survey, ...]:
+Result = tuple[tuple[Survey, ...], list[str], list[str]]
+
+
+def result(priority: str | Path, sources: list[SourceInfo]) -> Result:
     config = RunConfig.from_mapping({"priority": str(priority)})
-    return surveys_of(config, [source.path for source in sources], sources)[0]
+    return surveys_of(config, [source.path for source in sources], sources)
+
+
+def surveys(priority: str | Path, sources: list[SourceInfo]) -> tuple[Survey, ...]:
+    return result(priority, sources)[0]
 
 
 def names(found: tuple[Survey, ...]) -> list[tuple[str, list[str]]]:
@@ -67,17 +77,64 @@ def test_files_of_a_chain_of_days_are_one_survey(write: Write) -> None:
     assert surveys("newest", files[::-1]) == surveys("newest", files)
 
 
-def test_gps_times_count_more_than_the_header(write: Write) -> None:
-    # Adjusted standard times: seconds since 1980-01-06, less a thousand million.
-    day = (date(2016, 7, 4) - date(1980, 1, 6)).days * 86_400 + 3600.0 - 1e9
+def gps(day: date) -> float:
+    """Adjusted standard time: seconds since 1980-01-06, less a thousand million."""
+    return (day - date(1980, 1, 6)).days * 86_400 + 3600.0 - 1e9
+
+
+def test_gps_times_count_more_than_the_header_if_all_files_have_them(write: Write) -> None:
+    day = gps(date(2016, 7, 4))
     measured = write("a.las", date(2024, 1, 1), [0.0, day, day + 86_400])
-    made = write("b.las", date(2020, 1, 1))
-    found = surveys("newest", [measured, made])
+    newer = write("b.las", date(2016, 7, 4), [gps(date(2020, 1, 1))])
+    found, notes, warnings = result("newest", [measured, newer])
     assert names(found) == [
         ("2020-01-01", ["b.las"]),
         ("2016-07-04 to 2016-07-05", ["a.las"]),
     ]
     assert found[1].days == (date(2016, 7, 4), date(2016, 7, 5))
+    assert notes[0].startswith("decided: 2 surveys by GPS time of points, the first")
+    assert not warnings
+
+
+WEEK = [3600.0, 500_000.0]
+"""Seconds of a week, which as adjusted standard times would be in September 2011."""
+
+
+@pytest.mark.parametrize(
+    "times", [None, WEEK, [gps(date(1985, 1, 1))], [gps(date(2500, 1, 1))]]
+)
+def test_headers_count_if_a_file_has_no_valid_gps_times(
+    write: Write, times: list[float] | None
+) -> None:
+    files = [
+        write("a.las", date(2024, 1, 1), [gps(date(2016, 7, 4))]),
+        write("b.las", date(2020, 1, 1), times),
+    ]
+    found, notes, _ = result("newest", files)
+    assert names(found) == [("2024-01-01", ["a.las"]), ("2020-01-01", ["b.las"])]
+    assert notes[0].startswith("decided: 2 surveys by the days in the headers, the first")
+
+
+def test_one_wrong_time_does_not_join_surveys(write: Write) -> None:
+    old, new = gps(date(2015, 5, 1)), gps(date(2023, 5, 1))
+    files = [write("a.las", date(2024, 1, 1), [old]), write("b.las", date(2024, 1, 1), [new])]
+    wrong = write("c.las", date(2024, 1, 1), [old, *[new] * 99])
+    found, _, warnings = result("newest", [*files, wrong])
+    assert names(found) == [("2023-05-01", ["b.las", "c.las"]), ("2015-05-01", ["a.las"])]
+    assert not warnings
+
+
+def test_a_file_of_two_surveys_is_a_warning(write: Write) -> None:
+    old, new = gps(date(2015, 5, 1)), gps(date(2023, 5, 1))
+    files = [write("a.las", None, [old]), write("both.las", None, [old, new])]
+    found, notes, warnings = result("NEWEST", files)
+    assert len(found) == 1
+    assert not notes
+    assert "both.las (2015-05-01 to 2023-05-01): points of more than 30 days" in warnings[0]
+    assert warnings[1].startswith(
+        "--priority NEWEST: all files are one survey, 2015-05-01 to 2023-05-01 (2 files) by GPS"
+    )
+    assert warnings[1].endswith("it has no effect; give a FILE with a line per survey")
 
 
 def test_a_file_without_a_day_is_an_error(write: Write) -> None:
@@ -107,7 +164,12 @@ def test_lines_have_names_patterns_and_folders(write: Write, tmp_path: Path) -> 
         ("a.las\n*.las\n", r"surveys.txt: lines 1 and 2 both take .*a\.las; let one line"),
         ("# nothing\n", r"surveys.txt: has no line; give"),
         (b"\xff\xfe\x00", r"surveys.txt: is not text in UTF-8; give"),
-        (None, r"surveys.txt: cannot be read \(No such file or directory\); give"),
+        (
+            "a.las; list.vpc\nx.vpc\n",
+            r"surveys.txt: line 2: .*; give the clouds in the .vpc file",
+        ),
+        ("'a.las'\n", r"surveys.txt: line 1: no input matches \"'a.las'\"; remove the quotes"),
+        (f"{'x' * 90}; y", r"surveys.txt: line 1: no input matches 'x{59}\.\.\.; give"),
     ],
 )
 def test_a_bad_file_is_one_clear_line(
@@ -119,3 +181,68 @@ def test_a_bad_file_is_one_clear_line(
         lines.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ConfigError, match=f"^--priority .*{message}"):
         surveys(lines, files)
+
+
+def test_only_a_regular_file_is_read(write: Write, tmp_path: Path) -> None:
+    files = [write("a.las", date(2020, 1, 1))]
+    with pytest.raises(InputError, match=r"surveys\.txt: no such file; give a text file"):
+        surveys(tmp_path / "surveys.txt", files)
+    with pytest.raises(
+        InputError, match=r"^https://x/s\.txt: .* not read from a URL; download"
+    ):
+        surveys("https://x/s.txt", files)
+    with pytest.raises(ConfigError, match="is not a regular file; give a text file"):
+        surveys(tmp_path, files)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_is_not_opened(write: Write, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigError, match="pipe: is not a regular file"):
+        surveys(tmp_path / "pipe", [write("a.las", date(2020, 1, 1))])
+
+
+def test_each_pattern_without_an_input_is_a_warning(write: Write, tmp_path: Path) -> None:
+    files = [write(name, date(2020, 1, 1)) for name in ("a.las", "b.las")]
+    lines = tmp_path / "surveys.txt"
+    lines.write_text("a.las; c*.las\nd.vpc; b.las;\n")
+    _, _, warnings = result(lines, files)
+    assert [text.partition("; ")[0] for text in warnings] == [
+        f"--priority {lines}: line 1: no input matches 'c*.las'",
+        f"--priority {lines}: line 2: no input matches 'd.vpc'",
+    ]
+    lines.write_text("a.las;" + ";".join(f"x{n}" for n in range(14)) + "\nb.las")
+    _, _, warnings = result(lines, files)
+    assert len(warnings) == 11
+    assert "no input matches 4 more patterns" in warnings[-1]
+
+
+def test_urls_match_with_and_without_their_queries(write: Write, tmp_path: Path) -> None:
+    texts = ["https://x/2015/a.laz?sig=1", "https://x/2023/b.laz?sig=2", "https://x/2023/c.laz"]
+    file = write("a.las", date(2020, 1, 1))
+    files = [dataclasses.replace(file, path=as_path(text)) for text in texts]
+    lines = tmp_path / "surveys.txt"
+    for first in ("https://x/2015/a.laz?sig=other", "a.laz", "https://x/2015/", "*/2015/*"):
+        lines.write_text(f"{first}\nhttps://x/2023/[bc].laz\n")
+        newer, older = surveys(lines, files)
+        assert newer.paths == {files[0].path}
+        assert older.paths == {files[1].path, files[2].path}
+        assert newer.name == first.partition("?")[0]
+
+
+def test_a_line_with_point_tiles_takes_their_nodes(write: Write, tmp_path: Path) -> None:
+    for folder in ("tiles", "tiles/ept-data"):
+        (tmp_path / folder).mkdir()
+    files = [write(name, date(2020, 1, 1)) for name in ("tiles/ept-data/0-0-0-0.las", "b.las")]
+    lines = tmp_path / "surveys.txt"
+    lines.write_text("tiles/ept.json")
+    assert names(surveys(lines, files)) == [
+        ("tiles/ept.json", ["0-0-0-0.las"]),
+        ("other files", ["b.las"]),
+    ]
+
+
+def test_a_long_name_of_a_survey_is_shortened(write: Write, tmp_path: Path) -> None:
+    lines = tmp_path / "surveys.txt"
+    lines.write_text("a.las; " * 10)
+    assert surveys(lines, [write("a.las", date(2020, 1, 1))])[0].name == "a.las; " * 8 + "a..."
