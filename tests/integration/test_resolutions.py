@@ -353,3 +353,11 @@ def test_heights_agree_with_all_settings_of_the_surface(
     )
     fine, coarse = (Path(one.out, "dtm.tif") for one in (result, *result.others))
     assert_heights_agree(fine, coarse)
+
+
+def test_a_delivery_does_not_name_folders_of_the_provider(made: Made, tmp_path: Path) -> None:
+    out = made[0]
+    assert main(["deliver", str(out / "3m"), "--to", str(tmp_path / "delivery")]) == 0
+    for path in (tmp_path / "delivery").glob("*.*"):
+        if path.suffix in (".html", ".json"):
+            assert str(out.parent) not in path.read_text("utf-8")

@@ -16,7 +16,7 @@ from typing import Any
 from pyproj import CRS
 
 from tiler.apps.evaluate.rasters import open_raster
-from tiler.config import RunConfig
+from tiler.config import RunConfig, without_folders
 from tiler.core.crs import split, vertical_name
 from tiler.core.records import new_digest
 from tiler.errors import ConfigError, InputError, write_error
@@ -268,7 +268,7 @@ def _manifest(
     defaults = RunConfig().to_json()
     given = {
         name: value
-        for name, value in run["configuration"].items()
+        for name, value in without_folders(run["configuration"]).items()
         if value != defaults.get(name)
     }
     current = {} if check.get("older") else check

@@ -7,6 +7,7 @@ metadata of the fields.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
@@ -45,6 +46,26 @@ VOID_CANOPY = "void"
 
 UNITS = {"length": "m", "area": "m2", "bytes": "bytes"}
 """Default unit of each kind of setting."""
+
+
+def without_folders(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings as run.json has them, with the names of files alone: clients do not see a provider's folders."""
+
+    def name(value: Any) -> Any:
+        return re.split(r"[/\\]", value.rstrip("/\\"))[-1] if isinstance(value, str) else value
+
+    files = {
+        spec.name
+        for spec in fields(RunConfig)
+        if spec.metadata["kind"] in ("file", "files", "sheets")
+        or spec.name in ("store", "statistics")
+    }
+    return {
+        key: ([name(v) for v in value] if isinstance(value, list) else name(value))
+        if key in files
+        else value
+        for key, value in values.items()
+    }
 
 
 def setting(

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from pyproj import CRS
 
-from tiler.config import RunConfig
+from tiler.config import RunConfig, without_folders
 from tiler.core.crs import at_degrees, split, vertical_name
 from tiler.core.dates import days_text
 from tiler.core.products import NODATA, PRODUCTS
@@ -358,7 +358,9 @@ def settings(run: Run) -> Node:
     """Return the tables needed to repeat the run: parameters, configuration, versions, CRS."""
     plan = run["plan"]
     parameters = [(name, value_text(value)) for name, value in plan["parameters"].items()]
-    configuration = [(name, value_text(value)) for name, value in run["configuration"].items()]
+    # The report is a part of deliveries, and run.json has the folders of files.
+    values = without_folders(run["configuration"]).items()
+    configuration = [(name, value_text(value)) for name, value in values]
     versions = [("tiler", run["version"]), *run.get("libraries", {}).items()]
     digests = {Path(f["path"]).name: f["content"] for f in run.get("inputs", ())[:MAX_ROWS]}
     pre = el("pre", json.dumps(digests, ensure_ascii=False))
