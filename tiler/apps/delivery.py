@@ -30,6 +30,7 @@ from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import (
     CHECK,
     CLASSIFIED,
+    OVERVIEW,
     REPORT,
     REVIEW,
     give_results,
@@ -260,7 +261,7 @@ def _page(
 
 def _facts(path: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a client asks of a file: product, pixels, CRS, nodata; number of points of a cloud."""
-    if name.startswith(f"{CLASSIFIED}/"):
+    if name == OVERVIEW or name.startswith(f"{CLASSIFIED}/"):
         return {"kind": "cloud", "points": read_header(path).point_count}
     if path.suffix != ".tif":
         return {"kind": {".gpkg": "vector", ".html": "page"}.get(path.suffix, "description")}
