@@ -51,6 +51,8 @@ CLOUD_SUFFIXES = {"laz": ".laz", "las": ".las", "copc": COPC_SUFFIX, "none": ".l
 """Suffixes of classified clouds by the value of `--classified`."""
 VIRTUAL = "classified.vpc"
 """Virtual point cloud that shows the classified clouds as one layer in QGIS."""
+OVERVIEW = "classified-overview.copc.laz"
+"""Thin cloud of all classified clouds, next to `VIRTUAL` and with its name, as `pdal_wrench build_vpc` writes it."""
 STAC = "stac.json"
 """Description of the content of OUT for catalogues."""
 SHEET_ITEMS = "stac"
@@ -77,6 +79,7 @@ RESULTS = (
     STATEMENT_PAGE,
     SHEETS,
     CLASSIFIED,
+    OVERVIEW,
     STAC,
     CHANGED,
     CHECK,

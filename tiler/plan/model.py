@@ -216,6 +216,11 @@ class Plan:
         return self.config.method != KEEP and self.config.classified != "none"
 
     @property
+    def writes_overview(self) -> bool:
+        """Whether the run writes an overview of its classified clouds, as there are several."""
+        return self.writes_clouds and len(self.inputs.cloud_names) > 1
+
+    @property
     def finding(self) -> Finding | None:
         """Source of the clouds with confidence and reasons, if the fields of the points decide it.
 

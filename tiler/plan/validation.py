@@ -47,6 +47,7 @@ from tiler.io.result_folder import (
     LEGEND,
     OUTDATED,
     OUTLINE,
+    OVERVIEW,
     REPORT,
     RESULTS,
     REVIEW,
@@ -221,7 +222,7 @@ def _targets(plan: Plan) -> list[str]:
         names.append(WATER)
     names += [REVIEW, STAC]
     if plan.writes_clouds:
-        names.append(VIRTUAL)
+        names += [VIRTUAL, *([OVERVIEW] if plan.writes_overview else ())]
         names += [
             f"{CLASSIFIED}/{name.as_posix()}" for name in plan.inputs.cloud_names.values()
         ]

@@ -39,6 +39,7 @@ from tiler.io.result_folder import (
     CLASSIFIED,
     CLOUD_SUFFIXES,
     OUTLINE,
+    OVERVIEW,
     REPORT,
     SHEET_ITEMS,
     SHEETS,
@@ -221,8 +222,15 @@ class _Catalogue:
                 **({"proj:wkt2": wkt} if wkt else {}), "proj:geometry": native, "proj:bbox": [*low, *high],
             },
             "links": [],
-            "assets": {"data": _asset(cloud.path, self._media)},
+            "assets": {"data": _asset(cloud.path, self._media), **self._overview},
         }  # fmt: skip
+
+    @property
+    def _overview(self) -> dict[str, Any]:
+        """Asset of the overview of all clouds, which QGIS takes from any feature of the virtual cloud."""
+        if OVERVIEW not in self._written:
+            return {}
+        return {"overview": _asset(OVERVIEW, _CLOUDS["copc"][0], "overview")}
 
     def _format(self, cloud: Cloud) -> int:
         """Return the point format of a classified cloud."""
@@ -362,6 +370,7 @@ class _Catalogue:
             assets[VIRTUAL] = _asset(
                 VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one"
             )
+            assets |= self._overview
         for cloud in self.clouds:
             # The schema of the extension is valid only for items, and with sheets this is a
             # collection.
