@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import platform
 import shutil
 import sys
 from collections.abc import Iterator
@@ -10,12 +10,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
-from tiler.io.atomic_files import SCRATCH_PREFIX
+from tiler.io.atomic_files import SCRATCH_PREFIX, replace_file
 
 if sys.platform != "win32":
     import fcntl
 
-PREFIX = f"{SCRATCH_PREFIX}check-"
+PREFIX = f"{SCRATCH_PREFIX}check-{platform.node()}-"
+"""Prefix of the folders of this machine, since locks of a shared disk may be those of one machine alone."""
 _LOCK = "lock"
 """Name of the file that the process of a folder keeps locked. A folder without it is not removed."""
 
@@ -39,7 +40,7 @@ def _locked(folder: Path) -> Iterator[None]:
         if sys.platform != "win32":
             with suppress(OSError):  # Some disks of a network have no locks.
                 fcntl.flock(stream, fcntl.LOCK_EX)
-                os.rename(folder / name, folder / _LOCK)
+                replace_file(folder / name, folder / _LOCK)
         yield
 
 
