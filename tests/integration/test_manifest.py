@@ -19,7 +19,14 @@ from cli.main import main
 from tests.scenes.finished import Finished
 from tiler.apps.delivery import MANIFEST, PAGE, UNDER_WAY, deliver, verify
 from tiler.errors import ConfigError, InputError
-from tiler.observe.events import Event, StageFinished, StageStarted, TaskDone
+from tiler.observe.events import (
+    Event,
+    JobStarted,
+    RunFinished,
+    StageFinished,
+    StageStarted,
+    TaskDone,
+)
 
 
 @pytest.fixture
@@ -183,7 +190,9 @@ def test_the_progress_counts_the_blocks_of_all_files(
     ):
         events: list[Event] = []
         work(events.append)
-        first, *middle, last = events
+        job, first, *middle, last, end = events
+        assert isinstance(job, JobStarted)
+        assert isinstance(end, RunFinished)
         assert isinstance(first, StageStarted)
         assert isinstance(last, StageFinished)
         assert all(isinstance(event, TaskDone) for event in middle)
@@ -203,7 +212,8 @@ def test_the_progress_is_shown_in_the_form_of_other_commands(
     assert main([*call, "--progress", "json", "--json"]) == 0
     told = capsys.readouterr()
     lines = [json.loads(line) for line in told.err.splitlines()]
-    assert (lines[0]["done"], lines[-1]["done"]) == (0, lines[-1]["total"])
+    assert (lines[0]["done"], lines[-2]["done"]) == (0, lines[-2]["total"])
+    assert (lines[-1]["message"], lines[-1]["progress"]) == ("done", 1.0)
     assert isinstance(json.loads(told.out), dict)
     for quiet in (["-q"], ["-q", "--progress", "plain"], ["--progress", "none"], []):
         assert main([*call, *quiet]) == 0

@@ -157,6 +157,8 @@ def test_a_later_run_does_not_read_it_and_a_delivery_has_it(
     assert find_inputs([out / "classified.vpc"]) == written
     assert find_inputs([out / OVERVIEW]) == [out / OVERVIEW]
     deliver(out, tmp_path / "to")
+    delivered = sorted((tmp_path / "to" / "classified").iterdir())
+    assert find_inputs([tmp_path / "to"]) == delivered
     entries = json.loads((tmp_path / "to" / "manifest.json").read_text())["files"]
     (entry,) = (entry for entry in entries if entry["path"] == OVERVIEW)
     assert (entry["kind"], entry["points"]) == ("cloud", len(points(out / OVERVIEW)))

@@ -37,7 +37,16 @@ from tiler.io.result_folder import (
     read_run,
     written_rasters,
 )
-from tiler.observe.events import Listener, StageFinished, StageStarted, TaskDone, ignore_events
+from tiler.observe.events import (
+    ExpectedStage,
+    JobStarted,
+    Listener,
+    RunFinished,
+    StageFinished,
+    StageStarted,
+    TaskDone,
+    ignore_events,
+)
 from tiler.report.accuracy import read_measured, seams_text
 from tiler.report.client import client_page
 from tiler.report.runfile import run_file_errors
@@ -208,9 +217,12 @@ def _shown(
     """Yield a function to call after each block of bytes. Blocks are the tasks, as files have very different sizes."""
     started = time.monotonic()
     blocks = sum(-(-path.stat().st_size // BLOCK_BYTES) for path in paths if _is_file(path))
+    listener(JobStarted([ExpectedStage(stage=stage, title=title, seconds=1.0)]))
     listener(StageStarted(stage, title, tasks=blocks))
     yield lambda: listener(TaskDone(stage, ""))
-    listener(StageFinished(stage, time.monotonic() - started))
+    seconds = time.monotonic() - started
+    listener(StageFinished(stage, seconds))
+    listener(RunFinished(seconds))
 
 
 def _blocks(path: Path, done: Callable[[], None]) -> Iterator[bytes]:
