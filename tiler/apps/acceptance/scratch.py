@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import platform
 import shutil
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
+from typing import Any
 
 from tiler.io.atomic_files import SCRATCH_PREFIX, replace_file
 
-if sys.platform != "win32":
+try:
     import fcntl
+except ImportError:  # Windows does not have this module.
+    _fcntl: Any = None
+else:
+    _fcntl = fcntl
 
 PREFIX = f"{SCRATCH_PREFIX}check-{platform.node()}-"
 """Prefix of the folders of this machine, since locks of a shared disk may be those of one machine alone."""
@@ -35,11 +39,11 @@ def scratch_folder() -> Iterator[Path]:
 def _locked(folder: Path) -> Iterator[None]:
     """Keep the file `_LOCK` of a folder locked. Windows does not remove a file that is open."""
     # It has its name only once it is locked, so that no other check takes it for abandoned.
-    name = _LOCK if sys.platform == "win32" else f"{_LOCK}.new"
+    name = _LOCK if _fcntl is None else f"{_LOCK}.new"
     with open(folder / name, "xb") as stream:
-        if sys.platform != "win32":
+        if _fcntl is not None:
             with suppress(OSError):  # Some disks of a network have no locks.
-                fcntl.flock(stream, fcntl.LOCK_EX)
+                _fcntl.flock(stream, _fcntl.LOCK_EX)
                 replace_file(folder / name, folder / _LOCK)
         yield
 
@@ -47,11 +51,11 @@ def _locked(folder: Path) -> Iterator[None]:
 def _is_abandoned(folder: Path) -> bool:
     lock = folder / _LOCK
     try:
-        if sys.platform == "win32":
+        if _fcntl is None:
             lock.unlink()
         else:
             with open(lock, "r+b") as stream:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _fcntl.flock(stream, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
     except OSError:
         return False
     return True
