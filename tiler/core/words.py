@@ -51,7 +51,6 @@ GRID = "grid-"
 _TITLES = {
     "identify": "check inputs for changes",
     "spool": "read the clouds",
-    "surveys": "find where each survey has points",
     "assemble": "sort the points",
     "deck-cells": "find bridges",
     "decks": "examine possible bridges",

@@ -71,7 +71,6 @@ second."""
 
 TYPICAL = {
     "spool": 1.3,
-    "surveys": 0.2,
     "assemble": 0.7,
     "filter": 0.4,
     "grid-dtm": 0.9,
@@ -448,7 +447,7 @@ def stage_seconds(
             stage: step for stage, step in filters.items() if step.kind in (None, slowest)
         }
     parts = {
-        "ingest": ["spool", *(["surveys"] if plan.inputs.surveys else []), "assemble"],
+        "ingest": ["spool", "assemble"],
         "filter": filters,
         "grid": rasters,
         "export": ["export"],

@@ -47,7 +47,6 @@ from tiler.io.result_folder import (
     LEGEND,
     OUTDATED,
     OUTLINE,
-    OVERVIEW,
     REPORT,
     RESULTS,
     REVIEW,
@@ -109,13 +108,7 @@ model."""
 
 def other_inputs(config: RunConfig) -> list[str]:
     """Return the files that a run reads in addition to its clouds."""
-    names = (
-        config.aoi,
-        config.edits,
-        config.water_file,
-        config.sheet_file,
-        config.priority_file,
-    )
+    names = (config.aoi, config.edits, config.water_file, config.sheet_file)
     return [*(name for name in names if name is not None), *config.breaklines]
 
 
@@ -222,7 +215,7 @@ def _targets(plan: Plan) -> list[str]:
         names.append(WATER)
     names += [REVIEW, STAC]
     if plan.writes_clouds:
-        names += [VIRTUAL, *([OVERVIEW] if plan.writes_overview else ())]
+        names.append(VIRTUAL)
         names += [
             f"{CLASSIFIED}/{name.as_posix()}" for name in plan.inputs.cloud_names.values()
         ]

@@ -41,7 +41,6 @@ from tiler.core.results import (
     Stray,
     SurfaceResult,
     SurveyDates,
-    SurveyResult,
     TerrainResult,
     TileResult,
     VoidResult,
@@ -125,7 +124,6 @@ class Results:
     counts: PointCounts
     classes: ClassCounts
     strays: list[Stray]
-    surveys: list[SurveyResult]
     statistics: Mapping[str, State]
     filter: LabelCounts
     canopy: CanopyResult
