@@ -5,6 +5,7 @@ The short help has the frequent options. Mistakes are unknown options, those of 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -76,6 +77,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "--reclass": "classes that change in the classified clouds",
         "--drop-classes": "",
         "--withheld": "",
+        "--priority": "",
         "--returns": "",
         "--scan-angle": "",
         "--source-id": "",
@@ -225,17 +227,26 @@ def _plain(option: str) -> str:
     return option.lstrip("-").replace("_", "-").lower()
 
 
+def options_in(text: str) -> set[str]:
+    """Return the options that a text names outside of its commands of other programs, which are in backticks."""
+    return set(re.findall(r"(?<![\w`])--?[a-z-]+", re.sub("`.*`", "", text)))
+
+
 def unknown_option(error: click.NoSuchOption, arguments: Sequence[str]) -> str:
     """Return the message for an unknown option: what it is elsewhere, or the options that begin like it, or are close.
+
+    A remedy is only given if the command has the options in it.
 
     Of ``-step``, click names only ``-s``. So the option is looked up in ``arguments``.
     """
     found = (a for a in arguments if a.startswith(error.option_name))
     given = next(found, error.option_name).partition("=")[0]
     word = _plain(given)
-    if word in OTHER_PROGRAMS:
+    params = error.ctx.command.get_params(error.ctx) if error.ctx else []
+    own = {name for p in params for name in (*p.opts, *p.secondary_opts)}
+    if word in OTHER_PROGRAMS and options_in(OTHER_PROGRAMS[word]) <= own:
         return _ELSEWHERE.format(given) + OTHER_PROGRAMS[word]
-    options = _long_names(error.ctx.command.get_params(error.ctx)) if error.ctx else []
+    options = _long_names(params)
     several = [name for name in options if name.startswith(f"--{word}")]
     if len(several) > 1:
         return f"{given} is the beginning of {' and '.join(several)}; write one of them"

@@ -18,6 +18,7 @@ SETTINGS = {spec.name: spec for spec in dataclasses.fields(RunConfig)}
 
 _METAVARS = {
     "length": "LENGTH",
+    "lengths": "LENGTH[,LENGTH]",
     "sheets": "LENGTH[xLENGTH]|FILE",
     "bytes": "SIZE",
     "classes": "N,N,...",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from tiler.core.units import length_text
 from tiler.core.words import counted
@@ -14,6 +15,7 @@ from tiler.io.result_folder import (
     CHANGED,
     CLASSIFIED,
     OUTLINE,
+    REPORT,
     REVIEW,
     SHEETS,
     VIRTUAL,
@@ -22,6 +24,9 @@ from tiler.io.result_folder import (
 )
 from tiler.observe.progress import duration_text, rate_text, size_text
 
+if TYPE_CHECKING:
+    from tiler.runs.job import RunResult
+
 MAX_OF_KIND = 3
 """Number of lines about files that were left out, or about failed tasks."""
 
@@ -29,6 +34,18 @@ MAX_OF_KIND = 3
 def percent_text(fraction: float | None) -> str:
     """Return a fraction in percent, or ``-`` for None."""
     return "-" if fraction is None else f"{100 * fraction:.2f} %"
+
+
+def run_lines(results: Sequence[RunResult], out: str) -> list[str]:
+    """Return lines about the results of a run, for each resolution if it has several."""
+    if len(results) == 1:
+        return summary_lines(results[0].summary, out, results[0].did_nothing)
+    lines = []
+    for result in results:
+        folder = joined(out, Path(result.out).name)
+        lines += [f"resolution  {folder}"]
+        lines += summary_lines(result.summary, folder, result.did_nothing)
+    return [*lines, f"all         {joined(out, REPORT)}"]
 
 
 def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = False) -> list[str]:

@@ -27,6 +27,7 @@ from tiler.apps.check import (
     terrain_in,
 )
 from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
+from tiler.apps.resolutions import run_resolutions
 from tiler.apps.results import AcceptanceSummary, CheckSummary
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
@@ -36,7 +37,6 @@ from tiler.io.result_folder import CHECK, is_results, local_folder
 from tiler.observe.events import Event, Listener, Note, Warned, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.observe.progress import NotebookBar, in_notebook, open_progress
-from tiler.pipeline import run as run_job
 from tiler.report.accuracy import write_measured
 from tiler.report.html import write_report_at
 from tiler.report.notebook import check_markup, classified_markup
@@ -109,6 +109,7 @@ def run(
     Returns
     -------
     RunResult
+        With several resolutions, such as ``resolution=[0.5, 2]``, the result of the finest, which has the others.
 
     Raises
     ------
@@ -130,7 +131,7 @@ def run(
     resolution: 'fine' is not a length; give a number in metres or with a unit (1, 0.5, 1/3, 3ft)
     """
     with _listening(progress) as listener:
-        return run_job(
+        return run_resolutions(
             _texts("inputs", inputs),
             _text("out", out),
             _settings(config, settings),

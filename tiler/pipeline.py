@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,7 @@ def run(
     listener: Listener = ignore_events,
     until: str = "export",
     known: Sequence[SourceInfo] = (),
+    finest: Fraction | None = None,
 ) -> RunResult:
     """Make terrain from clouds, or resume the run in ``out``.
 
@@ -101,7 +103,8 @@ def run(
     until : str
         Last stage to run: ``ingest``, ``filter``, ``grid`` or ``export``.
     known : sequence of SourceInfo
-        Inputs that were inspected before, see `tiler.plan.make_plan`.
+    finest : Fraction, optional
+        Inputs that were inspected before, and the finest resolution of the survey, see `tiler.plan.make_plan`.
 
     Raises
     ------
@@ -113,7 +116,7 @@ def run(
     out, started = local_folder(products), time.monotonic()
     if prepare_workers(config, products):
         import_dask()  # The import runs while the headers are read.
-    plan = make_plan(inputs, config, products, known)
+    plan = make_plan(inputs, config, products, known, finest)
     with _opened(plan, inputs, out, products, listener) as job:
         # Stages replace the plan of the job when they decide what it leaves open.
         plan = job.plan
@@ -231,12 +234,16 @@ def _tell(job: Job, until: str) -> None:
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}; copies go to {job.products} when the run ends"
         )
+    listener(JobStarted(expected_stages(plan, until)))
+
+
+def expected_stages(plan: Plan, until: str) -> list[ExpectedStage]:
+    """Return the stages of a run up to the stage ``until``, with their expected times."""
     seconds = stage_seconds(plan, [raster.stage for raster in required_rasters(plan)], until)
-    stages = [
+    return [
         ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3))
         for s, t in seconds.items()
     ]
-    listener(JobStarted(stages))
 
 
 def _record_failure(job: Job, error: BaseException) -> None:

@@ -9,12 +9,12 @@ import click
 from cli.ending import DONE, PARTIAL
 from cli.options import json_option
 from cli.output import print_json, write_line
-from cli.session import TilerCommand
+from cli.session import TilerCommand, shown_progress
 from tiler.core.words import counted
 from tiler.observe.progress import size_text
 
 
-@click.command("deliver", cls=TilerCommand)
+@click.command("deliver", cls=TilerCommand, progress=True)
 @click.argument("out", metavar="OUT")
 @click.option("--to", metavar="FOLDER", required=True, help="folder of the delivery")
 @json_option
@@ -29,7 +29,8 @@ def command(out: str, to: str, as_json: bool) -> int:
     """
     from tiler.apps.delivery import deliver
 
-    made = deliver(out, to)
+    with shown_progress() as listener:
+        made = deliver(out, to, listener)
     if as_json:
         print_json(asdict(made))
     else:

@@ -32,11 +32,13 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
     an empty file, which is removed at once.
     """
     config = read_config(settings)
+    from tiler.apps.resolutions import plan_resolutions
     from tiler.io.locations import joined
     from tiler.io.result_folder import STORE
-    from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
+    from tiler.plan import plan_json, plan_lines, projected_memory
 
-    plan = make_plan(inputs, config, out)
+    plans = plan_resolutions(inputs, config, out)
+    plan, *others = plans.values()
     cluster = None
     if config.scheduler is not None:
         from tiler.runs.executors import look_at_cluster
@@ -44,11 +46,15 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
         store = config.store or (None if out is None else joined(out, STORE))
         plan, cluster = look_at_cluster(plan, store, out)
     if as_json:
+        content = plan_json(plan) | ({} if cluster is None else {"cluster": cluster.to_json()})
         print_json(
-            plan_json(plan) | ({} if cluster is None else {"cluster": cluster.to_json()})
+            {name: plan_json(each) for name, each in plans.items()} if others else content
         )
         return
-    for line in plan_lines(plan):
-        write_line(line)
+    for name, each in plans.items():
+        if others:
+            write_line(f"resolution  {name}")
+        for line in plan_lines(each):
+            write_line(line)
     for line in [] if cluster is None else cluster.lines(max(projected_memory(plan).values())):
         write_line(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -9,7 +10,7 @@ import click
 from cli.options import config_options, inputs_argument, json_option, out_option, read_config
 from cli.output import print_json, write_line
 from cli.session import TilerCommand, current_session, shown_progress
-from cli.summary import summary_lines
+from cli.summary import run_lines
 
 RUN = """Run all stages: make a DTM and classified clouds.
 
@@ -57,15 +58,20 @@ def job_command(name: str, help: str, until: str) -> click.Command:
 
         # the workers import their libraries while this process imports its own
         prepare_workers(config, out)
-        from tiler.pipeline import run
+        from tiler.apps.resolutions import run_resolutions
 
         session = current_session()
         with shown_progress() as listener:
-            result = run(inputs, out, config, listener, until=until)
+            result = run_resolutions(inputs, out, config, listener, until=until)
+        results = [result, *result.others]
         if as_json:
-            print_json(result.summary)
+            print_json(
+                {Path(one.out).name: one.summary for one in results}
+                if result.others
+                else result.summary
+            )
         elif not session.quiet:
-            for line in summary_lines(result.summary, out, result.did_nothing):
+            for line in run_lines(results, out):
                 write_line(line)
         return result.exit_code
 

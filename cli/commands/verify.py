@@ -9,11 +9,11 @@ import click
 from cli.ending import DONE, PARTIAL
 from cli.options import json_option
 from cli.output import print_json, write_line
-from cli.session import TilerCommand
+from cli.session import TilerCommand, shown_progress
 from tiler.core.words import counted
 
 
-@click.command("verify", cls=TilerCommand)
+@click.command("verify", cls=TilerCommand, progress=True)
 @click.argument("folder", metavar="FOLDER")
 @json_option
 def command(folder: str, as_json: bool) -> int:
@@ -24,7 +24,8 @@ def command(folder: str, as_json: bool) -> int:
     """
     from tiler.apps.delivery import verify
 
-    found = verify(folder)
+    with shown_progress() as listener:
+        found = verify(folder, listener)
     if as_json:
         print_json(asdict(found))
     else:

@@ -119,6 +119,7 @@ def _is_setting(parameter: click.Parameter) -> bool:
 def _from_setting(key: str) -> dict[str, Any]:
     spec = SETTINGS[key]
     kind, choices = spec.metadata["kind"], list(spec.metadata["choices"])
+    help: str = spec.metadata["help"]
     if key == "method":
         from ptd.methods import METHODS
 
@@ -131,6 +132,9 @@ def _from_setting(key: str) -> dict[str, Any]:
         kind = "texts"
     elif kind == "crs":
         kind = "text"
+    elif kind == "lengths":
+        # The plugin loads one folder of results.
+        kind, help = "length", help.partition(" With several")[0]
     default: Any = default_text(spec) or None
     value: Any = spec.default
     if kind == "flag":
@@ -145,7 +149,7 @@ def _from_setting(key: str) -> dict[str, Any]:
         "default": default,
         "config_default": _CONFIG_DEFAULTS[key],
         "unit": spec.metadata["unit"],
-        "help": spec.metadata["help"],
+        "help": help,
     }
 
 

@@ -105,7 +105,7 @@ def judged(
         share = (is_object & rises)[window].sum() / squares.rising[index]
         answers[draw] = np.ceil(4 * share) / 4
         if draw in STOPS:
-            bounds.append(sample_of(squares, key, answers, 1).most_pixels)
+            bounds.append(sample_of(squares, key, answers, 1).max_pixels)
     return Judged(
         name, int(is_there.sum()), int(rises.sum()), int(is_object.sum()), tuple(bounds)
     )

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 
+from cli.commands.check import command
+from cli.help import options_in
 from cli.main import main
 from tests.tiler.apps.acceptance.pulses import Pulses, lattice
 from tests.tiler.apps.check.rasters import tilted, write_surface
@@ -251,3 +254,27 @@ def test_options_of_the_other_kind_of_input_are_refused(
     error = capsys.readouterr().err
     assert "dtm.tif: is not a cloud; give one DTM" in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("fault", ["cut", "unfinished", "degrees"])
+def test_remedies_for_clouds_name_only_options_of_the_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str
+) -> None:
+    own = {name for p in command.params for name in (*p.opts, *p.secondary_opts)}
+    pulses = Pulses(*lattice(0, 20, 0, 20))
+    path = tmp_path / "a.las"
+    if fault == "degrees":
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        header.scales, header.offsets = np.full(3, 1e-7), np.zeros(3)
+        las = laspy.LasData(header)
+        las.x, las.y, las.z = 8 + pulses.x * 1e-5, 47 + pulses.y * 1e-5, pulses.z
+        las.write(path)
+    else:
+        raw = bytearray(pulses.write(path).read_bytes())
+        if fault == "unfinished":
+            raw[94:100] = bytes(6)  # size of the header, and the start of the points
+        path.write_bytes(raw if fault == "unfinished" else raw[:-1000])
+    assert main(["check", str(path)]) == 3
+    error = capsys.readouterr().err
+    assert "; " in error
+    assert options_in(error) <= own

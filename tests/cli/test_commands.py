@@ -36,6 +36,7 @@ class Result:
     exit_code: int = 5
     summary: dict[str, Any] = field(default_factory=lambda: SUMMARY)
     did_nothing: bool = False
+    others: tuple[Any, ...] = ()
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         seen.append({"inputs": inputs, "out": out, "config": config, "until": until})
         return Result()
 
-    monkeypatch.setattr("tiler.pipeline.run", run)
+    monkeypatch.setattr("tiler.apps.resolutions.run", run)
     return seen
 
 
@@ -196,7 +197,7 @@ def test_summary_of_an_early_stage() -> None:
 
 
 def test_plan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("tiler.plan.make_plan", lambda inputs, config, out: 4)
+    monkeypatch.setattr("tiler.apps.resolutions.make_plan", lambda inputs, config, out: 4)
     monkeypatch.setattr("tiler.plan.plan_lines", lambda plan: ["inputs  1", f"tiles   {plan}"])
     monkeypatch.setattr("tiler.plan.plan_json", lambda plan: {"tiles": plan})
     assert main(["plan", "a.laz"]) == 0

@@ -21,7 +21,9 @@ def effective(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Call ``tiler plan`` with options; the settings that reach the library."""
     seen: list[RunConfig] = []
 
-    monkeypatch.setattr("tiler.plan.make_plan", lambda inputs, config, out: seen.append(config))
+    monkeypatch.setattr(
+        "tiler.apps.resolutions.make_plan", lambda inputs, config, out: seen.append(config)
+    )
     monkeypatch.setattr("tiler.plan.plan_lines", lambda plan: [])
 
     def call(*options: str) -> RunConfig:

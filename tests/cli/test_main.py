@@ -14,8 +14,9 @@ from typing import Any
 import click
 import pytest
 
+from cli.commands.check import command as check
 from cli.commands.run import command as run
-from cli.help import GROUPS, OTHER_PROGRAMS, OWN
+from cli.help import GROUPS, OTHER_PROGRAMS, OWN, options_in
 from cli.main import COMMANDS, STAGES, LazyGroup, group, main
 from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import ConfigError, InputError, LockedError, ProcessingError, StoreError
@@ -27,7 +28,7 @@ def failing_plan(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     def make_plan(*arguments: Any) -> None:
         raise error
 
-    monkeypatch.setattr("tiler.plan.make_plan", make_plan)
+    monkeypatch.setattr("tiler.apps.resolutions.make_plan", make_plan)
 
 
 class Panic(BaseException):
@@ -99,7 +100,7 @@ def test_interrupt(
     def run(*arguments: Any, **settings: Any) -> None:
         raise error
 
-    monkeypatch.setattr("tiler.pipeline.run", run)
+    monkeypatch.setattr("tiler.apps.resolutions.run", run)
     assert main(["run", "a.laz", "-o", str(tmp_path)]) == 130
     assert (
         capsys.readouterr().err.strip()
@@ -294,7 +295,18 @@ def test_an_option_given_twice_is_a_warning(
 def test_the_remedies_for_options_of_other_programs_exist() -> None:
     own = {name for p in run.params for name in (*p.opts, *p.secondary_opts)}
     for text in OTHER_PROGRAMS.values():
-        assert set(re.findall(r"(?<![\w`])--?[a-z-]+", re.sub("`.*`", "", text))) <= own
+        assert options_in(text) <= own
+
+
+@pytest.mark.parametrize("option", ["--epsg", "--bbox", "--cores"])
+def test_a_command_does_not_name_options_that_it_does_not_have(
+    capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    own = {name for p in check.params for name in (*p.opts, *p.secondary_opts)}
+    assert main(["check", option, "1", "a.laz"]) == 2
+    error = capsys.readouterr().err
+    assert f"there is no option {option}" in error
+    assert options_in(error) <= own | {option, "--help"}
 
 
 def test_without_a_command_help_and_2(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,14 @@ from cli.main import main
 from tests.scenes.finished import Finished
 from tiler.apps.delivery import MANIFEST, PAGE, UNDER_WAY, deliver, verify
 from tiler.errors import ConfigError, InputError
+from tiler.observe.events import (
+    Event,
+    JobStarted,
+    RunFinished,
+    StageFinished,
+    StageStarted,
+    TaskDone,
+)
 
 
 @pytest.fixture
@@ -165,11 +173,51 @@ def test_a_file_that_cannot_be_read_is_one_line(
     def damaged(*_: object) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr("hashlib.file_digest", damaged)
+    monkeypatch.setattr("tiler.apps.delivery.open", damaged, raising=False)
     with pytest.raises(
         InputError, match=r"cannot be read \(Input/output error\); copy it again"
     ):
         verify(delivery)
+
+
+def test_the_progress_counts_the_blocks_of_all_files(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.apps.delivery.BLOCK_BYTES", 1000)
+    for work in (
+        lambda listen: deliver(out, tmp_path / "to", listen),
+        lambda listen: verify(tmp_path / "to", listen),
+    ):
+        events: list[Event] = []
+        work(events.append)
+        job, first, *middle, last, end = events
+        assert isinstance(job, JobStarted)
+        assert isinstance(end, RunFinished)
+        assert isinstance(first, StageStarted)
+        assert isinstance(last, StageFinished)
+        assert all(isinstance(event, TaskDone) for event in middle)
+        assert {event.stage for event in (first, *middle, last)} == {first.stage}
+        sizes = {e["path"]: e["bytes"] for e in manifest(tmp_path / "to")["files"]}
+        if first.stage == "copy":  # The page is made, not copied.
+            del sizes[PAGE]
+        assert first.tasks == len(middle) == sum(-(-size // 1000) for size in sizes.values())
+
+
+@pytest.mark.parametrize("command", ["deliver", "verify"])
+def test_the_progress_is_shown_in_the_form_of_other_commands(
+    command: str, out: Path, delivery: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = {"deliver": ["deliver", str(out), "--to"], "verify": ["verify"]}[command]
+    call = [*given, str(delivery)]
+    assert main([*call, "--progress", "json", "--json"]) == 0
+    told = capsys.readouterr()
+    lines = [json.loads(line) for line in told.err.splitlines()]
+    assert (lines[0]["done"], lines[-2]["done"]) == (0, lines[-2]["total"])
+    assert (lines[-1]["message"], lines[-1]["progress"]) == ("done", 1.0)
+    assert isinstance(json.loads(told.out), dict)
+    for quiet in (["-q"], ["-q", "--progress", "plain"], ["--progress", "none"], []):
+        assert main([*call, *quiet]) == 0
+        assert capsys.readouterr().err == ""
 
 
 def test_a_delivery_that_was_killed_goes_on(out: Path, tmp_path: Path) -> None:

@@ -84,6 +84,13 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
         ],
         "report": ["report", str(done)],
         "review": ["review", str(done), "--page", str(out / "review.html")],
+        "statement": [
+            "review",
+            str(done),
+            "--statement",
+            "--page",
+            str(out / "statement.html"),
+        ],
         "deliver": ["deliver", str(done), "--to", str(out / "delivery")],
         "verify": ["verify", str(folder / "delivery")],
         "clean": ["clean", str(done)],
@@ -139,7 +146,9 @@ def test_at_the_start_of_any_command(seconds: float, folder: Path, tmp_path: Pat
     interrupted(arguments("plan", folder, tmp_path), after_cpu_seconds(seconds))
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name not in LAST_STAGE])
+@pytest.mark.parametrize(
+    "name", [*(name for name in COMMANDS if name not in LAST_STAGE), "statement"]
+)
 def test_at_work(name: str, folder: Path, tmp_path: Path) -> None:
     seconds = random.Random(name).uniform(0.6, 1.3)
     interrupted(arguments(name, folder, tmp_path), after_cpu_seconds(seconds))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from affine import Affine
 
 from cli.main import main
 from tests.integration.test_review import cloud as cloud
@@ -43,6 +44,7 @@ def made(out: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[s
     return dict(json.loads(capsys.readouterr().out))
 
 
+@pytest.mark.slow
 def test_answers_become_a_statement_and_the_next_page(
     out: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -53,7 +55,8 @@ def test_answers_become_a_statement_and_the_next_page(
     assert first["text"].startswith("no answer counts yet: of ")
     with rasterio.open(out / "dtm.tif") as raster:
         assert first["terrain_m2"] == (~raster.read(1, masked=True).mask).sum()
-    assert first["most_m2"] == first["rising_m2"] > 0
+    assert first["max_m2"] == first["rising_m2"] > 0
+    assert first["confidence"] == 0.95
     data = data_of(page)
     assert data["draws"][0] == 1
     assert data["answers"] == {}
@@ -67,7 +70,7 @@ def test_answers_become_a_statement_and_the_next_page(
     assert second["seen"] == 4
     assert second["draws"] >= 4
     assert second["with_objects"] >= 2
-    assert second["most_m2"] <= first["most_m2"]
+    assert second["max_m2"] <= first["max_m2"]
     assert second["text"].startswith("at most ")
     after = data_of(page)
     assert after["sample"] == data["sample"]
@@ -85,7 +88,7 @@ def test_answers_become_a_statement_and_the_next_page(
     answers = str(saved(page, *[2] * first["squares"]))
     everything = made(out, capsys, "--places", "1000", "--answers", answers)
     assert everything["seen"] == everything["squares"]
-    assert everything["most_m2"] == 0.5 * first["rising_m2"]
+    assert everything["max_m2"] == 0.5 * first["rising_m2"]
     assert everything["page"] == ""
     changed = {path for path, content in before.items() if path.read_bytes() != content}
     assert not changed
@@ -115,6 +118,43 @@ def test_draws_follow_from_the_terrain(out: Path) -> None:
     assert data_of(Path(write_statement(out, 5).page))["sample"] != first["sample"]
     with pytest.raises(InputError, match=r"answers.json: its answers are of another terrain"):
         write_statement(out, answers=answers)
+
+
+def write_dtm(out: Path, side_m: float, empty: bool = False) -> None:
+    """Write the heights of a run again, in pixels of another size, or without any height."""
+    with rasterio.open(out / "dtm.tif") as raster:
+        values, profile = raster.read(1)[:60, :60], raster.profile
+    x, y = profile["transform"].c, profile["transform"].f
+    profile |= {"width": 60, "height": 60, "transform": Affine(side_m, 0, x, 0, -side_m, y)}
+    with rasterio.open(out / "dtm.tif", "w", **profile) as raster:
+        raster.write(np.full_like(values, profile["nodata"]) if empty else values, 1)
+
+
+@pytest.mark.parametrize("side_m", [0.1, 5.0])
+def test_pixels_of_10_cm_and_of_5_m_are_stated(side_m: float, out: Path) -> None:
+    write_dtm(out, side_m)
+    statement = write_statement(out, 1)
+    with rasterio.open(out / "dtm.tif") as raster:
+        pixels = (~raster.read(1, masked=True).mask).sum()
+    assert statement.terrain_m2 == pytest.approx(pixels * side_m**2)
+
+
+@pytest.mark.parametrize(("side_m", "text"), [(0.09, "0.09 m"), (5.1, "5.1 m")])
+def test_smaller_and_larger_pixels_are_refused(side_m: float, text: str, out: Path) -> None:
+    write_dtm(out, side_m)
+    with pytest.raises(InputError) as error:
+        write_statement(out)
+    assert str(error.value) == (
+        f"{out / 'dtm.tif'}: has pixels of {text}, and a statement needs 0.1 m to 5 m; run with another --resolution "
+        "into another OUT"
+    )
+
+
+def test_a_terrain_without_heights_is_refused(out: Path) -> None:
+    write_dtm(out, 1.0, empty=True)
+    with pytest.raises(InputError, match=r"dtm.tif: has no heights, .*; run again"):
+        write_statement(out)
+    assert not (out / "statement.html").exists()
 
 
 def test_what_cannot_be_stated_is_one_line(
@@ -150,7 +190,7 @@ def test_sheets_are_one_terrain_and_without_rise_there_is_no_sample(reviewed: Pa
     statement = write_statement(reviewed)
     with rasterio.open(reviewed / "dtm.vrt") as raster:
         assert statement.terrain_m2 == (~raster.read(1, masked=True).mask).sum()
-    assert (statement.page, statement.most_m2, statement.squares) == ("", None, 0)
+    assert (statement.page, statement.max_m2, statement.squares) == ("", None, 0)
     assert statement.text.startswith("no square to look at: none of ")
     assert not (reviewed / "statement.html").exists()
 

@@ -36,6 +36,7 @@ def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoSc
     assert result.exit_code == 0
     assert not result.did_nothing
     files = {"dtm.tif", "outline.gpkg", "review.gpkg", "classified.vpc", "stac.json"}
+    files.add("classified-overview.copc.laz")
     names = {*files, *(f"classified/{path.name}" for path in demo.paths)}
     assert result.summary["outputs"] == {name: (out / name).stat().st_size for name in names}
     others = {"classified", "store.zarr", "run.json", "events.jsonl", "report.html"}

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import is_scratch
-from tiler.io.locations import is_url, joined
-from tiler.io.result_folder import STORE, earlier_outputs, read_run
+from tiler.io.locations import is_url
+from tiler.io.result_folder import earlier_outputs, read_run, store_of
 from tiler.store import locked_folder, open_store
 
 
@@ -56,11 +56,7 @@ def clean(out: str | Path, store_url: str | None = None) -> CleanResult:
         location = str(Path(out).resolve())
         if not Path(out).is_dir():
             raise ConfigError(f"{out}: no such folder; give the OUT of a run")
-    if not store_url:
-        configured = (read_run(location) or {}).get("configuration")
-        if isinstance(configured, dict):
-            store_url = configured.get("store")
-    store = open_store(str(store_url or joined(location, STORE)))
+    store = open_store(store_of(location, read_run(location) or {}, store_url))
     with locked_folder(location), store.lock():
         before = store.usage()
         store.clean_up()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -16,7 +17,7 @@ from typing import Any
 from pyproj import CRS
 
 from tiler.apps.evaluate.rasters import open_raster
-from tiler.config import RunConfig
+from tiler.config import RunConfig, without_folders
 from tiler.core.crs import split, vertical_name
 from tiler.core.records import new_digest
 from tiler.errors import ConfigError, InputError, write_error
@@ -26,7 +27,26 @@ from tiler.io.foreign_content import excerpt, parse_json_object
 from tiler.io.las.headers import read_header
 from tiler.io.locations import is_url
 from tiler.io.overwrite_check import check_links
-from tiler.io.result_folder import CHECK, CLASSIFIED, REPORT, REVIEW, read_run, written_rasters
+from tiler.io.result_folder import (
+    CHECK,
+    CLASSIFIED,
+    OVERVIEW,
+    REPORT,
+    REVIEW,
+    give_results,
+    read_run,
+    written_rasters,
+)
+from tiler.observe.events import (
+    ExpectedStage,
+    JobStarted,
+    Listener,
+    RunFinished,
+    StageFinished,
+    StageStarted,
+    TaskDone,
+    ignore_events,
+)
 from tiler.report.accuracy import read_measured, seams_text
 from tiler.report.client import client_page
 from tiler.report.runfile import run_file_errors
@@ -64,7 +84,7 @@ class Verification:
     extra: list[str]
 
 
-def deliver(out: str | Path, to: str | Path) -> Delivery:
+def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events) -> Delivery:
     """Copy the results of a finished run into a folder, with a manifest.
 
     The folder gets the files that the run wrote, the report, and ``index.html``, a page for the client. It does not get
@@ -77,6 +97,8 @@ def deliver(out: str | Path, to: str | Path) -> Delivery:
         Folder of the run.
     to : path
         Folder of the delivery, which is made if it does not exist.
+    listener : callable
+        Receives events, see `tiler.observe.events`.
 
     Raises
     ------
@@ -99,7 +121,8 @@ def deliver(out: str | Path, to: str | Path) -> Delivery:
         check_links("--to", target, [PAGE, *names, *earlier])
         _check_page(target, earlier)
         _write(target / UNDER_WAY, b"")
-        entries = [_copied(source, target, name, run) for name in sorted(names)]
+        with _shown(listener, "copy", "copy the files", map(source.joinpath, names)) as done:
+            entries = [_copied(source, target, name, run, done) for name in sorted(names)]
         check = read_measured(source, CHECK, run)
         entries.append(_page(source, target, {**run, "check": check}, entries))
         manifest = _manifest(run, check, entries)
@@ -110,19 +133,24 @@ def deliver(out: str | Path, to: str | Path) -> Delivery:
     return Delivery(str(to), len(entries), size, removed, manifest["verdicts"]["complete"])
 
 
-def verify(folder: str | Path) -> Verification:
+def verify(folder: str | Path, listener: Listener = ignore_events) -> Verification:
     """Compare the files of a delivered folder with its manifest.
 
-    Raise InputError if the manifest cannot be read.
+    Raise InputError if the manifest cannot be read. ``listener`` receives events, see `tiler.observe.events`.
     """
     entries = _entries(Path(folder))
     missing, changed = [], []
-    for name, entry in entries.items():
-        path = Path(folder, name)
-        if not _is_file(path):
-            missing.append(name)
-        elif path.stat().st_size != entry["bytes"] or _sha256(path) != entry["sha256"]:
-            changed.append(name)
+    with _shown(
+        listener, "verify", "read the files", map(Path(folder).joinpath, entries)
+    ) as done:
+        for name, entry in entries.items():
+            path = Path(folder, name)
+            if not _is_file(path):
+                missing.append(name)
+            elif (
+                path.stat().st_size != entry["bytes"] or _sha256(path, done) != entry["sha256"]
+            ):
+                changed.append(name)
     present = (path for path in Path(folder).rglob("*") if not path.is_dir())
     names = {path.relative_to(folder).as_posix() for path in present}
     extra = sorted(names - entries.keys() - {MANIFEST})
@@ -152,7 +180,9 @@ def _make(target: Path) -> None:
 def _finished_run(out: Path) -> dict[str, Any]:
     run = read_run(str(out))
     if run is None:
-        raise ConfigError(f"{out}: has no results of a run; give the OUT of a finished run")
+        raise ConfigError(
+            f"{out}: has no results of a run; {give_results(out, 'finished run')}"
+        )
     if run["state"] != "done" or not run.get("outputs"):
         raise ConfigError(f"{out}: its run is not finished; run the same command again")
     return run
@@ -180,18 +210,42 @@ def _check_page(target: Path, earlier: Mapping[str, Any]) -> None:
     )
 
 
-def _copied(source: Path, target: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
+@contextmanager
+def _shown(
+    listener: Listener, stage: str, title: str, paths: Iterable[Path]
+) -> Iterator[Callable[[], None]]:
+    """Yield a function to call after each block of bytes. Blocks are the tasks, as files have very different sizes."""
+    started = time.monotonic()
+    blocks = sum(-(-path.stat().st_size // BLOCK_BYTES) for path in paths if _is_file(path))
+    listener(JobStarted([ExpectedStage(stage=stage, title=title, seconds=1.0)]))
+    listener(StageStarted(stage, title, tasks=blocks))
+    yield lambda: listener(TaskDone(stage, ""))
+    seconds = time.monotonic() - started
+    listener(StageFinished(stage, seconds))
+    listener(RunFinished(seconds))
+
+
+def _blocks(path: Path, done: Callable[[], None]) -> Iterator[bytes]:
+    with open(path, "rb") as stream:
+        while block := stream.read(BLOCK_BYTES):
+            yield block
+            done()
+
+
+def _copied(
+    source: Path, target: Path, name: str, run: Mapping[str, Any], done: Callable[[], None]
+) -> dict[str, Any]:
     """Copy a file of a run, and return its entry in the manifest."""
     path, copy = source / name, target / name
     sha256, digest = hashlib.sha256(), new_digest()
     try:
         copy.parent.mkdir(parents=True, exist_ok=True)
-        with open(path, "rb") as stream, atomic_path(copy) as partial:
+        with atomic_path(copy) as partial:
             with open(partial, "xb") as writing:
-                while part := stream.read(BLOCK_BYTES):
-                    sha256.update(part)
-                    digest.update(part)
-                    writing.write(part)
+                for block in _blocks(path, done):
+                    sha256.update(block)
+                    digest.update(block)
+                    writing.write(block)
                 writing.flush()
                 os.fsync(writing.fileno())
             if run["digests"].get(name, digest.hexdigest()) != digest.hexdigest():
@@ -219,7 +273,7 @@ def _page(
 
 def _facts(path: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a client asks of a file: product, pixels, CRS, nodata; number of points of a cloud."""
-    if name.startswith(f"{CLASSIFIED}/"):
+    if name == OVERVIEW or name.startswith(f"{CLASSIFIED}/"):
         return {"kind": "cloud", "points": read_header(path).point_count}
     if path.suffix != ".tif":
         return {"kind": {".gpkg": "vector", ".html": "page"}.get(path.suffix, "description")}
@@ -258,7 +312,7 @@ def _manifest(
     defaults = RunConfig().to_json()
     given = {
         name: value
-        for name, value in run["configuration"].items()
+        for name, value in without_folders(run["configuration"]).items()
         if value != defaults.get(name)
     }
     current = {} if check.get("older") else check
@@ -345,12 +399,14 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _sha256(path: Path) -> str:
+def _sha256(path: Path, done: Callable[[], None] = lambda: None) -> str:
     """Return the digest of a file, or raise InputError if it cannot be read."""
+    digest = hashlib.sha256()
     try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        for block in _blocks(path, done):
+            digest.update(block)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); copy it again, or allow reading"
         ) from error
+    return digest.hexdigest()

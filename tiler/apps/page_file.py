@@ -38,10 +38,7 @@ def validate_page(target: Path, reads: Iterable[str | Path], maker: str) -> None
     if not target.exists():
         return
     try:
-        is_earlier = False
-        if target.is_file():
-            with target.open("rb") as stream:
-                is_earlier = f'content="{maker}"'.encode() in stream.read(HEAD_BYTES)
+        is_earlier = is_page_of(target, maker)
     except OSError as error:
         raise ConfigError(
             f"--page {target}: cannot be read ({error.strerror}); give another file"
@@ -50,6 +47,14 @@ def validate_page(target: Path, reads: Iterable[str | Path], maker: str) -> None
         raise ConfigError(
             f"--page {target}: exists and is not a page of this command; give another file"
         )
+
+
+def is_page_of(target: Path, maker: str) -> bool:
+    """Return whether a file is an earlier page of a command."""
+    if not target.is_file():
+        return False
+    with target.open("rb") as stream:
+        return f'content="{maker}"'.encode() in stream.read(HEAD_BYTES)
 
 
 def write_page(target: Path, content: bytes) -> None:

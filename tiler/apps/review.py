@@ -17,11 +17,11 @@ from tiler.core.words import counted
 from tiler.errors import ConfigError, InputError
 from tiler.io.locations import is_url
 from tiler.io.overwrite_check import same_file
-from tiler.io.result_folder import REVIEW, REVIEW_PAGE, read_run
+from tiler.io.result_folder import REVIEW, REVIEW_PAGE, give_results, read_run, store_of
 from tiler.io.vector import CUT
 from tiler.report.cards import card, decisions
 from tiler.report.document import el, page, section
-from tiler.report.places import Detail, OpenPlaces, read_open_places, store_of, units_of
+from tiler.report.places import Detail, OpenPlaces, read_open_places, units_of
 from tiler.schedule import call_isolated, half_of_memory
 
 SECONDS, SECONDS_PER_PLACE = 60.0, 20.0
@@ -101,7 +101,7 @@ def run_in(out: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{out}: is a URL; give a copy on this machine")
     run = read_run(str(out))
     if run is None or not isinstance(run.get("plan"), dict):
-        raise InputError(f"{out}: has no results of a run; give the OUT of a run")
+        raise InputError(f"{out}: has no results of a run; {give_results(out)}")
     return run
 
 

@@ -10,7 +10,7 @@ from fractions import Fraction
 from typing import Any, TypeVar
 
 from tiler.core.file_names import check_template, product_names
-from tiler.core.products import parse_nodata
+from tiler.core.products import MAX_RESOLUTIONS, parse_nodata
 from tiler.core.selection import parse_angle, parse_numbers, parse_returns, parse_sources
 from tiler.core.units import FARTHEST, Sides, parse_area, parse_length, parse_sides, sides_text
 from tiler.errors import ConfigError
@@ -126,6 +126,23 @@ def _positive_length(name: str, value: Any) -> Fraction:
     return length
 
 
+def _lengths(name: str, value: Any) -> Fraction | tuple[Fraction, ...]:
+    """Return one length, or several in ascending order, from ``0.5,2`` or a list."""
+    parts = value.split(",") if isinstance(value, str) else value
+    if not isinstance(parts, list | tuple):
+        parts = [parts]
+    found = tuple(_positive_length(name, part) for part in parts)
+    if not found:
+        raise ConfigError(f"{name} {value!r}: is empty; give at least one length")
+    if len(found) > MAX_RESOLUTIONS:
+        raise ConfigError(
+            f"{name} {value!r}: has {len(found)} lengths; give at most {MAX_RESOLUTIONS}"
+        )
+    if len(set(found)) < len(found):
+        raise ConfigError(f"{name} {value!r}: has a length twice; give each once")
+    return tuple(sorted(found)) if len(found) > 1 else found[0]
+
+
 def _sheets(value: Any) -> Sides | str:
     """Return the sides of sheets, or the name of a file: a text that is not a length and ends in a suffix."""
     try:
@@ -207,6 +224,8 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         return None
     if kind == "length":
         return _positive_length(spec.name, value)
+    if kind == "lengths":
+        return _lengths(spec.name, value)
     if kind in _NAMELESS_PARSERS:
         return _named(spec.name, _NAMELESS_PARSERS[kind], value)
     if kind in _PARSERS:

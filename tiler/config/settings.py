@@ -7,6 +7,7 @@ metadata of the fields.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
@@ -16,7 +17,13 @@ from typing import Any
 from tiler.config.parsing import parse_value, plain_value
 from tiler.config.sources import load_preset, over_preset, preset_names
 from tiler.core.file_names import DEFAULT, DRAWN
-from tiler.core.products import NODATA, PRODUCTS, PRODUCTS_HELP, VECTOR_PRODUCTS
+from tiler.core.products import (
+    MAX_RESOLUTIONS,
+    NODATA,
+    PRODUCTS,
+    PRODUCTS_HELP,
+    VECTOR_PRODUCTS,
+)
 from tiler.core.selection import ALL, DROP_WITHHELD, KEEP_WITHHELD, ONLY_GROUND, Selection
 from tiler.core.units import Sides
 from tiler.errors import ConfigError
@@ -29,6 +36,9 @@ AUTO_WATER = "auto"
 LOW_AS_NOISE = "noise"
 KEEP_LOW = "keep"
 
+NEWEST = "newest"
+"""Value of `RunConfig.priority` that is not the name of a file."""
+
 # Values of `RunConfig.canopy`.
 FILL_CANOPY = "fill"
 VOID_CANOPY = "void"
@@ -36,6 +46,26 @@ VOID_CANOPY = "void"
 
 UNITS = {"length": "m", "area": "m2", "bytes": "bytes"}
 """Default unit of each kind of setting."""
+
+
+def without_folders(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings as run.json has them, with the names of files alone: clients do not see a provider's folders."""
+
+    def name(value: Any) -> Any:
+        return re.split(r"[/\\]", value.rstrip("/\\"))[-1] if isinstance(value, str) else value
+
+    files = {
+        spec.name
+        for spec in fields(RunConfig)
+        if spec.metadata["kind"] in ("file", "files", "sheets")
+        or spec.name in ("store", "statistics")
+    }
+    return {
+        key: ([name(v) for v in value] if isinstance(value, list) else name(value))
+        if key in files
+        else value
+        for key, value in values.items()
+    }
 
 
 def setting(
@@ -122,10 +152,13 @@ class RunConfig:
         kind="product_names",
     )
     empty_sheets: bool = flag(False, "also write sheets that contain points but no heights")
-    resolution: Fraction | None = length(
+    resolution: Fraction | tuple[Fraction, ...] | None = setting(
         None,
         "pixel size; default: 1 m (2 ft), or the point spacing if it is larger. Photogrammetric clouds get 0.1, "
-        "0.25 or 0.5 m if such a pixel holds about ten points. In feet: 0.1, 0.2, 0.5, 1, 2, 5 or 10 ft",
+        "0.25 or 0.5 m if such a pixel holds about ten points. In feet: 0.1, 0.2, 0.5, 1, 2, 5 or 10 ft. With several "
+        f"(0.5,2; at most {MAX_RESOLUTIONS}), each has a folder: OUT/0.5m, OUT/2m",
+        unit="m",
+        kind="lengths",
     )
     tile_size: Fraction | None = length(
         None, "side of a filter tile; default: from density and memory"
@@ -316,6 +349,12 @@ class RunConfig:
         "points flagged as withheld: drop (they are neither filtered nor gridded), or keep (as other points)",
         choices=(DROP_WITHHELD, KEEP_WITHHELD),
     )
+    priority: str | None = file(
+        None,
+        "which of several surveys of one place counts there: newest, or FILE with a line per survey, the first line "
+        "counts most. A line has patterns of files or folders, separated by semicolons. Elsewhere the other surveys "
+        "count; default: all points count",
+    )
     skip_synthetic: bool = flag(
         False, "do not filter points flagged as synthetic; they keep their class"
     )
@@ -359,6 +398,13 @@ class RunConfig:
     clean_store: bool = flag(False, "remove the store when the run is done")
 
     @property
+    def pixel(self) -> Fraction | None:
+        """Setting `resolution`, or the finest of several."""
+        if isinstance(self.resolution, tuple):
+            return self.resolution[0]
+        return self.resolution
+
+    @property
     def surface_percent(self) -> int | None:
         """Percentile of the heights in a cell that is used for the DTM, or None for all points."""
         if self.surface is None or self.surface == "all":
@@ -376,6 +422,11 @@ class RunConfig:
     def water_file(self) -> str | None:
         """File of the setting `water`, or None if the setting has another value."""
         return None if self.water in (NO_WATER, AUTO_WATER) else self.water
+
+    @property
+    def priority_file(self) -> str | None:
+        """File of the setting `priority`, or None if the setting has another value."""
+        return None if (self.priority or "").lower() == NEWEST else self.priority
 
     @property
     def sheet_file(self) -> str | None:

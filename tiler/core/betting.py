@@ -11,12 +11,14 @@ BETS = np.array([0.1, 0.3, 0.5, 0.65, 0.8, 0.9, 0.96, 0.99, 1.0])
 """Bets as shares of the largest possible one, which loses all its capital at the first value of 1."""
 LOG_SHARES = np.log([*8 * [0.6 / 8], 0.4])
 """Share of each bet in the capital, as logarithm. With it, n values of 0 give a bound of about 3.3 / n."""
+DOUBT = 0.05
+"""Probability that the bound is below the mean, unless another is given."""
 HALVINGS = 50
 """Halvings of the interval of the bound. More would reach a mean of 1, at which no bet has a limit."""
 
 
 def upper_bound(
-    values: Sequence[float] | npt.NDArray[np.float64], doubt: float = 0.05
+    values: Sequence[float] | npt.NDArray[np.float64], doubt: float = DOUBT
 ) -> float:
     r"""Return an upper bound of the mean of a distribution from independent draws.
 

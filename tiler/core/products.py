@@ -30,6 +30,9 @@ MASK_VALUES = {
 NODATA = -9999.0
 """Nodata value of rasters in the store, and the default of files."""
 
+MAX_RESOLUTIONS = 4
+"""Maximum number of resolutions of a run, which bounds the rasters that a store keeps."""
+
 LOWEST_HEIGHT = -2000.0
 """Lowest value that could be a height, in metres or feet."""
 MAX_HEIGHT = 100_000.0

@@ -180,6 +180,9 @@ class BucketRecord(Record):
         Bounds of the points without strays in absolute counts, half-open. None without points.
     z : [lowest, highest], optional
         Range of their heights in counts.
+    outranked : list of [source, points, cells], optional
+        Points that do not count because another survey counts there, and cells with such points
+        (`tiler.core.surveys`). The source is the first one of the survey. None if no other survey is near.
     """
 
     cell: list[int]
@@ -195,6 +198,7 @@ class BucketRecord(Record):
     strays: list[list[Any]]
     bounds: list[int] | None
     z: list[int] | None
+    outranked: list[list[int]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

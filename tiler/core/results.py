@@ -155,6 +155,48 @@ class SurveyDates(Record):
 
 
 @dataclass(frozen=True, slots=True)
+class SurveyStep(Record):
+    """Heights of a survey above those of another one, in flat cells of both: median, MAD, and number of cells."""
+
+    other: str
+    median_m: float
+    mad_m: float
+    cells: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurveyResult(Record):
+    """Survey of the setting ``--priority``.
+
+    Attributes
+    ----------
+    name : str
+        Its days, or its line in the file.
+    first, last : str or None
+        First and last day (ISO 8601), if all files have a date.
+    files, points, used : int
+        Number of files, of their stored points, and of these without the points that another survey hides.
+    density : float
+        Points per square metre of the cells with points of the survey.
+    area_m2 : float
+        Area of the cells that have points of the survey and in which it counts (`tiler.core.surveys`). With a part of
+        the survey (`--bounds`, `--aoi`), cells of its margin are among them.
+    steps : list of SurveyStep
+        Steps to the surveys that count more, where both have points.
+    """
+
+    name: str
+    first: str | None
+    last: str | None
+    files: int
+    points: int
+    used: int
+    density: float
+    area_m2: float
+    steps: list[SurveyStep]
+
+
+@dataclass(frozen=True, slots=True)
 class Stray(Record):
     """Point far from all others of its file: path of the file, number of the record, and position."""
 

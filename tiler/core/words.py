@@ -51,6 +51,7 @@ GRID = "grid-"
 _TITLES = {
     "identify": "check inputs for changes",
     "spool": "read the clouds",
+    "surveys": "find where each survey has points",
     "assemble": "sort the points",
     "deck-cells": "find bridges",
     "decks": "examine possible bridges",

@@ -36,7 +36,7 @@ from tiler.export.cloud_frame import (
     write_copc_front,
     write_front,
 )
-from tiler.export.output_files import CloudCopy, CloudRecord
+from tiler.export.output_files import CloudCopy, CloudOverview, CloudRecord
 from tiler.io.atomic_files import (
     clear_partial,
     partial_path,
@@ -382,16 +382,26 @@ def collect_labels(
     Points in water have `WATER_BIT`. A label is 0 if the point is not in the store or lies
     outside the area.
     """
-    final_labels = np.zeros(last - first, dtype=np.uint8)
+    labels = np.zeros(last - first, dtype=np.uint8)
     for cell, rows, row_mask in _rows_inside(store, cloud, first, last):
-        final = store.read_labels(cloud.labels, cell)
-        if cloud.edits is not None:
-            final = _corrected(store, cloud.edits, cell, final)
-        final = final & ~np.uint8(UNCERTIFIED_BIT)
-        if cloud.waters is not None:
-            final = _with_water(store, cloud, cell, final)
-        final_labels[rows[row_mask] - first] = final[row_mask]
-    return final_labels
+        labels[rows[row_mask] - first] = final_labels(store, cloud, cell)[row_mask]
+    return labels
+
+
+def final_labels(
+    store: TileStore,
+    cloud: CloudCopy | CloudOverview,
+    cell: Cell,
+    rows: npt.NDArray[np.intp] | slice = slice(None),
+) -> npt.NDArray[np.uint8]:
+    """Return the labels of the ``rows`` of a bucket after edits, uint8, with `WATER_BIT` for points in water."""
+    labels = store.read_labels(cloud.labels, cell)
+    if cloud.edits is not None:
+        labels = _corrected(store, cloud.edits, cell, labels)
+    labels = labels[rows] & ~np.uint8(UNCERTIFIED_BIT)
+    if cloud.waters is not None:
+        labels = _with_water(store, cloud, cell, labels, rows)
+    return labels
 
 
 def _inside_area(
@@ -442,9 +452,13 @@ def _corrected(
 
 
 def _with_water(
-    store: TileStore, cloud: CloudCopy, cell: Cell, labels: npt.NDArray[np.uint8]
+    store: TileStore,
+    cloud: CloudCopy | CloudOverview,
+    cell: Cell,
+    labels: npt.NDArray[np.uint8],
+    rows: npt.NDArray[np.intp] | slice,
 ) -> npt.NDArray[np.uint8]:
-    """Return the labels of a bucket, with `WATER_BIT` for points in a body of water.
+    """Return the labels of the ``rows`` of a bucket, with `WATER_BIT` for points in a body of water.
 
     Objects above the water, such as trees and boats, do not get it. If ``cloud.low_is_noise``, returns from more than
     `WATER_LOW_M` below the level become low noise.
@@ -453,7 +467,9 @@ def _with_water(
     if waters is None:
         return labels
     frame = store.meta.frame
-    xyz = store.read_bucket(cell).xyz.astype(np.int64) + np.array([[*frame.origin, 0]]).T
+    xyz = (
+        store.read_bucket(cell).xyz[:, rows].astype(np.int64) + np.array([[*frame.origin, 0]]).T
+    )
     wet = waters.holds(xyz[0], xyz[1])
     objects = np.flatnonzero(wet & (labels == UNCLASSIFIED))
     if cloud.low_is_noise:

@@ -297,6 +297,11 @@ def new_crs(header: LasHeader, cloud: CloudCopy, run_wkt: str | None) -> NewCrs 
     return NewCrs(_wkt_record(cloud.wkt), True, told)
 
 
+def crs_of_run(run_wkt: str | None) -> NewCrs | None:
+    """Return the CRS to write into a cloud that is not the copy of a source, or None if the run has none."""
+    return None if run_wkt is None else NewCrs(_wkt_record(run_wkt), True)
+
+
 def crs_to_write(info: SourceInfo, run_wkt: str | None, given: str | None) -> str | None:
     """Return the CRS that a classified cloud gets, or None if the CRS records of its source stay.
 

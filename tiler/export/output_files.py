@@ -148,6 +148,27 @@ class CloudCopy:
     wkt: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class CloudOverview:
+    """Overview of the classified clouds, made from the points in the store.
+
+    Attributes
+    ----------
+    labels, area, edits, waters, low_is_noise, reclass : see `CloudCopy`
+        Points outside the area are left out.
+    cells : tuple of Cell
+        Buckets that contain points of the clouds.
+    """
+
+    labels: str
+    cells: tuple[Cell, ...]
+    area: str | None = None
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    low_is_noise: bool = False
+    reclass: str = ONLY_GROUND
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileRecord(Record):
     """Record of a file in OUT.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import UTC, date, datetime, timedelta
+from datetime import date
 from typing import Any, TypedDict
 
 import numpy as np
@@ -27,7 +27,6 @@ UNKNOWN_DATES = {
 wrong."""
 
 _WGS84, _DIGITS = 4326, 7
-_GPS_EPOCH, _GPS_OFFSET_S = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000
 _TIMED, _INFRARED = (1, 3, 4, 5), (8, 10)
 _MIN_STEPS = 8
 
@@ -114,29 +113,6 @@ def corners(box: Box) -> list[list[float]]:
     """Return the counter-clockwise ring of a box."""
     x0, y0, x1, y1 = box
     return [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
-
-
-def dates_of_header(created: tuple[int, int]) -> tuple[date, date] | None:
-    """Return the day on which a file was made, as first and last day, or None if it is invalid.
-
-    ``created`` is the year and the day of the year.
-    """
-    year, day = created
-    if not (1900 <= year <= 9998 and 1 <= day <= 366):
-        return None
-    made_on = date(year, 1, 1) + timedelta(days=day - 1)
-    return made_on, made_on
-
-
-def dates_of_gps(times: Sequence[float] | None) -> tuple[date, date] | None:
-    """Return the first and last day of adjusted standard GPS times, or None if they are missing or invalid."""
-    if not times:
-        return None
-    try:
-        first, last = (_GPS_EPOCH + timedelta(seconds=t + _GPS_OFFSET_S) for t in times)
-    except (ValueError, OverflowError):
-        return None
-    return first.date(), last.date()
 
 
 def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:

@@ -41,6 +41,7 @@ from tiler.export.tasks.files import (
     inputs_of,
     legend_tasks,
     mosaic_tasks,
+    overview_task,
 )
 from tiler.export.tasks.outdated import (
     archive_outdated,
@@ -77,6 +78,8 @@ class FileTasks:
         Legends of GeoTIFFs, and vector products.
     clouds : list of Task
         Classified clouds.
+    overview : list of Task
+        Overview of the classified clouds, if there are several.
     mosaics : list of Task
         VRT files of products that are divided into sheets.
     """
@@ -84,7 +87,13 @@ class FileTasks:
     cogs: list[Task]
     drawn: list[Task]
     clouds: list[Task]
+    overview: list[Task]
     mosaics: list[Task]
+
+    @property
+    def at_once(self) -> list[Task]:
+        """Tasks of the stage export, none of which needs the file of another one."""
+        return [*self.cogs, *self.drawn, *self.overview, *self.clouds]
 
 
 def export(
@@ -111,7 +120,7 @@ def export(
     # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
     _make_folders([*tasks.cogs, *tasks.drawn], out)
     with _crs_code(job) as crs_code:  # A thread searches for the code while the workers write.
-        made = _write(job, "export", [*tasks.cogs, *tasks.drawn, *tasks.clouds], out, earlier)
+        made = _write(job, "export", tasks.at_once, out, earlier)
     job.store.drop_records()
     _report_files(job, tasks, made)
     mosaics = [*tasks.mosaics, *_cut_tasks(gridding, made, out, labelled.noise_m)]
@@ -145,6 +154,9 @@ def _file_tasks(
     out = job.products
     digest = digest_of(sorted(source.content for source in sources))
     clouds: list[Task] = []
+    overview: list[Task] = []
+    if job.plan.writes_overview:
+        overview.append(overview_task(gridding, sources, labelled.digests, out))
     if job.plan.writes_clouds:
         clouds += classified_tasks(gridding, sources, spooled, labelled.digests, out)
         report_earlier_classes(job, clouds)
@@ -156,6 +168,7 @@ def _file_tasks(
             review_task(job, gridding, out),
         ],
         clouds=clouds,
+        overview=overview,
         mosaics=list(mosaic_tasks(gridding, digest, out)),
     )
 
@@ -173,7 +186,7 @@ def _cut_tasks(gridding: Gridded, made: Commits, out: str, noise_m: float) -> It
 
 def _paths(gridding: Gridded, tasks: FileTasks, out: str) -> dict[str, str]:
     """Return the path in OUT of each file that the run writes, by the key of its task."""
-    files = _files([*tasks.cogs, *tasks.drawn, *tasks.clouds, *tasks.mosaics])
+    files = _files([*tasks.at_once, *tasks.mosaics])
     for name in gridding.plan.config.drawn:
         cut = sheet_files(gridding, name, out)
         files |= {key: file.location for key, (file, _) in cut.items()}

@@ -22,6 +22,7 @@ from tiler.core.points import (
     preference,
 )
 from tiler.core.records import AssembledRecord, BucketRecord
+from tiler.ingest.coverage import Outranked, flag_outranked
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
 from tiler.store import TileStore
@@ -61,11 +62,14 @@ class BucketParts:
     rules : tuple of (int, Bounds)
         Number of each source with strays, and the bounds outside which its points are strays (see
         `tiler.ingest.strays`).
+    outranked : tuple of Outranked
+        Surveys with points in the bucket near which a survey counts more.
     """
 
     cell: Cell
     fragments: tuple[tuple[str, int, int], ...]
     rules: tuple[tuple[int, Bounds], ...] = ()
+    outranked: tuple[Outranked, ...] = ()
 
 
 def assemble_buckets(
@@ -95,22 +99,34 @@ def assemble_buckets(
     records = []
     for bucket in buckets:
         cell = bucket.cell
-        parts = [store.read_fragment(*fragment) for fragment in bucket.fragments]
-        block = PointBlock.concatenate(parts)
-        strays = stray_mask(block, dict(bucket.rules), meta.frame.origin)
-        if strays.any() and block.flags is not None:
-            block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
+        block, strays = read_bucket(store, bucket)
+        block, outranked = flag_outranked(block, bucket.outranked, meta.frame)
         participating = _participating(block, keep_classes, skip_flags)
         measured = _measured(block, participating, skip_flags)
         ordering = bucket_order(block, participating, meta.frame, meta.fine)
         records.append(
-            _record(cell, block, participating, measured, strays, ordering, meta.frame)
+            replace(
+                _record(cell, block, participating, measured, strays, ordering, meta.frame),
+                outranked=outranked,
+            )
         )
         if ordering.repeated.any() and block.flags is not None:
             flags = block.flags | (ordering.repeated * np.uint8(REPEATED_FLAG))
             block = replace(block, flags=flags)
         store.write_bucket(cell, block.take(ordering.order), ordering.n_candidates)
     return AssembledRecord(records)
+
+
+def read_bucket(
+    store: TileStore, bucket: BucketParts
+) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
+    """Return the points of a bucket from the spool, with the flag of strays, and the mask of the strays."""
+    parts = [store.read_fragment(*fragment) for fragment in bucket.fragments]
+    block = PointBlock.concatenate(parts)
+    strays = stray_mask(block, dict(bucket.rules), store.meta.frame.origin)
+    if strays.any() and block.flags is not None:
+        block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
+    return block, strays
 
 
 def _participating(

@@ -11,24 +11,35 @@ from pathlib import Path
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell
 from tiler.core.points import sum_by_class
 from tiler.core.records import SpoolRecord, TileRecord, buckets_in
-from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
+from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray, SurveyResult
 from tiler.core.selection import WITHHELD
+from tiler.core.units import in_unit_of_crs
 from tiler.core.words import counted
 from tiler.errors import InputError, ProcessingError
+from tiler.ingest.assemble import BucketParts
 from tiler.ingest.spool import OUTSIDE_AREA
 from tiler.ingest.strays import Strays
 from tiler.ingest.tasks.points import (
     assemble_tasks,
     fragments_of,
+    parts_of_buckets,
     spool_tasks,
     strays_of,
+)
+from tiler.ingest.tasks.surveys import (
+    FoundSurveys,
+    Surveys,
+    found_surveys,
+    survey_results,
+    survey_tasks,
+    with_outranked,
 )
 from tiler.inputs import FAR
 from tiler.io.locations import is_url, with_slashes
 from tiler.observe.events import Detail, Note, TaskFailed, Warned
 from tiler.plan import KEEP, Plan, bounds_of, settled_by_points, sparse_raster_remedy
 from tiler.runs.compiling import SORT_KERNELS
-from tiler.runs.found import IngestResult, Source, by_source, source_of
+from tiler.runs.found import IngestResult, Source, by_source, source_of, surveys_of_sources
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
@@ -44,6 +55,13 @@ OWN_FAULTS = (
 )
 """Kinds of errors that are not caused by an input. A faulty input raises InputError, or ends
 its process."""
+
+MAX_STEP_M = 0.15
+"""Largest step in metres between two surveys that is not warned of."""
+SPARSE = 4
+"""Ratio of densities from which a warning tells that the sparser survey counts before the denser one."""
+MIN_STEP_CELLS = 100
+"""Minimum number of cells from which a step is warned of."""
 
 MANY = 0.05
 """Share of the points above which a note reports that a class is excluded from filtering, since
@@ -222,9 +240,13 @@ def _far_away(
 def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     """Assemble the points into buckets, and report duplicates, strays and excluded classes."""
     fragments = fragments_of(spooled)
-    tasks = list(
-        assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled))
-    )
+    buckets = parts_of_buckets(job.plan, fragments, strays_of(job.plan, sources, spooled))
+    surveys = surveys_of_sources(job.plan, sources)
+    found = FoundSurveys()
+    if surveys:
+        found = _find_surveys(job, sources, spooled, buckets, surveys)
+        buckets = list(with_outranked(job.plan, buckets, found, surveys))
+    tasks = list(assemble_tasks(job.plan, spooled, buckets))
     done, stale = job.split_commits("assemble", tasks)
     _forget_labels(job, stale)
     job.invalidate("assemble", stale)
@@ -246,10 +268,10 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     job.store.publish_index(
         {c: BucketInfo(r.n, r.n_candidates) for c, r in assembled.records.items()}
     )
-    buckets = assembled.records.values()
-    within = sum(bucket.duplicates["within"] for bucket in buckets)
-    between = sum(bucket.duplicates["between"] for bucket in buckets)
-    taking = sum(bucket.n_participating for bucket in buckets)
+    records = assembled.records.values()
+    within = sum(record.duplicates["within"] for record in records)
+    between = sum(record.duplicates["between"] for record in records)
+    taking = sum(record.n_participating for record in records)
     job.results.counts = dataclasses.replace(
         job.results.counts,
         duplicates_within_files=within,
@@ -261,6 +283,8 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     _settle_grid(job, assembled, complete=len(commits) == len(tasks))
     _report_unfiltered(job, assembled)
     _report_strays(job, sources, assembled)
+    if surveys:
+        _report_surveys(job, assembled, surveys, found, spooled)
     if within or between:
         job.note(
             f"{counted(within + between, 'duplicate point')} left out of the filter; each gets the class of the point "
@@ -268,6 +292,82 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
             Detail,
         )
     return assembled
+
+
+def _find_surveys(
+    job: Job,
+    sources: list[Source],
+    spooled: Commits,
+    buckets: list[BucketParts],
+    surveys: Surveys,
+) -> FoundSurveys:
+    """Find where each survey has points. Raise ProcessingError if a task failed, since more points would count."""
+    tasks = list(survey_tasks(job.plan, spooled, buckets, surveys))
+    done, _ = job.split_commits("surveys", tasks)
+    _bring_back(job, sources, [task for task in tasks if task.key not in done])
+    commits = run_stage(job, "surveys", tasks)
+    if len(commits) < len(tasks):
+        raise ProcessingError(
+            f"the cells of surveys could not be found; the first error: {job.record.first_error('surveys')}"
+        )
+    return found_surveys(commits, buckets, surveys)
+
+
+def _report_surveys(
+    job: Job,
+    assembled: IngestResult,
+    surveys: Surveys,
+    found: FoundSurveys,
+    spooled: Commits,
+) -> None:
+    """Report what each survey gives, and the steps between surveys."""
+    stored = {
+        int(name[1:]): sum(record.stored for record in pieces)
+        for name, pieces in by_source(spooled).items()
+    }
+    records = assembled.records.values()
+    results = survey_results(job.plan, found, records, surveys, stored)
+    job.results.surveys = results
+    n_hidden = sum(result.points - result.used for result in results)
+    job.results.counts = dataclasses.replace(
+        job.results.counts, unselected={**job.results.counts.unselected, "priority": n_hidden}
+    )
+    job.note(
+        f"--priority {job.plan.config.priority}: {n_hidden:,} of the points read are neither filtered nor gridded, "
+        "because another survey counts at their place; the clouds keep them"
+    )
+    for number, result in enumerate(results):
+        _report_steps(job, result)
+        denser = [
+            other for other in results[:number] if SPARSE * other.density < result.density
+        ]
+        if denser and result.used < result.points:
+            others = ", ".join(f"{o.name} ({o.density:.2g} points/m2)" for o in denser)
+            job.listener(
+                Warned(
+                    f"{others} counts before {result.name} ({result.density:.2g} points/m2), which is much denser; "
+                    "give --priority FILE if the denser survey is better"
+                )
+            )
+
+
+def _report_steps(job: Job, result: SurveyResult) -> None:
+    """Report the steps of a survey to those that count more. Warn of large ones."""
+    if result.used < result.points and not result.steps:
+        job.note(
+            f"survey {result.name}: no step to other surveys was measured, as no flat cell has three points of both"
+        )
+    for step in result.steps:
+        side = "below" if step.median_m < 0 else "above"
+        text = (
+            f"survey {result.name} lies {abs(step.median_m):.2f} m {side} {step.other} (median of "
+            f"{counted(step.cells, 'flat cell')} with points of both, MAD {step.mad_m:.2f} m)"
+        )
+        if abs(step.median_m) <= MAX_STEP_M or step.cells < MIN_STEP_CELLS:
+            job.note(text)
+            continue
+        remedy = "check whether both have the same vertical datum, and shift one of them"
+        job.listener(Warned(in_unit_of_crs(f"{text}; {remedy}", job.plan.frame.units)))
 
 
 def _settle_grid(job: Job, assembled: IngestResult, complete: bool) -> None:

@@ -92,8 +92,11 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     return CommonCrs(wkt, units, notes, origin)
 
 
-def validate_lengths(info: SourceInfo) -> None:
-    """Raise InputError if the coordinates of a file without a CRS are so dense that they must be degrees."""
+def validate_lengths(info: SourceInfo, if_metres: str = "give --units m") -> None:
+    """Raise InputError if the coordinates of a file without a CRS are so dense that they must be degrees.
+
+    ``if_metres`` is the remedy if they are metres.
+    """
     if info.bounds is None:
         return
     x0, y0, _, x1, y1, _ = info.bounds
@@ -103,7 +106,7 @@ def validate_lengths(info: SourceInfo) -> None:
     if min(sides) >= _MIN_SIDE and info.points > _MAX_DENSITY * sides[0] * sides[1]:
         raise InputError(
             f"{info.path}: has no CRS, and its coordinates look like degrees (x {x0:.7g}, y {y0:.7g}); reproject it "
-            "to a projected CRS, or give --units m if they are metres"
+            f"to a projected CRS, or {if_metres} if they are metres"
         )
 
 

@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.matched.evidence import Evidence
+from tiler.core.dates import are_gps_times
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.octree import Octree
-from tiler.io.las.point_formats import evidence, returns
+from tiler.io.las.point_formats import as_standard_times, evidence, returns
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
 
 Array = npt.NDArray[np.float64]
@@ -70,6 +71,9 @@ class Extent:
         Largest number of returns of a pulse in the sample; 0 or 1 for clouds without pulses.
     evidence : Evidence
         Evidence on the source of the cloud, found in the fields of the sample.
+    times : tuple of 2 float, or None
+        First and last adjusted standard GPS time in the sample without the first and last percent of its valid times,
+        or None if it has none.
     """
 
     bounds: tuple[float, ...] | None
@@ -78,6 +82,7 @@ class Extent:
     patches: tuple[DensityPatch, ...] = ()
     returns: int = 0
     evidence: Evidence = field(default_factory=Evidence)
+    times: tuple[float, float] | None = None
 
 
 def can_be_strays(number: int, total: int) -> bool:
@@ -119,7 +124,8 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
         most = max(
             int(returns(records, header.point_format)[1].max(initial=0)) for records in sample
         )
-        told = evidence(np.concatenate(sample), header.point_format)
+        together = np.concatenate(sample)
+        told = evidence(together, header.point_format)
         near = _BoundingBox.around(header, sample)
         claim = _BoundingBox(np.array(header.mins), np.array(header.maxs))
         note = None
@@ -151,7 +157,18 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
         )
     else:
         patches = find_patches(runs, header.point_count, (*low[:2], *high[:2]))
-    return Extent((*low, *high), claimed, note, patches, most, told)
+    times = _times_of(header, together)
+    return Extent((*low, *high), claimed, note, patches, most, told, times)
+
+
+def _times_of(header: LasHeader, records: Records) -> tuple[float, float] | None:
+    """Return the first and last valid adjusted standard GPS time of records, without the first and last percent."""
+    if not header.has_standard_times:
+        return None
+    times = as_standard_times(records, header)["gps_time"]
+    times = np.sort(times[are_gps_times(times)])
+    n_left_out = times.size // 100
+    return (float(times[n_left_out]), float(times[-1 - n_left_out])) if times.size else None
 
 
 def _patches_of(

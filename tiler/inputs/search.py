@@ -18,7 +18,7 @@ from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, node_files, re
 from tiler.io.atomic_files import SCRATCH_PREFIX
 from tiler.io.cloud_formats import FORMAT_NAMES, SUFFIXES
 from tiler.io.locations import as_path, is_url, list_inputs
-from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results
+from tiler.io.result_folder import CLASSIFIED, OUTDATED, OVERVIEW, VIRTUAL, is_results
 
 _GIVE = f"give {FORMAT_NAMES} files, folders, globs or .vpc files"
 PACKED = (".zip", ".gz", ".zst", ".bz2", ".xz", ".7z", ".rar")
@@ -107,6 +107,10 @@ def find_inputs(
             unlisted(text, error)
             failed = failed or error
             continue
+        overviews = [p for p in candidates if str(p) != text and _is_overview(p)]
+        for path in overviews:
+            report(f"{path}: is the overview of classified clouds, left out")
+        candidates = [path for path in candidates if path not in overviews]
         reads_results = (
             results and not is_url(text) and not any(path.parent == root for path in candidates)
         )
@@ -127,6 +131,13 @@ def find_inputs(
         )
     urls = sorted((path for path in clouds.values() if is_url(path)), key=str)
     return sorted(path for path in clouds.values() if not is_url(path)) + urls
+
+
+def _is_overview(path: Path) -> bool:
+    """Return whether a cloud is the overview of the classified clouds beside it, also in a copy of them."""
+    return path.name == OVERVIEW and (
+        is_results(str(path.parent)) or (path.parent / VIRTUAL).is_file()
+    )
 
 
 def is_list(text: str | Path) -> bool:

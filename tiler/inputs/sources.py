@@ -80,6 +80,8 @@ class SourceInfo:
         Bytes that the inspection read, if the file is at a URL.
     created : tuple of int
         Year and day of the year of the file's creation, from the header; 0 if unknown.
+    times : tuple of 2 float, or None
+        First and last adjusted standard GPS time in a sample of points (`Extent.times`), or None if they have none.
     """
 
     path: Path
@@ -103,6 +105,7 @@ class SourceInfo:
     patches: tuple[DensityPatch, ...] = ()
     chunks: int | tuple[int, ...] = 0
     created: tuple[int, int] = (0, 0)
+    times: tuple[float, float] | None = None
     octree: Octree | None = None
     octree_damage: str = ""
     has_crs: bool = True
@@ -186,6 +189,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         patches=extent.patches,
         chunks=_chunks(header.laz),
         created=header.created,
+        times=extent.times,
         octree=octree,
         octree_damage=damage,
         has_crs=has_crs,

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 
-def parse_json_object(text: str | bytes) -> dict[str, Any]:
-    """Return the object in a JSON text. Raise ValueError with the reason if the text is not a JSON object."""
+def parse_json_object(text: str | bytes, distinct_keys: bool = False) -> dict[str, Any]:
+    """Return the object in a JSON text. Raise ValueError with the reason if the text is not a JSON object.
+
+    With ``distinct_keys``, a repeated key in any object of the text raises ValueError. Otherwise its last value counts.
+    """
     try:
-        content = json.loads(text)
+        content = json.loads(text, object_pairs_hook=_distinct if distinct_keys else None)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
     if not isinstance(content, dict):
         raise ValueError("not a JSON object")
+    return content
+
+
+def _distinct(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in content:
+            raise ValueError(f"the key {excerpt(key)} is repeated")
+        content[key] = value
     return content
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,6 +51,8 @@ CLOUD_SUFFIXES = {"laz": ".laz", "las": ".las", "copc": COPC_SUFFIX, "none": ".l
 """Suffixes of classified clouds by the value of `--classified`."""
 VIRTUAL = "classified.vpc"
 """Virtual point cloud that shows the classified clouds as one layer in QGIS."""
+OVERVIEW = "classified-overview.copc.laz"
+"""Thin cloud of all classified clouds, next to `VIRTUAL` and with its name, as `pdal_wrench build_vpc` writes it."""
 STAC = "stac.json"
 """Description of the content of OUT for catalogues."""
 SHEET_ITEMS = "stac"
@@ -76,6 +79,7 @@ RESULTS = (
     STATEMENT_PAGE,
     SHEETS,
     CLASSIFIED,
+    OVERVIEW,
     STAC,
     CHANGED,
     CHECK,
@@ -86,6 +90,8 @@ RESULTS = (
 
 _KEYS = frozenset(("state", "version", "configuration", "plan", "stages"))
 """Keys that every version of tiler writes to ``run.json``."""
+_RESOLUTION = re.compile(r"[0-9.e+-]+(m|ft)$")
+"""Name of the folder of a resolution (`tiler.apps.resolutions.folder_name`)."""
 _KEYS_OF_CHANGES = frozenset(("changed", "added", "removed", "unchanged", "sheets"))
 """Keys that every version of tiler writes to ``changed.json``."""
 
@@ -172,6 +178,46 @@ def is_results(place: str) -> bool:
         return None not in sizes_at([joined(place, RUN), joined(place, EVENTS)])
     except OSError:  # Reading the place itself reports the error.
         return False
+
+
+def resolution_folders(out: str | Path) -> list[str]:
+    """Return the paths of the results in ``out`` of a run with several resolutions, or an empty list."""
+    if not Path(out, REPORT).is_file():  # It is written before the first of them.
+        return []
+    folders = sorted(path for path in Path(out).glob("[0-9]*") if _RESOLUTION.match(path.name))
+    return [str(path) for path in folders if read_run(str(path)) is not None]
+
+
+def results_name(out: Path) -> str:
+    """Return the name of a folder of results for titles: ``town``, or ``town, 2m`` for one of several resolutions."""
+    out = out.resolve()
+    if _RESOLUTION.match(out.name) and str(out) in resolution_folders(out.parent):
+        return f"{out.parent.name}, {out.name}"
+    return out.name
+
+
+def store_of(out: str | Path, run: Mapping[str, Any], given: str | None = None) -> str:
+    """Return the location of the store of a run: the given one, that of its settings, or `STORE` in its folder.
+
+    The store of several resolutions moves together with their folders.
+    """
+    location = given or _mapping(run, "configuration").get("store")
+    if is_url(str(out)):
+        return str(location or joined(str(out), STORE))
+    folder = Path(out).resolve()
+    beside = folder.parent / STORE
+    is_moved = location and not given and _RESOLUTION.match(folder.name)
+    if is_moved and not os.path.exists(str(location)) and beside.is_dir():
+        return str(beside)
+    return str(location or folder / STORE)
+
+
+def give_results(out: str | Path, of: str = "run") -> str:
+    """Return the remedy if ``out`` has no results of a run, which the OUT of a ``of`` has."""
+    folders = [] if is_url(str(out)) else resolution_folders(out)
+    if folders:
+        return f"give the folder of one of its resolutions: {', '.join(folders)}"
+    return f"give the OUT of a {of}"
 
 
 def below(out: str, place: str) -> str:

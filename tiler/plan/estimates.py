@@ -71,6 +71,7 @@ second."""
 
 TYPICAL = {
     "spool": 1.3,
+    "surveys": 0.2,
     "assemble": 0.7,
     "filter": 0.4,
     "grid-dtm": 0.9,
@@ -447,7 +448,7 @@ def stage_seconds(
             stage: step for stage, step in filters.items() if step.kind in (None, slowest)
         }
     parts = {
-        "ingest": ["spool", "assemble"],
+        "ingest": ["spool", *(["surveys"] if plan.inputs.surveys else []), "assemble"],
         "filter": filters,
         "grid": rasters,
         "export": ["export"],

@@ -56,6 +56,7 @@ from tiler.plan.method import (
 )
 from tiler.plan.model import Grid, Inputs, Plan, Resources, filled_sources
 from tiler.plan.sizes import DensityMap, resolution_of
+from tiler.plan.surveys import surveys_of
 from tiler.plan.validation import (
     validate,
     validate_output_paths,
@@ -86,6 +87,7 @@ def make_plan(
     config: RunConfig,
     out: str | Path | None = None,
     known: Sequence[SourceInfo] = (),
+    finest: Fraction | None = None,
 ) -> Plan:
     """Read the headers, and decide CRS, units, method and sizes of a run.
 
@@ -99,6 +101,8 @@ def make_plan(
         free space of a folder is checked.
     known : sequence of SourceInfo
         Headers of the inputs that were read shortly before. If they include all inputs, none is read again.
+    finest : Fraction, optional
+        Side of a pixel in metres of the run with the finest resolution, if this is a coarser one of the same survey.
 
     Raises
     ------
@@ -110,6 +114,9 @@ def make_plan(
     validate_proj_database()
     params = params_of(config)
     notes: list[str] = []
+    if isinstance(config.resolution, tuple):
+        notes.append(f"only the finest of {len(config.resolution)} resolutions is planned here")
+        config = config.updated(resolution=config.pixel)
     folder = None if out is None or is_url(out) else Path(out)
     ept = EptInputs(config)
     left_out: list[tuple[str, str]] = []
@@ -151,7 +158,16 @@ def make_plan(
     inspected = inspected.without(
         files_beyond_frame(inspected.filled, area, crs.wkt, metres), config
     )
-    plan = _plan_for(inspected, config, params)
+    if finest is not None:
+        notes.append(
+            f"the terrain is the surface of the run with pixels of {length_text(finest, crs.units.horizontal)}"
+        )
+
+    def planned(inspected: InspectedInputs, config: RunConfig) -> Plan:
+        plan = _plan_for(inspected, config, params)
+        return replace(plan, grid=replace(plan.grid, finest=finest))
+
+    plan = planned(inspected, config)
     # Otherwise a pixel of impossible size could be reported as a large raster.
     validate_resolution(plan)
     validate_pixel_count(plan, folder)
@@ -159,12 +175,19 @@ def make_plan(
         inspected = inspected.without(
             outlying_files(plan.inputs.filled, crs.wkt, metres, remedy), config
         )
-        plan = _plan_for(inspected, config, params)
+        plan = planned(inspected, config)
     validate_distances(plan, inputs)
     plan = with_drawn_sheets(with_user_features(plan))
+    surveys, notes, warnings = surveys_of(config, paths, sources)
+    plan = replace(
+        plan,
+        inputs=replace(plan.inputs, surveys=surveys),
+        notes=(*plan.notes, *notes),
+        warnings=(*plan.warnings, *warnings),
+    )
 
     def replan(**values: Any) -> Plan:
-        other = _plan_for(inspected, config.updated(**values), params)
+        other = planned(inspected, config.updated(**values))
         drawn = plan.inputs
         features = replace(
             other.inputs,
@@ -172,6 +195,7 @@ def make_plan(
             lines=drawn.lines,
             waters=drawn.waters,
             sheets=drawn.sheets,
+            surveys=drawn.surveys,
         )
         return replace(other, inputs=features)
 
@@ -318,7 +342,7 @@ def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, F
     """Yield the name, the value and the unit in the CRS of each length in the settings."""
     for spec in fields(config):
         value = getattr(config, spec.name)
-        if spec.metadata["kind"] not in ("length", "sheets") or not isinstance(
+        if spec.metadata["kind"] not in ("length", "lengths", "sheets") or not isinstance(
             value, Fraction | Sides
         ):
             continue
@@ -354,7 +378,7 @@ def settled_by(plan: Plan, store: TileStore) -> Plan:
     config, known = plan.config, {**store.settled, **(store.get_state(FROM_POINTS) or {})}
     try:
         tile = config.tile_size or Fraction(known["tile"])
-        resolution = config.resolution or Fraction(known["resolution"])
+        resolution = config.pixel or Fraction(known["resolution"])
         same_tiles = tile == Fraction(known["tile"])
         memory = known["memory"] if same_tiles else plan.resources.memory
         workers = int(known.get("workers", 0)) if same_tiles else plan.method.tile_workers

@@ -17,6 +17,7 @@ from tiler.core.drawn_sheets import DrawnSheet
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS, MIN_PART
+from tiler.core.surveys import REACH_M
 from tiler.core.water import Water
 from tiler.inputs import SourceInfo
 from tiler.plan.memory import (
@@ -28,6 +29,7 @@ from tiler.plan.memory import (
 )
 from tiler.plan.method import KEEP, MethodPlan, PlannedPass, nested
 from tiler.plan.sizes import DensityMap
+from tiler.plan.surveys import Survey
 from tiler.store import StoreMeta
 
 BRIDGE_REACH_M = 300
@@ -81,6 +83,8 @@ class Inputs:
         Bodies of water in the file given by ``--water``, with heights if it has them.
     sheets : tuple of DrawnSheet
         Sheets in the file given by ``--sheets`` near the points, in the order of their file.
+    surveys : tuple of Survey
+        Surveys of the setting `priority`, the one that counts most first; empty if all points count.
     """
 
     sources: tuple[SourceInfo, ...]
@@ -96,6 +100,7 @@ class Inputs:
     lines: tuple[Counts, ...] = ()
     waters: tuple[Water, ...] = ()
     sheets: tuple[DrawnSheet, ...] = ()
+    surveys: tuple[Survey, ...] = ()
 
     @property
     def filled(self) -> list[SourceInfo]:
@@ -137,12 +142,20 @@ class Grid:
         Halo in metres of a block of the terrain that usually suffices, 1 % more than `max_edge`.
     thin : bool or None
         Whether the first run on the store thinned the ground points; None if this is the first run.
+    finest : Fraction or None
+        Side of a pixel in metres of the finest resolution, if this is a coarser one.
     """
 
     meta: StoreMeta
     resolution: Fraction
     halo_m: Fraction
     thin: bool | None = None
+    finest: Fraction | None = None
+
+    @property
+    def surface_pixel(self) -> Fraction:
+        """Side of a pixel in metres on which the surface depends: heights of all resolutions are on one surface."""
+        return self.finest or self.resolution
 
     @property
     def bucket_m(self) -> float:
@@ -203,6 +216,11 @@ class Plan:
         return self.config.method != KEEP and self.config.classified != "none"
 
     @property
+    def writes_overview(self) -> bool:
+        """Whether the run writes an overview of its classified clouds, as there are several."""
+        return self.writes_clouds and len(self.inputs.cloud_names) > 1
+
+    @property
     def finding(self) -> Finding | None:
         """Source of the clouds with confidence and reasons, if the fields of the points decide it.
 
@@ -250,6 +268,7 @@ class Plan:
 
         It is the largest of three distances: the halos with which passes start, the distance
         over which labels and bridges are decided, and the halo of a block of the terrain.
+        With several surveys, the distance over which one covers another is added.
         """
         labels = max(
             (Fraction(step.pass_.label_margin_m) for step in self.method.steps),
@@ -258,6 +277,8 @@ class Plan:
         if self.config.bridges == "remove":
             labels += BRIDGE_REACH_M
         margin_m = max(Fraction(self.method.halo_m), self.grid.halo_m, labels)
+        if self.config.priority is not None:
+            margin_m += REACH_M
         return math.ceil(self.grid.meta.frame.counts(margin_m))
 
     @property
@@ -298,7 +319,7 @@ class Plan:
         points = self.inputs.max_points(side)
         if self.surface_cells is None:
             return points
-        return min(points, (side * self.surface_cells / float(self.grid.resolution)) ** 2)
+        return min(points, (side * self.surface_cells / float(self.grid.surface_pixel)) ** 2)
 
     @property
     def block_points(self) -> int:
@@ -328,6 +349,6 @@ class Plan:
     def line_bytes(self) -> int:
         """Bytes that a worker needs for breaklines."""
         counts = self.grid.meta.frame.counts
-        pixel = float(counts(self.grid.resolution))
+        pixel = float(counts(self.grid.surface_pixel))
         window = float(counts(Fraction(self.grid.part_side_m(BLOCK_PIXELS))))
         return breakline_bytes(self.inputs.lines, pixel, window)

@@ -369,8 +369,8 @@ def resolution_of(
     notes : list of str
         List to which a note on the decision is appended.
     """
-    if config.resolution is not None:
-        return config.resolution
+    if config.pixel is not None:
+        return config.pixel
     spacing = 1 / math.sqrt(density)
     finest = _finest_pixel(density, unit) if kind == DIM else None
     if finest is not None:

@@ -47,6 +47,7 @@ from tiler.io.result_folder import (
     LEGEND,
     OUTDATED,
     OUTLINE,
+    OVERVIEW,
     REPORT,
     RESULTS,
     REVIEW,
@@ -108,7 +109,13 @@ model."""
 
 def other_inputs(config: RunConfig) -> list[str]:
     """Return the files that a run reads in addition to its clouds."""
-    names = (config.aoi, config.edits, config.water_file, config.sheet_file)
+    names = (
+        config.aoi,
+        config.edits,
+        config.water_file,
+        config.sheet_file,
+        config.priority_file,
+    )
     return [*(name for name in names if name is not None), *config.breaklines]
 
 
@@ -215,7 +222,7 @@ def _targets(plan: Plan) -> list[str]:
         names.append(WATER)
     names += [REVIEW, STAC]
     if plan.writes_clouds:
-        names.append(VIRTUAL)
+        names += [VIRTUAL, *([OVERVIEW] if plan.writes_overview else ())]
         names += [
             f"{CLASSIFIED}/{name.as_posix()}" for name in plan.inputs.cloud_names.values()
         ]

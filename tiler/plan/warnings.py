@@ -128,7 +128,7 @@ def _without_use(plan: Plan) -> list[str]:
     warnings = []
     resolution = plan.grid.resolution
     columns, rows = (math.ceil(side / float(resolution)) for side in plan.sides_m)
-    if plan.config.resolution is not None and max(columns, rows) < FEW_PIXELS:
+    if plan.config.pixel is not None and max(columns, rows) < FEW_PIXELS:
         unit = plan.frame.units.horizontal
         warnings.append(
             f"the terrain has only {columns} x {rows} pixels of {length_text(resolution, unit)}; use a smaller "
@@ -187,12 +187,12 @@ def preflight_warnings(
             "use --preset dim"
         )
     spacing = 1 / math.sqrt(density)
-    if config.resolution is not None and float(config.resolution) < 0.7 * spacing:
+    if config.pixel is not None and float(config.pixel) < 0.7 * spacing:
         coarser = f"{math.ceil(spacing / float(unit) * 10) / 10:g}"
         if unit != METRE:
             coarser += written_unit(unit)
         yield (
-            f"--resolution {length_text(config.resolution, unit)} is finer than the point spacing of "
+            f"--resolution {length_text(config.pixel, unit)} is finer than the point spacing of "
             f"{spacing / float(unit):.2g} {short_unit(unit)}, so most pixels will be interpolated; use --resolution "
             f"{coarser}"
         )

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.units import area_text, small_area_text
 from tiler.core.words import counted
-from tiler.io.result_folder import written_rasters
+from tiler.io.result_folder import results_name, written_rasters
 from tiler.observe.progress import size_text
 from tiler.report.accuracy import (
     AtCheckpoints,
@@ -55,7 +55,7 @@ def client_page(out: Path, run: Run, entries: Sequence[Mapping[str, Any]]) -> by
         A raster cannot be read.
     """
     rasters = {product: str(out / name) for product, name in written_rasters(run).items()}
-    title = run.get("report_title") or f"Terrain of {out.resolve().name}"
+    title = run.get("report_title") or f"Terrain of {results_name(out)}"
     with reading_rasters(out):
         checked = at_checkpoints(run["check"], rasters)
         if terrain := rasters.get("dtm"):

@@ -24,8 +24,11 @@ from tiler.io.result_folder import (
     REPORT,
     REVIEW,
     RUN,
+    give_results,
     local_folder,
     read_run,
+    results_name,
+    store_of,
     written_rasters,
 )
 from tiler.redaction import shown
@@ -40,7 +43,7 @@ from tiler.report.cards import small_card
 from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn, shapes
 from tiler.report.pictures import VIRIDIS, Pictures, css, draw, ramp_colour, reading_rasters
-from tiler.report.places import Detail, read_open_places, store_of, units_of
+from tiler.report.places import Detail, read_open_places, units_of
 from tiler.report.problems import marked_places, problems
 from tiler.report.runfile import run_file_errors, title_of, write_run_file
 from tiler.report.tables import specification
@@ -131,7 +134,7 @@ def _read_run(out: Path | str) -> dict[str, Any]:
         return parse_json_object(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"
+            f"{path}: cannot be read ({error.strerror}); {give_results(out)}"
         ) from error
     except ValueError as error:
         raise InputError(f"{path}: not valid JSON ({error}); {AGAIN_WITHOUT_RUN}") from error
@@ -144,7 +147,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     check = accuracy.read_measured(out, CHECK, run)
     run = {**run, "check": check}
     evaluation = accuracy.read_measured(out, EVALUATION, run)
-    title = run.get("report_title") or f"Terrain of {out.resolve().name}"
+    title = run.get("report_title") or f"Terrain of {results_name(out)}"
     parts = [
         specification(run),
         problems(run),

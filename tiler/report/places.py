@@ -23,8 +23,7 @@ from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.points import GROUND, LABELS, UNCERTIFIED_BIT
 from tiler.core.review import FIXED, NUMBERS, OPEN, TEXTS, is_place
 from tiler.errors import StoreError
-from tiler.io.locations import joined, storage_errors
-from tiler.io.result_folder import STORE
+from tiler.io.locations import storage_errors
 from tiler.io.vector import POLYGONS, Feature, read_in_crs
 from tiler.io.vector.reading import read_features
 from tiler.report.cards import Card, Section
@@ -129,14 +128,6 @@ def units_of(run: Mapping[str, Any]) -> tuple[float, float]:
     """Return the metres in a unit of the coordinates, and in one of the heights, of a run."""
     metres = (run.get("plan") or {}).get("metres_per_unit") or {}
     return metres.get("horizontal", 1.0), metres.get("vertical", 1.0)
-
-
-def store_of(out: str | Path, run: Mapping[str, Any], store_url: str | None = None) -> str:
-    """Return the location of the store of a run, whose default is `STORE` in its folder."""
-    configured = run.get("configuration")
-    if not store_url and isinstance(configured, dict):
-        store_url = configured.get("store")
-    return str(store_url or joined(str(Path(out).resolve()), STORE))
 
 
 def _opened(store_url: str) -> TileStore | None:

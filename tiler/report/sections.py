@@ -134,6 +134,11 @@ def length(run: Run, metres: float) -> str:
     return length_text(metres, _unit(run))
 
 
+def area(run: Run, square_metres: float) -> str:
+    """Return an area as text in units that suit the CRS."""
+    return area_text(square_metres, _unit(run))
+
+
 def _unit(run: Run) -> float:
     """Return the metres per horizontal unit of the CRS."""
     return float(run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0))

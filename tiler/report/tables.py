@@ -5,23 +5,33 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from pyproj import CRS
 
-from tiler.config import RunConfig
+from tiler.config import RunConfig, without_folders
 from tiler.core.crs import at_degrees, split, vertical_name
+from tiler.core.dates import days_text
 from tiler.core.products import NODATA, PRODUCTS
-from tiler.core.units import Sides
+from tiler.core.units import Sides, Units, in_unit_of_crs
 from tiler.core.words import GRID, counted
 from tiler.io.result_folder import CLASSIFIED, REVIEW, written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, bar, el, facts, section, table
 from tiler.report.problems import MAX_ROWS, Run
 from tiler.report.runfile import title_of
-from tiler.report.sections import OF_MACHINE, SETTINGS, done_before, length, settled, value_text
+from tiler.report.sections import (
+    OF_MACHINE,
+    SETTINGS,
+    area,
+    done_before,
+    length,
+    settled,
+    value_text,
+)
 
 _GIVEN_BY_NAME = "no EPSG code known"
 _CLOUDS = {"laz": "LAZ", "las": "LAS", "copc": "COPC (LAZ)"}
@@ -115,9 +125,7 @@ def _survey_dates(run: Run) -> str:
     dates = run.get("dates")
     if not dates:
         return "unknown"
-    first, last = dates["first"], dates["last"]
-    days = first if first == last else f"{first} to {last}"
-    return f"{days} ({dates['by']})"
+    return f"{days_text((dates['first'], dates['last']))} ({dates['by']})"
 
 
 SLOWEST = 10
@@ -191,8 +199,40 @@ def inputs(run: Run) -> Node:
     about = f"{counted(len(files), 'file')}{notes}."
     listed = table(columns, rows, (1, 2, 4))
     return section(
-        "inputs", "Input files", el("p", about), listed, _more(len(files)), heading="h3"
+        "inputs",
+        "Input files",
+        el("p", about),
+        listed,
+        _more(len(files)),
+        *_surveys(run),
+        heading="h3",
     )
+
+
+def _surveys(run: Run) -> list[Content]:
+    """Return the table of surveys, the one that counts most first, if the run has a priority."""
+    rows = [
+        (
+            survey["name"],
+            days_text((survey["first"], survey["last"])) if survey["first"] else "unknown",
+            f"{survey['files']:,}",
+            f"{survey['points']:,}",
+            f"{survey['used']:,}",
+            area(run, survey["area_m2"]),
+            "; ".join(_step(run, step) for step in survey["steps"]) or "-",
+        )
+        for survey in run.get("surveys", ())
+    ]
+    columns = ("survey", "days", "files", "points", "used", "area given", "height above others")
+    return [el("h4", "Surveys"), table(columns, rows, (2, 3, 4, 5))] if rows else []
+
+
+def _step(run: Run, step: Mapping[str, Any]) -> str:
+    """Return a step between surveys as text in the unit of the CRS, as in the log."""
+    metres = run["plan"].get("metres_per_unit", {})
+    units = Units(*(Fraction(metres.get(axis, 1)) for axis in ("horizontal", "vertical")))
+    text = f"{step['median_m']:+.2f} m to {step['other']} (MAD {step['mad_m']:.2f} m)"
+    return in_unit_of_crs(text, units)
 
 
 def _more(number: int) -> Node | None:
@@ -274,7 +314,7 @@ def _rate(stage: Mapping[str, Any]) -> str:
 
 def _order(stage: str) -> tuple[int, str]:
     """Return the sort key of a stage by its position in a run."""
-    known = ("spool", "assemble", "filter", "grid-", "export", "mosaic")
+    known = ("spool", "surveys", "assemble", "filter", "grid-", "export", "mosaic")
     return next(
         (i for i, name in enumerate(known) if stage.startswith(name)), len(known)
     ), stage
@@ -318,7 +358,9 @@ def settings(run: Run) -> Node:
     """Return the tables needed to repeat the run: parameters, configuration, versions, CRS."""
     plan = run["plan"]
     parameters = [(name, value_text(value)) for name, value in plan["parameters"].items()]
-    configuration = [(name, value_text(value)) for name, value in run["configuration"].items()]
+    # The report is a part of deliveries, and run.json has the folders of files.
+    values = without_folders(run["configuration"]).items()
+    configuration = [(name, value_text(value)) for name, value in values]
     versions = [("tiler", run["version"]), *run.get("libraries", {}).items()]
     digests = {Path(f["path"]).name: f["content"] for f in run.get("inputs", ())[:MAX_ROWS]}
     pre = el("pre", json.dumps(digests, ensure_ascii=False))

@@ -65,6 +65,14 @@ def source_of(piece: str) -> str:
     return piece.partition("-")[0]
 
 
+def surveys_of_sources(plan: Plan, sources: Iterable[Source]) -> dict[int, int]:
+    """Return the place of each source's survey in `Inputs.surveys`, by the number of the source."""
+    places = {
+        path: place for place, survey in enumerate(plan.inputs.surveys) for path in survey.paths
+    }
+    return {source.number: places[source.info.path] for source in sources if places}
+
+
 def skip_flags(plan: Plan) -> int:
     """Return the bits of flags that exclude a point from filtering."""
     synthetic = SYNTHETIC_FLAG if plan.config.skip_synthetic else 0

@@ -51,6 +51,8 @@ class RunResult:
         Path or URL of the results.
     plan : Plan
         Plan of the run.
+    others : tuple of RunResult
+        Results of the other resolutions, if several were given.
     """
 
     exit_code: int
@@ -58,6 +60,7 @@ class RunResult:
     did_nothing: bool
     out: str
     plan: Plan = field(repr=False)
+    others: tuple[RunResult, ...] = field(default=(), repr=False)
 
     @property
     def files(self) -> dict[str, str]:

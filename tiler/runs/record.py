@@ -41,6 +41,7 @@ from tiler.core.results import (
     Stray,
     SurfaceResult,
     SurveyDates,
+    SurveyResult,
     TerrainResult,
     TileResult,
     VoidResult,
@@ -124,6 +125,7 @@ class Results:
     counts: PointCounts
     classes: ClassCounts
     strays: list[Stray]
+    surveys: list[SurveyResult]
     statistics: Mapping[str, State]
     filter: LabelCounts
     canopy: CanopyResult

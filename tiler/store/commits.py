@@ -63,11 +63,11 @@ class CommitStore(StorePart):
             for name in names:
                 self._storage.delete(layout.commit_key(stage, name))
 
-    def committed_stages(self, prefix: str) -> list[str]:
-        """Return the names of the stages with commits that begin with ``prefix``."""
+    def committed_stages(self, prefixes: tuple[str, ...]) -> list[str]:
+        """Return the names of the stages with commits that begin with one of ``prefixes``."""
         packed = (name.removesuffix(".json") for name in self._storage.names("packs"))
         names = {*packed, *self._storage.names("commits")}
-        return sorted(name for name in names if name.startswith(prefix))
+        return sorted(name for name in names if name.startswith(prefixes))
 
     def uncommit(self, stage: str, *keys: str) -> None:
         """Remove the records of some tasks (*coordinator*). The pack is written once for all of them."""

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.products import NODATA
+from tiler.core.products import MAX_RESOLUTIONS, NODATA
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
@@ -22,8 +22,11 @@ from tiler.store.georeference import raster_attributes
 RASTER_SETS = "raster-sets"
 """Name of the state that lists the sets of rasters, the current one last."""
 
-MAX_RASTER_SETS = 2
+MAX_RASTER_SETS = MAX_RESOLUTIONS
 """Number of sets that stay in a store, which bounds its size."""
+
+RASTER_STAGES = ("grid-", "water")
+"""Prefixes of the names of the stages whose tasks work on rasters."""
 
 
 class RasterStore(StorePart):

@@ -20,7 +20,7 @@ from tiler.store.commits import CommitStore, StateStore
 from tiler.store.layout import StoreMeta
 from tiler.store.pieces import RecordStore, SpoolStore
 from tiler.store.points import remove_older
-from tiler.store.rasters import MAX_RASTER_SETS, RASTER_SETS, RasterStore
+from tiler.store.rasters import MAX_RASTER_SETS, RASTER_SETS, RASTER_STAGES, RasterStore
 from tiler.store.storage import Storage, StoreSize, seal_holds, sealed
 
 
@@ -69,7 +69,7 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
             return
         commits, stages = (
             self.get_state(f"rasters-{chosen}") or {},
-            self.committed_stages("grid-"),
+            self.committed_stages(RASTER_STAGES),
         )
         self.put_state(f"rasters-{names[-1]}", {s: self.committed(s) for s in stages})
         # A run that is killed here loses commits, but never has those of another set.

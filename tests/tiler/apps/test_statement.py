@@ -175,7 +175,7 @@ def test_further_answers_do_not_change_the_draws_before() -> None:
     second = sample_of(many, "key", answers, 10)
     assert min(second.todo.values()) > max(first.todo.values())
     assert len(second.shares) == min(second.todo.values()) - 1
-    assert second.most_pixels == upper_bound(second.shares) * many.all_rising
+    assert second.max_pixels == upper_bound(second.shares) * many.all_rising
     gap = {draw: share for draw, share in answers.items() if draw != 3}
     third = sample_of(many, "key", gap, 10)
     assert (len(third.shares), third.waiting) == (2, len(gap) - 2)
@@ -191,11 +191,11 @@ def test_one_answer_is_for_all_draws_of_a_square_and_all_squares_are_certain() -
     sample = sample_of(MIXED, "key", {first[i]: shares[i] for i in first}, 50)
     assert not sample.todo
     assert sample.shares == tuple(shares[i] for i in drawn[: max(first.values())])
-    assert sample.most_pixels == 1 + 25 + 149 / 4
+    assert sample.max_pixels == 1 + 25 + 149 / 4
     # The larger of two answers to a square counts.
     again = drawn.index(1, first[1]) + 1
     both = sample_of(MIXED, "key", {first[1]: 0.25, again: 0.75}, 50)
-    assert both.most_pixels <= 0.75 * 400 + 200
+    assert both.max_pixels <= 0.75 * 400 + 200
 
 
 @given(st.lists(st.sampled_from([0.0, 0.25, 0.5, 0.75, 1.0]), min_size=1, max_size=40))
@@ -207,9 +207,9 @@ def test_the_bound_is_never_below_what_was_found(answers: list[float]) -> None:
         index = MIXED.drawn("key", draw)
         largest[index] = max(share, largest.get(index, 0.0))
     found = sum(share * int(MIXED.rising[i]) for i, share in largest.items())
-    assert sample.most_pixels >= found
+    assert sample.max_pixels >= found
     if sample.seen == sample.squares:
-        assert sample.most_pixels == pytest.approx(found)
+        assert sample.max_pixels == pytest.approx(found)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.1, 0.013])
@@ -282,6 +282,8 @@ def test_answers_are_read(tmp_path: Path) -> None:
         ({"sample": "k", "answers": {"1": 0.1}}, "draw 1: 0.1 is not an answer"),
         ({"sample": "k", "answers": {"1": float("nan")}}, "draw 1: nan is not an answer"),
         ({"sample": "k", "answers": {"1": [0]}}, r"draw 1: \[0\] is not an answer"),
+        ('{"sample": "k", "answers": {"7": 0, "7": 1}}', r"answers.json: .*the key '7' is repeated"),
+        ('{"sample": "k", "sample": "l", "answers": {}}', "the key 'sample' is repeated"),
         (" " * (MAX_BYTES + 1), "has more than 4 MiB"),
     ],
 )  # fmt: skip

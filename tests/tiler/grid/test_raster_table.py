@@ -21,7 +21,9 @@ from tiler.runs.found import final_raster
 
 def plan_of(settings: dict[str, Any]) -> Any:
     """Return a plan with these settings, as far as the table needs one."""
-    grid = SimpleNamespace(resolution=Fraction(1), halo_m=Fraction(10))
+    grid = SimpleNamespace(
+        resolution=Fraction(1), surface_pixel=Fraction(1), halo_m=Fraction(10)
+    )
     config = RunConfig.from_mapping(settings)
     return SimpleNamespace(config=config, frame=CoordFrame(), grid=grid)
 

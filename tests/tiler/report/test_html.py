@@ -161,6 +161,21 @@ def test_measured_lengths_are_in_the_unit_of_the_crs(metre: float, noise: str) -
     assert list(sections._measured(run)) == [("survey", "noise of heights", noise)]
 
 
+def test_steps_between_surveys_are_in_the_unit_of_the_crs(tmp_path: Path) -> None:
+    step = {"other": "2023-05-01", "median_m": -0.3048, "mad_m": 0.02, "cells": 900}
+    survey = {"name": "2015", "first": "2015-05-01", "last": "2015-05-02", "files": 1}
+    survey |= {"points": 2000, "used": 1000, "area_m2": 400.0, "steps": [step]}
+    content = results.run(surveys=[survey])
+    for foot, text in (
+        (1.0, "-0.30 m to 2023-05-01 (MAD 0.02 m)"),
+        (0.3048, "-0.984 ft (0.3 m)"),
+    ):
+        content["plan"]["metres_per_unit"] = {"horizontal": foot, "vertical": foot}
+        page = page_of(tmp_path / str(foot), content).texts["inputs"]
+        assert "2015 2015-05-01 to 2015-05-02 1 2,000 1,000" in page
+        assert text in page
+
+
 def test_it_loads_nothing_and_runs_its_own_script_alone(tmp_path: Path) -> None:
     text = write_report(results.write(tmp_path / "out", results.run())).read_text("utf-8")
     page = results.read(tmp_path / "out" / "report.html")

@@ -47,7 +47,7 @@ def test_blocks_that_were_not_written_hold_the_fill_and_need_no_object(
     assert local_store.usage().objects == objects
 
 
-def test_rasters_of_the_last_two_resolutions_stay_with_their_commits(
+def test_rasters_of_the_last_four_resolutions_stay_with_their_commits(
     local_store: TileStore,
 ) -> None:
     block = Block(0, 0, 10, 10)
@@ -71,11 +71,12 @@ def test_rasters_of_the_last_two_resolutions_stay_with_their_commits(
     for _ in range(2):
         assert use("1") == (7.0, {"block-7"})
         assert use("1/2") == (8.0, {"block-8"})
-    assert use("2") == (None, set())
-    make(9.0)
+    for resolution, height in (("2", 9.0), ("3", 10.0), ("4", 11.0)):
+        assert use(resolution) == (None, set())
+        make(height)
     assert use("1/2") == (8.0, {"block-8"})
     assert use("1") == (None, set())
-    assert len(list(Path(local_store.url, "rasters").glob("dtm+*"))) == 1
+    assert len(list(Path(local_store.url, "rasters").glob("dtm+*"))) == 3
 
 
 def test_a_raster_made_again_with_the_same_shape_keeps_its_blocks(

@@ -1,9 +1,10 @@
 """Acceptance of clouds: facts that a specification of a survey asks for, measured and compared with it.
 
 `measuring` reads each file once, in child processes. `counts` has the counts of one file, `cells` what follows from the
-first returns in cells, `separation` the differences of swaths, `difference_raster` their raster, `duplicates` the
-repeated points. `rows` is the table of all rows, with those of `separation_rows`, `measurements` has their classes, and
-`specification` reads the limits.
+first returns in cells without `strays`, `separation` the differences of swaths, `difference_raster` their raster,
+`repeatability` the spread within a swath, `duplicates` the repeated points, and `scratch` their folder. `rows` is the
+table of all rows, with those of `separation_rows`, `measurements` has their classes, and `specification` reads the
+limits.
 """
 
 from tiler.apps.acceptance.measuring import check_clouds

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter
 
-from tiler.apps.acceptance.counts import Cells, Int64s, Keys, decoded
+from tiler.apps.acceptance.counts import SIDE_BITS, Cells, Int64s, Keys, decoded
 from tiler.apps.acceptance.rasters import (
     Area,
     Mask,
@@ -37,6 +38,13 @@ COARSE = 8
 """Side of the larger cells, which are closed by the same steps, so that wide gaps between scan lines are inside."""
 MOST_LEFT_OUT = 0.25
 """Share of the outline up to which wide voids are left out of density and distribution. More are not only water."""
+MIN_INNER_CELLS, GAPS_RATIO = 500, 0.9
+"""Number of cells inside the wide outline from which gaps that are open to its edge count, and the ratio of the
+densities with and without them below which they do. In fewer cells the corners of the outline have the same effect."""
+MIN_WHOLE_CELLS = 25
+"""Least number of whole cells with points of a swath, below which its density is chance."""
+NEAR_CELLS = 7
+"""Side, in cells, of the square around a cell at the edge in which the density of a swath is taken."""
 MIN_SWATH_CELLS = 100
 """Number of cells of a swath below which its distribution and density are not reported: a few cells at the edge of a
 delivery say nothing about a swath."""
@@ -47,10 +55,16 @@ GAP_STEPS = 4
 GAP_FACTORS = (1, 2, 4, 8, 16)
 """Widths of gaps between swaths: gaps of 3 to 8 cells are found in cells that are so many times as large."""
 
+MANY_SOURCES = 100
+"""Number of point source ids above which they may be random. Each takes the time of a swath."""
+CHANCES = 2
+"""Ratio of the share of cells of swaths with a neighbour of the same swath to the share by chance, below which ids are
+random."""
+
 _NO_SWATH = 2**32 - 1
 """Number of no swath, above those of all swaths."""
 
-BYTES_PER_CELL, BYTES_PER_KEY = 40, 48
+BYTES_PER_CELL, BYTES_PER_KEY = 48, 48
 """Memory that `examine_cells` needs per cell of the survey's extent, and per cell of a swath with points."""
 
 
@@ -81,9 +95,9 @@ class CellFindings:
     ----------
     side_m : float
     per_m2 : float or None
-        First returns per square metre of the area inside the outline that is not a wide void.
+        First returns per square metre of the outline without its edge and without wide voids.
     swaths : list of Swath
-        Swaths of at least `MIN_SWATH_CELLS`, by point source id.
+        Swaths of at least `MIN_SWATH_CELLS` and `MIN_WHOLE_CELLS`, by point source id.
     n_small : int
         Number of smaller swaths.
     dense_share : float or None
@@ -96,6 +110,8 @@ class CellFindings:
         Number of separate parts of the outline, of at least `MIN_SWATH_CELLS` each.
     void_share : float
         Share of the outline in wide voids, which are left out if it is not above `MOST_LEFT_OUT`.
+    n_random : int
+        Number of point source ids if they look random, so that there are no swaths, else 0.
     """
 
     side_m: float
@@ -108,6 +124,7 @@ class CellFindings:
     overlap_share: float | None
     parts: int
     void_share: float
+    n_random: int
 
 
 @dataclass(frozen=True)
@@ -161,47 +178,111 @@ def examine_cells(
     per_cell = sums.astype(np.int32).reshape(shape)
     del sums
     # At the corners of bays, the wide outline has cells that are no voids.
-    near = filled(closed(per_cell > 0, OUTLINE_STEPS))
+    near, outline = outlined(per_cell > 0)
     void_areas = areas(near & (per_cell == 0), VOID_CELLS)[2]
-    outline = outlined(per_cell > 0)
     parts = len(areas(outline, MIN_SWATH_CELLS)[2])
     wide = wide_voids(outline, per_cell > 0)
     void_share = int(wide.sum()) / int(outline.sum())
     if void_share <= MOST_LEFT_OUT:
         outline &= ~wide
+    whole = whole_cells(near, outline)
     coverage = Coverage(shape)
     swaths: list[Swath] = []
     n_small = 0
-    for swath in _swaths(source, columns, rows, counts):
-        footprint = outlined(swath.occupied)
-        coverage.add(swath.box, footprint)
-        usable = int((footprint & outline[swath.box]).sum())
-        if usable < MIN_SWATH_CELLS:
+    n_random = _number_of_random(keys)
+    for swath in () if n_random else _swaths(source, columns, rows, counts):
+        near_of_swath, footprint = outlined(swath.points > 0)
+        coverage.add(swath.box, footprint, whole_cells(near_of_swath, footprint), swath.points)
+        usable = footprint & outline[swath.box]
+        n_usable, whole_of_swath = int(usable.sum()), whole_cells(near_of_swath, usable)
+        n_whole = np.count_nonzero(whole_of_swath & (swath.points > 0))
+        if n_usable < MIN_SWATH_CELLS or n_whole < MIN_WHOLE_CELLS:
             n_small += 1
             continue
-        share = int(swath.occupied.sum()) / usable
-        per_m2 = swath.points / (usable * raster.area_m2)
-        swaths.append(Swath(swath.source, usable, share, per_m2))
+        share = int(np.count_nonzero(swath.points)) / n_usable
+        per_m2 = _mean_points(swath.points, whole_of_swath, usable) / raster.area_m2
+        swaths.append(Swath(swath.source, n_usable, share, per_m2))
     return CellFindings(
         cells.side * metres,
-        int(counts.sum()) / (int(outline.sum()) * raster.area_m2),
+        _mean_points(per_cell, whole if whole.any() else outline, outline) / raster.area_m2,
         swaths,
         n_small,
-        _dense_share(per_cell, outline, raster, asked_per_m2),
+        _dense_share(per_cell, whole, raster, asked_per_m2),
         [raster.place(area) for area in void_areas],
         [raster.place(area) for area in coverage.gaps()],
-        coverage.overlap_share,
+        None if n_random else coverage.overlap_share,
         parts,
         void_share,
+        n_random,
     )
 
 
-def outlined(occupied: Mask) -> Mask:
-    """Return the outline of cells with points, which encloses gaps of up to 32 cells between them."""
-    larger = ~grown_once(~closed(_larger(occupied, np.logical_or), OUTLINE_STEPS))
-    rows, columns = occupied.shape
-    inner = np.repeat(np.repeat(larger, COARSE, 0), COARSE, 1)[:rows, :columns]
-    return filled(closed(occupied, OUTLINE_STEPS) | inner)
+def _number_of_random(keys: Keys) -> int:
+    """Return the number of point source ids if they are many and neighbours have the same only by chance, else 0."""
+    bits = np.uint64(2 * SIDE_BITS)
+    n_cells = np.unique(keys >> bits, return_counts=True)[1]
+    if n_cells.size <= MANY_SOURCES:
+        return 0
+    n_occupied = np.unique(keys & np.uint64((1 << 2 * SIDE_BITS) - 1)).size
+    by_chance = float((n_cells**2).sum()) / (n_occupied * keys.size)
+    above = keys + np.uint64(1 << SIDE_BITS)
+    near = np.minimum(np.searchsorted(keys, above), keys.size - 1)
+    found = max(np.mean(np.diff(keys) == 1), np.mean(keys[near] == above))
+    return n_cells.size if found < CHANCES * by_chance else 0
+
+
+def outlined(occupied: Mask) -> tuple[Mask, Mask]:
+    """Return two outlines of cells with points: one that follows them, and one for wider gaps.
+
+    The second encloses gaps of up to 32 cells, and reaches a few cells too far in places.
+    """
+    near = closed(occupied, OUTLINE_STEPS)
+    inner = _inner(closed(_larger(occupied, np.logical_or), OUTLINE_STEPS), occupied.shape)
+    return filled(near), filled(near | inner)
+
+
+def _mean_points(points: npt.NDArray[np.int32], whole: Mask, outline: Mask) -> float:
+    """Return the mean number of points in the whole cells, or also in wide gaps that are open to the edge."""
+    mean = float(points[whole].mean())
+    inner = _without_edge(outline)
+    if np.count_nonzero(inner) < MIN_INNER_CELLS:
+        return mean
+    with_gaps = float(points[inner].mean())
+    return with_gaps if with_gaps < GAPS_RATIO * mean else mean
+
+
+def _means_near(points: npt.NDArray[np.int32], full: Mask) -> npt.NDArray[np.float32]:
+    """Return the mean number of points in the full cells around each cell, or in the cell itself without any."""
+    n, sums = (
+        uniform_filter(values.astype(np.float32), NEAR_CELLS, mode="constant")
+        for values in (full, points * full)
+    )
+    found = n > 0.5 / NEAR_CELLS**2
+    return np.where(found, sums / np.where(found, n, 1), np.maximum(points, 1))
+
+
+def _without_edge(mask: Mask) -> Mask:
+    """Return the cells of a mask with no neighbour outside it. Cells beyond the raster are outside."""
+    return ~grown_once(~np.pad(mask, 1))[1:-1, 1:-1]
+
+
+def whole_cells(near: Mask, outline: Mask) -> Mask:
+    """Return the cells that are wholly inside both outlines (`outlined`).
+
+    The edge of the survey lies anywhere in the cells at the edge of the outline that follows the points.
+    """
+    whole = _without_edge(near & outline)
+    # Cells beyond the raster are outside.
+    padded = np.pad(outline, COARSE)
+    wide = _inner(_larger(padded, np.logical_and), padded.shape)
+    whole |= wide[COARSE:-COARSE, COARSE:-COARSE]
+    return whole
+
+
+def _inner(larger: Mask, shape: tuple[int, ...]) -> Mask:
+    """Return the cells, in a raster of a shape, in those larger cells of a mask that lie inside it."""
+    inside = np.repeat(np.repeat(~grown_once(~larger), COARSE, 0), COARSE, 1)
+    return inside[: shape[0], : shape[1]]
 
 
 def wide_voids(outline: Mask, occupied: Mask) -> Mask:
@@ -216,7 +297,8 @@ def wide_voids(outline: Mask, occupied: Mask) -> Mask:
         core[row : row + squares.shape[0], column : column + squares.shape[1]] |= squares
     rows, columns = occupied.shape
     inner = np.repeat(np.repeat(core, COARSE, 0), COARSE, 1)[:rows, :columns]
-    return grown(inner, 2 * COARSE) & outline & ~occupied
+    # Cells around the void that are empty by chance would leave only dense ones.
+    return grown(inner, 2 * COARSE) & opened(outline & ~occupied)
 
 
 def _larger(mask: Mask, join: np.ufunc) -> Mask:
@@ -230,12 +312,11 @@ def _larger(mask: Mask, join: np.ufunc) -> Mask:
 
 @dataclass(frozen=True)
 class _SwathCells:
-    """Number of first returns of a swath, and its cells with first returns in their box of the raster."""
+    """Number of first returns of a swath in the cells of their box of the raster."""
 
     source: int
-    points: int
     box: tuple[slice, slice]
-    occupied: Mask
+    points: npt.NDArray[np.int32]
 
 
 def _swaths(
@@ -247,9 +328,9 @@ def _swaths(
         of_column, of_row = columns[start:end], rows[start:end]
         column, row = int(of_column.min()), int(of_row.min())
         box = (slice(row, int(of_row.max()) + 1), slice(column, int(of_column.max()) + 1))
-        occupied = np.zeros((box[0].stop - row, box[1].stop - column), np.bool_)
-        occupied[of_row - row, of_column - column] = True
-        yield _SwathCells(int(source[start]), int(counts[start:end].sum()), box, occupied)
+        points = np.zeros((box[0].stop - row, box[1].stop - column), np.int32)
+        points[of_row - row, of_column - column] = counts[start:end]
+        yield _SwathCells(int(source[start]), box, points)
 
 
 def _dense_share(
@@ -291,15 +372,30 @@ class Coverage:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._n = np.zeros(shape, np.uint8)
+        self._n_whole = np.zeros(shape, np.uint8)
+        self._edges = np.zeros(shape, np.float32)
         self._lowest = np.full(shape, _NO_SWATH, np.uint32)
         self._highest = np.zeros(shape, np.uint32)
         self._added = 0
 
-    def add(self, box: tuple[slice, slice], footprint: Mask) -> None:
-        """Add the footprint of a swath in a box of the raster."""
+    def add(
+        self,
+        box: tuple[slice, slice],
+        footprint: Mask,
+        whole: Mask,
+        points: npt.NDArray[np.int32],
+    ) -> None:
+        """Add the footprint of a swath in a box of the raster, its `whole_cells`, and the points in each cell.
+
+        The covered share of a cell at the edge is its points divided by the mean of the whole cells around it, which is
+        right on average over the cells.
+        """
         self._added += 1
-        of_box = self._n[box]
-        of_box += footprint & (of_box < 255)
+        for number, mask in ((self._n, footprint), (self._n_whole, whole)):
+            of_box = number[box]
+            of_box += mask & (of_box < 255)
+        edge = footprint & ~whole
+        self._edges[box][edge] += points[edge] / _means_near(points, whole & (points > 0))[edge]
         hull = convex_hull(opened(footprint))
         lowest, highest = self._lowest[box], self._highest[box]
         lowest[hull] = np.minimum(lowest[hull], self._added)
@@ -307,8 +403,13 @@ class Coverage:
 
     @property
     def overlap_share(self) -> float:
-        """Share of the covered cells that two swaths or more cover."""
-        return int((self._n > 1).sum()) / int((self._n > 0).sum())
+        """Share of the covered area that two swaths or more cover."""
+        # Swaths with an edge in the same cell mostly end together, at the edge of the survey.
+        n_edges = self._n - self._n_whole
+        share = self._edges / np.maximum(n_edges, 1)
+        covered = np.where(self._n_whole > 0, self._n > 0, share)
+        shared = np.where(self._n_whole > 1, 1, np.where(self._n > 1, share, 0))
+        return min(float(shared.sum(dtype=np.float64) / covered.sum(dtype=np.float64)), 1.0)
 
     def gaps(self) -> list[Area]:
         """Return the areas between two swaths, the largest first."""

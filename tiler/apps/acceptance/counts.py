@@ -6,7 +6,7 @@ Only cells are kept, so memory does not grow with the points.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -67,6 +67,8 @@ MAX_HEIGHT_M = 16_000
 """Largest absolute height that is summed."""
 OFFSET_STEPS = 1024
 """Steps per cell to which the position of a point inside its cell is rounded down."""
+N_SUMS = 10
+"""Number of sums per cell of heights."""
 
 Bounds = tuple[float, ...]
 Keys = npt.NDArray[np.uint64]
@@ -115,24 +117,27 @@ class Cells:
     def height_sums(
         self, x: Floats, y: Floats, height_m: Floats, source: npt.NDArray[np.uint16]
     ) -> tuple[Keys, Int64s]:
-        """Return the distinct keys of the cells of points, sorted, and sums per cell, int64, shape (n, 5).
+        """Return the distinct keys of the cells of points, sorted, and sums per cell, int64, shape (n, `N_SUMS`).
 
-        The sums are the number of points, those of their heights in millimetres and of the squares, and those of their
-        offsets from the lowest corner along x and y in `OFFSET_STEPS`. Points too far away or too high are left out.
-        Sums of squares beyond 2**63 wrap around.
+        The sums are the number of points, those of their heights z in millimetres and of z z, those of their offsets x
+        and y from the lowest corner in `OFFSET_STEPS`, and those of x x, y y, x y, x z and y z. Points too far away or
+        too high are left out. Sums beyond 2**63 wrap around.
         """
         x, y = x / self.side + _EDGE - self.column, y / self.side + _EDGE - self.row
         column, row = np.floor(x), np.floor(y)
         near = _inside(column) & _inside(row) & (np.abs(height_m) <= MAX_HEIGHT_M)
-        x, y, column, row = x[near], y[near], column[near], row[near]
-        height = np.rint(height_m[near] * STEPS_PER_METRE).astype(np.int64)
+        if not near.all():
+            x, y, height_m, source = x[near], y[near], height_m[near], source[near]
+            column, row = column[near], row[near]
+        height = np.rint(height_m * STEPS_PER_METRE).astype(np.int64)
         offset_x = ((x - column) * OFFSET_STEPS).astype(np.int64)
         offset_y = ((y - row) * OFFSET_STEPS).astype(np.int64)
-        keys = self._encoded(column, row, source[near])
+        keys = self._encoded(column, row, source)
         order, first = _grouped(keys)
+        z, dx, dy = height[order], offset_x[order], offset_y[order]
         sums = [np.diff(first, append=keys.size)]
-        for values in (height, height**2, offset_x, offset_y):
-            sums.append(np.add.reduceat(values[order], first))
+        for values in (z, z * z, dx, dy, dx * dx, dy * dy, dx * dy, dx * z, dy * z):
+            sums.append(np.add.reduceat(values, first))
         return keys[order][first], np.stack(sums, axis=1)
 
     @staticmethod
@@ -208,6 +213,14 @@ class CellCounter:
         return self._keys[0], self._counts[0]
 
 
+def merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:
+    """Return the distinct keys of several files, sorted, and the sums of their counts."""
+    counter = CellCounter()
+    for keys, counts in pieces:
+        counter.add(keys, counts)
+    return counter.merge()
+
+
 @dataclass
 class FileCounts:
     """Facts of a file's header, and counts of its points.
@@ -219,8 +232,8 @@ class FileCounts:
     point_format, points : int
     wkt_bit : bool
         Whether the header says that the CRS is in the WKT record.
-    scale : float
-        Largest scale factor, in units of the CRS.
+    scale_m : float
+        Largest scale factor in metres.
     stated_returns : tuple of int
         Number of points by return in the header.
     outside : int
@@ -255,7 +268,7 @@ class FileCounts:
     point_format: int
     points: int
     wkt_bit: bool
-    scale: float
+    scale_m: float
     stated_returns: tuple[int, ...]
     outside: int = 0
     returns: Int64s = field(default_factory=lambda: np.zeros(16, np.int64))
@@ -270,7 +283,7 @@ class FileCounts:
     keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
     counts: Int64s = field(default_factory=lambda: np.empty(0, np.int64))
     height_keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
-    height_sums: Int64s = field(default_factory=lambda: np.empty((0, 5), np.int64))
+    height_sums: Int64s = field(default_factory=lambda: np.empty((0, N_SUMS), np.int64))
     too_high: int = 0
     duplicates: int = 0
 
@@ -304,7 +317,10 @@ class DigestPlan:
 
 
 def count_file(
-    path: Path, cells: Cells | None, plan: DigestPlan | None, height_unit_m: float = 1.0
+    path: Path,
+    cells: Cells | None,
+    plan: DigestPlan | None,
+    units_m: tuple[float, float] = (1.0, 1.0),
 ) -> FileCounts:
     """Count the points of a file, piece by piece.
 
@@ -315,17 +331,18 @@ def count_file(
         Cells of the first returns. None: do not count them, and do not sum heights.
     plan : DigestPlan or None
         How to find duplicates. None: do not look for them.
-    height_unit_m : float
-        Metres per unit of the heights.
+    units_m : (float, float)
+        Metres per unit of x and y, and per unit of the heights.
     """
     header = read_header(path)
+    unit_m, height_unit_m = units_m
     found = FileCounts(
         path,
         "{}.{}".format(*header.version),
         header.point_format,
         header.point_count,
         header.prefers_wkt,
-        max(header.scales),
+        max(max(header.scales[:2]) * unit_m, header.scales[2] * height_unit_m),
         header.points_by_return,
     )
     sources = np.zeros(1 << 16, np.int64)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from tiler.apps.acceptance.cells import CellFindings
 from tiler.apps.acceptance.counts import FileCounts
+from tiler.apps.acceptance.repeatability import Precision
 from tiler.apps.acceptance.separation import Separation
 from tiler.apps.acceptance.sheets import Coverage
 
@@ -30,18 +31,20 @@ class Measurements:
         Files without a horizontal or a vertical CRS.
     crs_names, vertical_names : list of str
         Names of the different horizontal and vertical CRSs.
-    metres : float
-        Metres per unit of the CRS.
     cells : CellFindings or str
         Or the reason why cells were not examined.
     separation : Separation or str
         Differences of swaths, or the reason why they were not measured.
+    precision : (list of Precision, list of int) or str
+        Repeatability of swaths, the worst first, or the reason.
     n_duplicates : int
         Number of points that equal another one.
     with_duplicates : list of Path
         Files with such points.
     coverage : Coverage or str
         Sheets that are not covered, or why they are not known.
+    strays : str
+        Note about first returns far from all others, which are left out of ``cells``.
     """
 
     files: list[FileCounts]
@@ -49,12 +52,13 @@ class Measurements:
     crs_names: list[str]
     vertical_names: list[str]
     without_vertical: list[Path]
-    metres: float
     cells: CellFindings | str
     separation: Separation | str
+    precision: tuple[list[Precision], list[int]] | str
     n_duplicates: int
     with_duplicates: list[Path]
     coverage: Coverage | str
+    strays: str
 
     def total(self, count: Callable[[FileCounts], int]) -> int:
         """Return the sum of a count over all files."""

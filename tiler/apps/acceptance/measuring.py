@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,12 @@ from tiler.apps.acceptance.cells import (
 )
 from tiler.apps.acceptance.counts import (
     MAX_HEIGHT_M,
-    CellCounter,
+    N_SUMS,
     Cells,
     DigestPlan,
     FileCounts,
-    Int64s,
-    Keys,
     count_file,
+    merged,
 )
 from tiler.apps.acceptance.duplicates import (
     DigestFiles,
@@ -37,16 +36,32 @@ from tiler.apps.acceptance.duplicates import (
 )
 from tiler.apps.acceptance.measurements import Found, Measurements, Row
 from tiler.apps.acceptance.page import MAKER, acceptance_page
-from tiler.apps.acceptance.rows import MISSING_SHEETS, ROWS, WITHOUT_SOURCES
+from tiler.apps.acceptance.repeatability import Precision, repeatability
+from tiler.apps.acceptance.rows import (
+    MISSING_SHEETS,
+    RANDOM_SOURCES,
+    ROWS,
+    WITHOUT_SOURCES,
+)
+from tiler.apps.acceptance.scratch import scratch_folder
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
     NO_OVERLAP,
     Separation,
+    find_surfaces,
     separate_swaths,
     share_cells,
+    too_large,
 )
-from tiler.apps.acceptance.sheets import Coverage, Sheets, covered_sheets, read_sheets
+from tiler.apps.acceptance.sheets import (
+    Coverage,
+    Sheets,
+    covered_sheets,
+    read_sheets,
+    validate_not_grid,
+)
 from tiler.apps.acceptance.specification import Specification
+from tiler.apps.acceptance.strays import Survey, survey_of
 from tiler.apps.page_file import validate_page, write_page
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
 from tiler.core.crs import crs_name, same_horizontal, split
@@ -60,7 +75,7 @@ from tiler.inputs import (
     read_in_child,
     validate_lengths,
 )
-from tiler.io.atomic_files import SCRATCH_PREFIX
+from tiler.io.las.headers import AGAIN, SALVAGE
 from tiler.io.overwrite_check import check_difference
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
 
@@ -68,6 +83,8 @@ MAX_CHILDREN = 8
 """Maximum number of processes that read files at the same time."""
 SIDE_TOLERANCE = 1.25
 """Ratio of the sides of cells, by the headers and by the measured density, above which the points are counted again."""
+MAX_COUNTS = 6
+"""Number of times that points are counted, with better sides of cells. More than two are for bounds with strays."""
 BOUNDS_MARGIN = 1.0
 """Width in units of the CRS by which the bounds of a file are widened, since headers may be rounded."""
 
@@ -107,7 +124,8 @@ def check_clouds(
     ------
     ConfigError
         A path does not exist. Or ``difference`` is an input, or not the name of a GeoTIFF in a folder. Or ``page`` is
-        an input, a file that is not an earlier page, or not the name of an HTML file in a folder.
+        an input, a file that is not an earlier page, or not the name of an HTML file in a folder. Or ``sheets`` is a
+        length.
     InputError
         A file cannot be read, its CRS has angles, no file has points, or the sheets do not have the field.
     ProcessingError
@@ -115,13 +133,16 @@ def check_clouds(
     """
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
+    if sheets is not None:
+        validate_not_grid(sheets)
     if difference is not None:
         check_difference(difference, paths)
     if page is not None:
         validate_page(page, [*paths, *([sheets] if sheets else [])], MAKER)
     n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
     with (
-        TemporaryDirectory(prefix=SCRATCH_PREFIX) as folder,
+        _remedies_of_check(),
+        scratch_folder() as folder,
         ChildPool(n_children, half_of_memory() // n_children) as children,
     ):
         infos = [look() for look in children.each(inspect_in_child, paths)]
@@ -133,7 +154,7 @@ def check_clouds(
         if sheets is not None:
             grid = read_sheets(sheets, sheet_field, _wkt(infos))
             notes += grid.notes
-        measured, cell_m = _measure(children, infos, specification, Path(folder), grid)
+        measured, cell_m = _measure(children, infos, specification, folder, grid)
     limits = {} if specification is None else specification.limits
     notes += _notes(measured)
     separation = measured.separation
@@ -162,6 +183,17 @@ def check_clouds(
     if page is not None:
         write_page(page, acceptance_page(summary))
     return summary
+
+
+@contextmanager
+def _remedies_of_check() -> Iterator[None]:
+    """Leave out the remedy to salvage a damaged file, which a check does not do: its points would be judged as all."""
+    try:
+        yield
+    except InputError as error:
+        if SALVAGE not in str(error):
+            raise
+        raise InputError(str(error).replace(SALVAGE, AGAIN)) from error
 
 
 def _write_differences(
@@ -219,7 +251,7 @@ def _judged(row: Row, found: Found, asked: Any) -> AcceptanceRow:
 
 
 def _notes(measured: Measurements) -> list[str]:
-    notes = []
+    notes = [measured.strays] if measured.strays else []
     if too_high := measured.total(lambda file: file.too_high):
         notes.append(
             f"{counted(too_high, 'single return')} with heights beyond {MAX_HEIGHT_M:,} m left out of the "
@@ -233,6 +265,11 @@ def _notes(measured: Measurements) -> list[str]:
         names = listed([str(path) for path in measured.without_crs], 3, "files")
         notes.append(
             f"no CRS, coordinates are assumed to be in metres or like those of the other files: {names}"
+        )
+    if not isinstance(measured.cells, str) and (n_random := measured.cells.n_random):
+        notes.append(
+            f"{n_random:,} point source ids look random, as almost no cell has a neighbour with points of the same id: "
+            "rows per swath were left out"
         )
     if not isinstance(measured.cells, str) and measured.cells.voids:
         notes.append(
@@ -271,29 +308,36 @@ def _measure(
     files = _count(children, infos, cells, plans, metres)
     duplicates = _duplicates(plans, files)
     limits = {} if specification is None else specification.limits
-    of_cells = files
+    of_cells, survey = files, None
     findings: CellFindings | str = DIFFERENT_CRS
-    if cells is not None:
-        findings = _examined(files, cells, metres, limits.get("pulse_density"))
+    for n_counts in range(1, MAX_COUNTS + 1):
+        if cells is None:
+            break
+        survey = survey_of(of_cells, cells)
+        findings = _examined(survey, cells, metres, limits.get("pulse_density"))
         better = None if asked else _better_spacing(findings, spacing)
-        if better is not None:
-            cells = _cells(infos, better / metres)
-            of_cells = _count(children, infos, cells, [None] * len(infos), metres)
-            findings = _examined(of_cells, cells, metres, limits.get("pulse_density"))
+        if better is None or n_counts == MAX_COUNTS:
+            break
+        spacing = better
+        cells = _cells(infos, spacing / metres)
+        of_cells = _count(children, infos, cells, [None] * len(infos), metres)
     vertical_names = _different_crs(infos, 1)
-    separation = _separated(of_cells, cells, metres, len(vertical_names))
+    separation, precision = _of_heights(
+        of_cells, cells, metres, _reason_without_swaths(files, findings, len(vertical_names))
+    )
     measured = Measurements(
         files,
         [info.path for info in infos if info.georeference.kind == "missing"],
         crs_names,
         vertical_names,
         [info.path for info in infos if not _has_vertical(info.georeference.wkt)],
-        metres,
         findings,
         separation,
+        precision,
         sum(duplicates.values()),
         [path for path, number in duplicates.items() if number],
-        _coverage(of_cells, cells, grid, findings),
+        _coverage(survey, cells, grid, findings),
+        survey.note if survey is not None else "",
     )
     return measured, None if isinstance(findings, str) else findings.side_m
 
@@ -306,7 +350,7 @@ def _validate_crs(info: SourceInfo) -> None:
             f"{info.path}: CRS {crs.name} is {crs.kind}, not projected; reproject the file to a projected CRS"
         )
     if crs.kind == "missing" and info.points:
-        validate_lengths(info)
+        validate_lengths(info, "write their CRS into the file")
 
 
 def _different_crs(infos: Sequence[SourceInfo], part: int) -> list[str]:
@@ -335,9 +379,13 @@ def _spacing_by_headers(infos: Sequence[SourceInfo]) -> float:
 
 
 def _cells(infos: Sequence[SourceInfo], spacing: float) -> Cells:
-    """Return cells for a pulse spacing in units of the CRS, around the middle of all files."""
-    boxes = np.array([info.bounds for info in infos if info.bounds is not None])
-    middle = (boxes[:, :2].min(axis=0) + boxes[:, 3:5].max(axis=0)) / 2
+    """Return cells for a pulse spacing in units of the CRS, around the middle of most places in all files."""
+    boxes = [(patch.x0, patch.y0, patch.x1, patch.y1) for i in infos for patch in i.patches]
+    if not boxes:
+        bounds = (info.bounds for info in infos if info.bounds is not None)
+        boxes = [(west, south, east, north) for west, south, _, east, north, _ in bounds]
+    # A stray moves the middle of the bounds.
+    middle = np.median(np.array(boxes).reshape(-1, 2, 2).mean(axis=1), axis=0)
     return Cells.around(float(middle[0]), float(middle[1]), SPACINGS_PER_CELL * spacing)
 
 
@@ -359,56 +407,71 @@ def _count(
     def count(guard: ChildProcess, item: tuple[SourceInfo, DigestPlan | None]) -> FileCounts:
         info, plan = item
         crs = info.georeference
-        height_unit_m = float(crs.vertical or crs.horizontal or metres)
-        return read_in_child(guard, count_file, info.path, cells, plan, height_unit_m)
+        unit_m = float(crs.horizontal or metres)
+        units_m = unit_m, float(crs.vertical or unit_m)
+        return read_in_child(guard, count_file, info.path, cells, plan, units_m)
 
     return [result() for result in children.each(count, zip(infos, plans, strict=True))]
 
 
 def _examined(
-    files: Sequence[FileCounts], cells: Cells, metres: float, asked: float | None
+    survey: Survey, cells: Cells, metres: float, asked: float | None
 ) -> CellFindings | str:
     """Return what the cells of all files show, or why they cannot be examined."""
-    keys, counts = _merged((file.keys, file.counts) for file in files)
-    if not keys.size:
+    if not survey.keys.size:
         return "no first return that is not withheld"
-    needed = needed_bytes(keys)
+    needed = needed_bytes(survey.keys)
     if needed > half_of_memory():
         return (
             f"the extent has too many cells of {cells.side * metres:.3g} m for this machine's memory "
             f"({needed / 1e9:,.0f} GB); give parts of the survey, or withhold points far from it"
         )
-    return examine_cells(keys, counts, cells, metres, asked)
+    return examine_cells(survey.keys, survey.counts, cells, metres, asked)
 
 
-def _separated(
-    files: Sequence[FileCounts],
-    cells: Cells | None,
-    metres: float,
-    n_vertical_crs: int,
-) -> Separation | str:
-    """Return the differences of the swaths of all files, or why they cannot be measured."""
-    if cells is None:
-        return DIFFERENT_CRS
+def _reason_without_swaths(
+    files: Sequence[FileCounts], findings: CellFindings | str, n_vertical_crs: int
+) -> str:
+    """Return why the heights of swaths are not compared, empty if they are."""
     if n_vertical_crs > 1:
         return DIFFERENT_VERTICAL_CRS
     if not any(source for file in files for source in file.sources):
         return WITHOUT_SOURCES
-    keys, sums = _merged((file.height_keys, file.height_sums) for file in files)
-    found = separate_swaths(keys, sums, cells, metres, half_of_memory())
+    is_random = not isinstance(findings, str) and findings.n_random
+    return RANDOM_SOURCES if is_random else ""
+
+
+def _of_heights(
+    files: Sequence[FileCounts],
+    cells: Cells | None,
+    metres: float,
+    reason: str,
+) -> tuple[Separation | str, tuple[list[Precision], list[int]] | str]:
+    """Return the differences and the repeatability of the swaths of all files, or the ``reason`` why not."""
+    if cells is None:
+        return DIFFERENT_CRS, DIFFERENT_CRS
+    keys, sums = merged((file.height_keys, file.height_sums) for file in files)
+    reason = reason or too_large(keys.size, half_of_memory())
+    if reason:
+        return reason, reason
+    sums = sums.reshape(-1, N_SUMS)  # There may be none.
+    lattice = cells.of_heights
+    surfaces = find_surfaces(keys, sums, lattice.side * metres)
+    precision = repeatability(keys, sums, surfaces[1], lattice)
+    found = separate_swaths(keys, sums, cells, metres, half_of_memory(), surfaces)
     if found != NO_OVERLAP:
-        return found
+        return found, precision
     if n_without := sum(file.sources.get(0, 0) for file in files):
-        return (
+        found = (
             f"no overlap of swaths, but {counted(n_without, 'point')} without a point source id"
         )
-    if share_cells(_merged((file.keys, file.counts) for file in files)[0]):
-        return "no single returns of two swaths in the same cell, although they overlap"
-    return NO_OVERLAP
+    elif share_cells(merged((file.keys, file.counts) for file in files)[0]):
+        found = "no single returns of two swaths in the same cell, although they overlap"
+    return found, precision
 
 
 def _coverage(
-    files: Sequence[FileCounts],
+    survey: Survey | None,
     cells: Cells | None,
     grid: Sheets | None,
     findings: CellFindings | str,
@@ -416,18 +479,10 @@ def _coverage(
     """Return the sheets that are not covered, or why they are not known."""
     if grid is None:
         return "no sheets were given (--sheets)"
-    if cells is None or isinstance(findings, str):
+    if survey is None or cells is None or isinstance(findings, str):
         return str(findings)
-    keys, _ = _merged((file.keys, file.counts) for file in files)
     spacing_m = 1 / math.sqrt(findings.per_m2) if findings.per_m2 else findings.side_m
-    return covered_sheets(grid, keys, cells, spacing_m * cells.side / findings.side_m)
-
-
-def _merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:
-    counter = CellCounter()
-    for keys, counts in pieces:
-        counter.add(keys, counts)
-    return counter.merge()
+    return covered_sheets(grid, survey.keys, cells, spacing_m * cells.side / findings.side_m)
 
 
 def _digest_plans(folder: Path, infos: Sequence[SourceInfo]) -> list[DigestPlan]:

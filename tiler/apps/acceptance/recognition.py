@@ -11,7 +11,7 @@ from tiler.errors import ConfigError
 from tiler.inputs import is_list
 from tiler.io.cloud_formats import FORMAT_NAMES, SUFFIXES
 from tiler.io.locations import is_url, without_query
-from tiler.io.result_folder import is_results
+from tiler.io.result_folder import give_results, is_results, resolution_folders
 
 
 def are_clouds(paths: Sequence[str]) -> bool:
@@ -35,7 +35,11 @@ def _is_cloud(text: str) -> bool:
     if is_url(text):
         return False
     if os.path.isdir(text):
-        return not is_results(text) and _has_clouds(Path(text))
+        if is_results(text):
+            return False
+        if resolution_folders(text):
+            raise ConfigError(f"{text}: has no results of a run; {give_results(text)}")
+        return _has_clouds(Path(text))
     if glob.has_magic(text) and not os.path.lexists(text):
         return any(_is_cloud(match) for match in glob.iglob(text, recursive=True))
     return False

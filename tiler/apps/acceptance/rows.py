@@ -20,6 +20,7 @@ from tiler.apps.acceptance.separation_rows import SEPARATION_ROWS
 from tiler.core.words import counted
 
 WITHOUT_SOURCES = "the points have no point source ids"
+RANDOM_SOURCES = "the point source ids look random"
 
 
 def _files(paths: Sequence[Path]) -> Found:
@@ -71,6 +72,8 @@ def _of_swaths(
     """Return a function that finds the median or the least value of the swaths."""
 
     def find(cells: CellFindings, measured: Measurements) -> Found:
+        if cells.n_random:
+            return Found(None, remark=RANDOM_SOURCES)
         if not cells.swaths:
             return Found(None, remark="no swath is large enough")
         worst = sorted(cells.swaths, key=lambda swath: (value(swath), swath.source))
@@ -107,6 +110,8 @@ def _number_of_places(
 def _swath_gaps(cells: CellFindings, measured: Measurements) -> Found:
     if not _n_swaths(measured):
         return Found(None, remark=WITHOUT_SOURCES)
+    if cells.n_random:
+        return Found(None, remark=RANDOM_SOURCES)
     found = _number_of_places(lambda c: c.gaps)(measured)
     if cells.parts < 2:
         return found
@@ -117,6 +122,8 @@ def _swath_gaps(cells: CellFindings, measured: Measurements) -> Found:
 
 
 def _overlap(cells: CellFindings, measured: Measurements) -> Found:
+    if cells.n_random:
+        return Found(None, remark=RANDOM_SOURCES)
     if cells.overlap_share is None or _n_swaths(measured) < 2:
         return Found(None, remark="the points have fewer than two swaths")
     return Found(100 * cells.overlap_share)
@@ -242,8 +249,8 @@ ROWS = (
         "coordinate_step",
         "m",
         "at most",
-        lambda m: Found(max(f.scale for f in m.files) * m.metres),
-        "largest scale factor of coordinates",
+        lambda m: Found(max(f.scale_m for f in m.files)),
+        "largest scale factor of x, y and z, each in metres by its unit",
     ),
     Row("classes", "", "only", _classes, "classes of the points"),
     _flag("withheld", "points with the withheld flag"),

@@ -53,8 +53,8 @@ FAULTS = (
 """Reasons why a cell is not compared, from 1 on. If those of two swaths differ, the later one counts."""
 NO_OVERLAP = "no overlap of swaths, so nothing to compare"
 
-BYTES_PER_HEIGHT_CELL = 200
-"""Memory that `separate_swaths` needs per cell of a swath, if most are shared by two swaths."""
+BYTES_PER_HEIGHT_CELL = 280
+"""Memory that `separate_swaths` and `find_surfaces` need per cell of a swath, if most are shared by two swaths."""
 BYTES_PER_COMPARISON = 100
 """Memory per pair of cells of one swath and all later ones."""
 MAX_NAMES = 5
@@ -109,7 +109,12 @@ class Separation:
 
 
 def separate_swaths(
-    keys: Keys, sums: Int64s, cells: Cells, metres: float, memory: float
+    keys: Keys,
+    sums: Int64s,
+    cells: Cells,
+    metres: float,
+    memory: float,
+    surfaces: tuple[Floats, Faults] | None = None,
 ) -> Separation | str:
     """Compare the heights of all swaths that share cells, or return why they cannot be compared.
 
@@ -117,7 +122,7 @@ def separate_swaths(
     ----------
     keys : uint64, shape (n,)
         Keys of ``cells.of_heights``, sorted.
-    sums : int64, shape (n, 5)
+    sums : int64, shape (n, `N_SUMS`)
         Their `Cells.height_sums`.
     cells : Cells
         Cells of the first returns.
@@ -125,9 +130,11 @@ def separate_swaths(
         Metres per unit of the CRS.
     memory : float
         Bytes that may be used.
+    surfaces : (float64, uint8), shape (n,) each, optional
+        `find_surfaces` of these cells.
     """
-    if keys.size * BYTES_PER_HEIGHT_CELL > memory:
-        return _too_large(keys.size * BYTES_PER_HEIGHT_CELL)
+    if reason := too_large(keys.size, memory):
+        return reason
     shared = _shared(keys)
     if not shared.size:
         return NO_OVERLAP
@@ -141,16 +148,24 @@ def separate_swaths(
     if needed > memory:
         return _too_large(needed)
     lattice = cells.of_heights
+    height_m, fault = surfaces or find_surfaces(keys, sums, lattice.side * metres)
     comparison = _Comparison(
         source,
         np.asarray((column + lattice.column + 0.5) * lattice.side, np.float64),
         np.asarray((row + lattice.row + 0.5) * lattice.side, np.float64),
         cell,
-        *_heights(keys, sums, shared, lattice.side * metres),
+        height_m[shared],
+        fault[shared],
     )
     for first, second in _pairs(source, n_later):
         comparison.add(first, second)
     return comparison.result(lattice.side, metres)
+
+
+def too_large(n_cells: int, memory: float) -> str:
+    """Return why cells of swaths cannot be examined, or an empty text if they can."""
+    needed = n_cells * BYTES_PER_HEIGHT_CELL
+    return _too_large(needed) if needed > memory else ""
 
 
 def _too_large(needed: float) -> str:
@@ -297,8 +312,18 @@ def _figures(difference: Floats) -> tuple[Spread, int]:
     return spread(difference[~is_far]), int(is_far.sum())
 
 
-def _heights(keys: Keys, sums: Int64s, at: Indices, side_m: float) -> tuple[Floats, Faults]:
-    """Return the heights in metres at the centres of some cells, and why they are not even, 0 if they are."""
+def find_surfaces(keys: Keys, sums: Int64s, side_m: float) -> tuple[Floats, Faults]:
+    """Return the heights in metres at the centres of cells, and why they are not even (`FAULTS`), 0 if they are.
+
+    Parameters
+    ----------
+    keys : uint64, shape (n,)
+        Keys of the cells of heights, sorted.
+    sums : int64, shape (n, `N_SUMS`)
+        Their `Cells.height_sums`.
+    side_m : float
+        Side of the cells in metres.
+    """
     n = sums[:, 0].astype(np.float64)
     means = tuple(
         sums[:, axis] / n / steps - shift
@@ -309,17 +334,16 @@ def _heights(keys: Keys, sums: Int64s, at: Indices, side_m: float) -> tuple[Floa
         )
     )
     has_points = sums[:, 0] >= MIN_POINTS
-    height_m, fault = np.empty(at.size), np.empty(at.size, np.uint8)
+    height_m, fault = np.empty(keys.size), np.empty(keys.size, np.uint8)
     steepest = (math.tan(math.radians(MAX_SLOPE_DEGREES)) * side_m) ** 2
-    for start in range(0, at.size, _BLOCK_CELLS):
-        block = slice(start, start + _BLOCK_CELLS)
-        some = at[block]
-        slope_x, slope_y, deviation = _planes(keys, some, means, has_points)
+    for start in range(0, keys.size, _BLOCK_CELLS):
+        block = slice(start, min(start + _BLOCK_CELLS, keys.size))
+        slope_x, slope_y, deviation = _planes(keys, block, means, has_points)
         squared_slope = slope_x**2 + slope_y**2
         # A plane spreads the heights of points all over a cell of side 1 with a twelfth of its squared slope.
-        rough = _variance(sums[some]) - squared_slope / 12
+        rough = _variance(sums[block]) - squared_slope / 12
         faults = (
-            ~has_points[some],
+            ~has_points[block],
             np.isinf(deviation),
             deviation > MAX_ROUGH_M,
             squared_slope > steepest,
@@ -327,7 +351,7 @@ def _heights(keys: Keys, sums: Int64s, at: Indices, side_m: float) -> tuple[Floa
         )
         # Few points on a slope have a variance that differs from the twelfth, so steep cells may seem rough.
         fault[block] = np.select(faults, (4, 3, 2, 1, 2), 0)
-        x, y, z = (mean[some] for mean in means)
+        x, y, z = (mean[block] for mean in means)
         height_m[block] = z - slope_x * x - slope_y * y
     return height_m, fault
 
@@ -346,21 +370,21 @@ def _variance(sums: Int64s) -> Floats:
 
 
 def _planes(
-    keys: Keys, at: Indices, means: tuple[Floats, ...], has_points: Mask
+    keys: Keys, block: slice, means: tuple[Floats, ...], has_points: Mask
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit planes to the means of 3 x 3 cells around some cells by least squares.
+    """Fit planes to the means of 3 x 3 cells around the cells of a block by least squares.
 
     Return their slopes along x and y in metres per cell, and the standard deviation of the means from them. It is
     infinite if too few cells define the plane.
     """
-    n = np.zeros(at.size)
-    total = np.zeros((3, at.size))
-    products = np.zeros((3, 3, at.size))
-    for rows, columns in ((r, c) for r in (-1, 0, 1) for c in (-1, 0, 1)):
-        near, is_there = _neighbours(keys, at, rows, columns)
+    middle = means[2][block]
+    n = np.zeros(middle.size)
+    total = np.zeros((3, middle.size))
+    products = np.zeros((3, 3, middle.size))
+    for rows, columns, near, is_there in _neighbours(keys, block):
         is_there &= has_points[near]
         x, y, z = (mean[near] for mean in means)
-        position = np.stack((x + columns, y + rows, z - means[2][at])) * is_there
+        position = np.stack((x + columns, y + rows, z - middle)) * is_there
         n += is_there
         total += position
         products += position[:, None] * position[None]
@@ -380,11 +404,18 @@ def _planes(
     )
 
 
-def _neighbours(keys: Keys, at: Indices, rows: int, columns: int) -> tuple[Indices, Mask]:
-    """Return the positions of the neighbours of some cells in the sorted keys, and the mask of those that exist.
+def _neighbours(keys: Keys, block: slice) -> Iterator[tuple[int, int, Indices, Mask]]:
+    """Yield the row and column of each of 3 x 3 neighbours, their positions in the sorted keys, and which exist.
 
     Cells at the edge of the lattice have neighbours of another row or swath, but no survey reaches there.
     """
-    wanted = (keys[at].astype(np.int64) + (rows << SIDE_BITS) + columns).astype(np.uint64)
-    found = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
-    return found, keys[found] == wanted
+    for rows in (-1, 0, 1):
+        wanted = (keys[block].astype(np.int64) + (rows << SIDE_BITS) - 1).astype(np.uint64)
+        # The neighbours of a row follow each other.
+        at = np.searchsorted(keys, wanted)
+        for columns in (-1, 0, 1):
+            near = np.minimum(at, keys.size - 1)
+            is_there = keys[near] == wanted
+            at = at + is_there
+            wanted = wanted + np.uint64(1)
+            yield rows, columns, near, is_there

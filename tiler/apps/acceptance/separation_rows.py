@@ -1,4 +1,4 @@
-"""The rows of the differences of swaths."""
+"""The rows of the differences and of the repeatability of swaths."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from tiler.apps.acceptance.measurements import MAX_PLACES, Found, Measurements, Row
+from tiler.apps.acceptance.repeatability import MIN_CELL_POINTS, MIN_CELLS
 from tiler.apps.acceptance.separation import (
     FAULTS,
     MAX_NAMES,
@@ -99,6 +100,29 @@ def _step(pair: SwathPair) -> str:
     )
 
 
+def _repeatability(measured: Measurements) -> Found:
+    if isinstance(measured.precision, str):
+        return Found(None, remark=measured.precision)
+    found, others = measured.precision
+    if not found:
+        return Found(
+            None,
+            remark=f"no swath has {MIN_CELLS} even cells with {MIN_CELL_POINTS} single returns",
+        )
+    where = [
+        f"point source {swath.source}: {100 * swath.sigma_m:.2f} cm in {counted(swath.cells, 'cell')}, worst around "
+        f"{swath.x:.1f} {swath.y:.1f} ({100 * swath.worst_m:.2f} cm)"
+        for swath in found[:MAX_PLACES]
+    ]
+    if not others:
+        return Found(found[0].sigma_m, where, counted(len(found), "swath"))
+    remark = (
+        f"{counted(len(others), 'swath')} without {MIN_CELLS} even cells with {MIN_CELL_POINTS} single returns: point "
+        f"sources {listed([str(source) for source in others], MAX_NAMES)}"
+    )
+    return Found(None, where, remark)
+
+
 def _signed(metres: float) -> str:
     """Return a length with its sign, and zero without a negative one."""
     return f"{round(metres, 3) + 0.0:+.3f} m"
@@ -133,5 +157,13 @@ SEPARATION_ROWS = (
         _found(_swath_step),
         "largest absolute mean difference of a pair of swaths, of those that share at least "
         f"{MIN_PAIR_CELLS} such cells",
+    ),
+    Row(
+        "repeatability",
+        "m",
+        "at most",
+        _repeatability,
+        "standard deviation of the heights of a swath from the planes of even cells, for the worst swath (precision "
+        "within a swath)",
     ),
 )

@@ -12,8 +12,9 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from tiler.apps.acceptance.counts import Cells, Keys, places_of
+from tiler.core.units import parse_sides
 from tiler.core.words import listed
-from tiler.errors import InputError
+from tiler.errors import ConfigError, InputError
 from tiler.io.vector import CUT, POLYGONS
 from tiler.io.vector.reading import Feature, read_features, read_in_crs
 from tiler.schedule import call_isolated
@@ -50,6 +51,17 @@ class Coverage:
     number: int
     n_small: int
     path: Path
+
+
+def validate_not_grid(path: Path) -> None:
+    """Raise ConfigError if the name of the file of sheets is a length, with which a run makes a grid."""
+    try:
+        parse_sides(str(path))
+    except ConfigError:
+        return
+    raise ConfigError(
+        f"--sheets {path}: is a grid, which does not say which sheets were ordered; give a file with their polygons"
+    )
 
 
 def read_sheets(path: Path, field: str | None, wkt: str | None) -> Sheets:

@@ -14,6 +14,7 @@ from typing import Any
 
 from tiler.apps.acceptance.counts import GPS_KINDS
 from tiler.apps.acceptance.measurements import Row
+from tiler.apps.acceptance.repeatability import MAX_LIMIT_M
 from tiler.apps.acceptance.rows import ROWS
 from tiler.config import load_config
 from tiler.core.units import parse_area, parse_length
@@ -104,6 +105,10 @@ def _limit(where: str, row: Row, value: Any) -> Any:
         raise ConfigError(f"{where} = {value!r}: must be a number of 0 or above")
     if row.unit == "%" and not 1 < value <= 100:
         raise ConfigError(f"{where} = {value!r}: must be a percentage above 1, 100 at most")
+    if row.name == "repeatability" and value > MAX_LIMIT_M:
+        raise ConfigError(
+            f"{where} = {value!r}: must be {MAX_LIMIT_M:g} m or below, as rougher cells are not even"
+        )
     if value == 0 and row.name in ("pulse_spacing", "pulse_density"):
         raise ConfigError(f"{where} = {value!r}: must be above 0")
     return value

@@ -17,9 +17,9 @@ SHARES = {
     "more, or not sure": 1.0,
 }
 """Answers to what share of an outlined area is an object. They are rounded up, so that a bound stays true."""
-MOST_DRAWS = 100_000
+MAX_DRAWS = 100_000
 MAX_BYTES = 4 << 20
-"""Largest size of a file of answers. That of `MOST_DRAWS` has less than 2 MB."""
+"""Largest size of a file of answers. That of `MAX_DRAWS` has less than 2 MB."""
 REMEDY = "give the file of answers that the page saved"
 _DRAW = re.compile("[1-9][0-9]{0,5}")
 
@@ -33,7 +33,7 @@ def read_answers(path: Path) -> tuple[str, dict[int, float]]:
             text = stream.read(MAX_BYTES + 1)
         if len(text) > MAX_BYTES:
             raise InputError(f"{path}: has more than {MAX_BYTES >> 20} MiB; {REMEDY}")
-        content = parse_json_object(text.decode("utf-8-sig"))
+        content = parse_json_object(text.decode("utf-8-sig"), distinct_keys=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {REMEDY}") from error
     except ValueError as error:
@@ -42,7 +42,7 @@ def read_answers(path: Path) -> tuple[str, dict[int, float]]:
     if not isinstance(key, str) or not isinstance(answers, Mapping):
         raise InputError(f"{path}: is not a file of answers; {REMEDY}")
     for draw, share in answers.items():
-        if not _DRAW.fullmatch(draw) or int(draw) > MOST_DRAWS:
+        if not _DRAW.fullmatch(draw) or int(draw) > MAX_DRAWS:
             raise InputError(f"{path}: {excerpt(draw)} is not a number of a draw; {REMEDY}")
         if isinstance(share, bool) or share not in SHARES.values():
             raise InputError(

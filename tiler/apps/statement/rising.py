@@ -16,7 +16,7 @@ MEAN_M, OPENING_M, PLANE_M = 60.0, 40.0, 120.0
 """Sides of the squares of the mean, of the opening, and of the plane that replaces land which the mean misses."""
 STEPS_PER_M = 1000
 """Heights are whole numbers of millimetres, so that sums do not depend on the window."""
-MOST_M = 1e5
+MAX_HEIGHT_M = 1e5
 """Largest height above or below 0. Pixels beyond it are damaged and have no height."""
 
 Bools = npt.NDArray[np.bool_]
@@ -54,7 +54,7 @@ def rising(heights_m: Float64s, pixel_m: float) -> tuple[Bools, Bools]:
     -------
     rises, is_there : bool, shape (height, width)
     """
-    is_there = np.isfinite(heights_m) & (np.abs(heights_m) < MOST_M)
+    is_there = np.isfinite(heights_m) & (np.abs(heights_m) < MAX_HEIGHT_M)
     z = np.rint(np.where(is_there, heights_m, 0.0) * STEPS_PER_M).astype(np.int64)
     opening = half_side(OPENING_M, pixel_m)
     inner = _without(is_there, half_side(PLANE_M, pixel_m))

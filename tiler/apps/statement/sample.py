@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from tiler.apps.statement.answers import MOST_DRAWS
+from tiler.apps.statement.answers import MAX_DRAWS
 from tiler.apps.statement.squares import Squares
 from tiler.core.betting import upper_bound
 
@@ -24,7 +24,7 @@ class Sample:
         First draw of each of the next squares without an answer, by index of the square.
     seen, squares : int
         Numbers of squares with an answer and of all squares.
-    most_pixels : float
+    max_pixels : float
         Upper bound of the number of rising pixels that are objects.
     """
 
@@ -33,11 +33,13 @@ class Sample:
     todo: Mapping[int, int]
     seen: int
     squares: int
-    most_pixels: float
+    max_pixels: float
 
 
-def sample_of(squares: Squares, key: str, answers: Mapping[int, float], most: int) -> Sample:
-    """Return the sample with some answers by draw, and at most ``most`` squares to look at next.
+def sample_of(
+    squares: Squares, key: str, answers: Mapping[int, float], max_squares: int
+) -> Sample:
+    """Return the sample with some answers by draw, and at most ``max_squares`` squares to look at next.
 
     Parameters
     ----------
@@ -47,7 +49,7 @@ def sample_of(squares: Squares, key: str, answers: Mapping[int, float], most: in
         Key of the draws.
     answers : mapping of int to float
         Share of a draw's square that is an object.
-    most : int
+    max_squares : int
     """
     shares_of: dict[int, float] = {}
     for draw, share in answers.items():
@@ -58,8 +60,8 @@ def sample_of(squares: Squares, key: str, answers: Mapping[int, float], most: in
     counting: list[float] = []
     todo: dict[int, int] = {}
     unseen = squares.rising.size - len(shares_of)
-    for draw in range(1, MOST_DRAWS + 1):
-        if len(todo) == min(most, unseen) and (todo or draw > last):
+    for draw in range(1, MAX_DRAWS + 1):
+        if len(todo) == min(max_squares, unseen) and (todo or draw > last):
             break
         index = squares.drawn(key, draw)
         if index not in shares_of:

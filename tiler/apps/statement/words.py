@@ -48,14 +48,14 @@ def statement_text(
     if not sample.shares:
         begin = f"no answer counts yet: of {land}, {rises}; "
         return begin + _needed(sample, rising * pixel_m2, wide) + later * bool(sample.waiting)
-    most = small_area_text(rounded_up(sample.most_pixels * pixel_m2 / wide**2) * wide**2, wide)
+    bound = small_area_text(rounded_up(sample.max_pixels * pixel_m2 / wide**2) * wide**2, wide)
     if sample.seen == sample.squares:
         basis = f"as every square that rises was looked at ({sample.squares:,})"
     else:
         with_objects = sum(share > 0 for share in sample.shares)
         number = counted(len(sample.shares), "random draw")
         basis = f"95 % sure ({number}, {with_objects:,} with objects)"
-    text = f"at most {most} of {objects} in {land}, of which {rises}, {basis}"
+    text = f"at most {bound} of {objects} in {land}, of which {rises}, {basis}"
     return text + later * bool(sample.waiting)
 
 

@@ -18,16 +18,17 @@ from tiler.apps.statement.answers import SHARES, read_answers
 from tiler.apps.statement.sample import Sample, sample_of
 from tiler.apps.statement.squares import Squares, Terrain
 from tiler.apps.statement.words import statement_text
+from tiler.core.betting import DOUBT
 from tiler.core.records import new_digest
 from tiler.core.units import length_text
 from tiler.errors import ConfigError, InputError
 from tiler.io.cloud_reading import BLOCK_BYTES
 from tiler.io.locations import is_url
-from tiler.io.result_folder import STATEMENT_PAGE
+from tiler.io.result_folder import STATEMENT_PAGE, store_of
 from tiler.io.vector import Feature
 from tiler.report.cards import Card, views
 from tiler.report.document import el, page, section
-from tiler.report.places import Detail, open_survey, place_card, store_of, units_of
+from tiler.report.places import Detail, open_survey, place_card, units_of
 from tiler.schedule import call_isolated, half_of_memory
 
 MAKER = "tiler review --statement"
@@ -47,9 +48,10 @@ class Statement:
     ----------
     text : str
         Statement as a sentence.
-    most_m2 : float or None
-        Upper bound of the area of the objects in square metres, which holds with a probability of 95 %. None if no
-        terrain rises.
+    max_m2 : float or None
+        Upper bound of the area of the objects in square metres. None if no terrain rises.
+    confidence : float
+        Least probability with which the bound holds.
     terrain_m2, rising_m2 : float
         Areas of the terrain, and of what rises above the land around.
     draws, with_objects, waiting : int
@@ -63,7 +65,8 @@ class Statement:
     """
 
     text: str
-    most_m2: float | None
+    max_m2: float | None
+    confidence: float
     terrain_m2: float
     rising_m2: float
     draws: int
@@ -212,7 +215,8 @@ def _statement(run: Mapping[str, Any], found: _Found, target: str) -> Statement:
     shares = () if sample is None else sample.shares
     return Statement(
         text=statement_text(sample, squares.pixels, rising, pixel_m2, units_of(run)),
-        most_m2=None if sample is None else sample.most_pixels * pixel_m2,
+        max_m2=None if sample is None else sample.max_pixels * pixel_m2,
+        confidence=1 - DOUBT,
         terrain_m2=squares.pixels * pixel_m2,
         rising_m2=rising * pixel_m2,
         draws=len(shares),

@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from tiler.config import plain_value
+from tiler.core.dates import Days, days_of, span_of
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
@@ -38,6 +39,7 @@ from tiler.io.result_folder import (
     CLASSIFIED,
     CLOUD_SUFFIXES,
     OUTLINE,
+    OVERVIEW,
     REPORT,
     SHEET_ITEMS,
     SHEETS,
@@ -55,7 +57,6 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 STAGE = "catalogue"
-_BY_GPS, _BY_HEADER = "GPS time of the points", "creation date in the headers of the files"
 _DIGITS = 9
 """Number of decimals of coordinates. Further decimals are rounding errors of binary
 fractions."""
@@ -85,13 +86,6 @@ class Cloud:
     source: Source
     record: CloudRecord
 
-    @property
-    def dates(self) -> Any:
-        """First and last day by the GPS times of the points, or else by the date in the header of the source."""
-        return stac.dates_of_gps(self.record.statistics["gps"]) or stac.dates_of_header(
-            self.source.info.created
-        )
-
 
 def written_clouds(plan: Plan, sources: Sequence[Source], written: Commits) -> list[Cloud]:
     """Return the classified clouds that were written, given the commits of the stage export."""
@@ -106,14 +100,22 @@ def written_clouds(plan: Plan, sources: Sequence[Source], written: Commits) -> l
 
 def survey_dates(clouds: Sequence[Cloud], sources: Sequence[Source]) -> SurveyDates | None:
     """Return the days on which the points were measured, or else on which their files were made."""
-    measured = [stac.dates_of_gps(cloud.record.statistics["gps"]) for cloud in clouds]
-    made = [stac.dates_of_header(source.info.created) for source in sources]
-    for by, found in ((_BY_GPS, measured), (_BY_HEADER, made)):
-        known = [days for days in found if days is not None]
-        if found and len(known) == len(found):
-            first, last = min(days[0] for days in known), max(days[1] for days in known)
-            return SurveyDates(first.isoformat(), last.isoformat(), by)
-    return None
+    days, by = _days(clouds, sources)
+    if (span := span_of(days)) is None:
+        return None
+    first, last = span
+    return SurveyDates(first.isoformat(), last.isoformat(), by)
+
+
+def _days(
+    clouds: Sequence[Cloud], sources: Sequence[Source] = ()
+) -> tuple[list[Days | None], str]:
+    """Return the days of each file and their kind, of the sources if no clouds are written."""
+    if not clouds:  # The plan read the times of some points of each source.
+        return days_of([(source.info.times, source.info.created) for source in sources])
+    return days_of(
+        [(cloud.record.statistics["gps"], cloud.source.info.created) for cloud in clouds]
+    )
 
 
 def planned(gridding: Gridded) -> dict[str, str]:
@@ -214,14 +216,21 @@ class _Catalogue:
             "id": str(PurePosixPath(cloud.path).relative_to(CLASSIFIED)).removesuffix(self._suffix),
             "geometry": self._globe.polygon(box) or native, "bbox": [west, south, low[2], east, north, high[2]],
             "properties": {
-                **stac.dates([cloud.dates]), "pc:count": cloud.record.points, "pc:type": self._type,
+                **stac.dates(_days([cloud])[0]), "pc:count": cloud.record.points, "pc:type": self._type,
                 "pc:encoding": self._encoding, "pc:schemas": schema,
                 "pc:statistics": stac.statistics(fields, cloud.record.points, names),
                 **({"proj:wkt2": wkt} if wkt else {}), "proj:geometry": native, "proj:bbox": [*low, *high],
             },
             "links": [],
-            "assets": {"data": _asset(cloud.path, self._media)},
+            "assets": {"data": _asset(cloud.path, self._media), **self._overview},
         }  # fmt: skip
+
+    @property
+    def _overview(self) -> dict[str, Any]:
+        """Asset of the overview of all clouds, which QGIS takes from any feature of the virtual cloud."""
+        if OVERVIEW not in self._written:
+            return {}
+        return {"overview": _asset(OVERVIEW, _CLOUDS["copc"][0], "overview")}
 
     def _format(self, cloud: Cloud) -> int:
         """Return the point format of a classified cloud."""
@@ -361,6 +370,7 @@ class _Catalogue:
             assets[VIRTUAL] = _asset(
                 VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one"
             )
+            assets |= self._overview
         for cloud in self.clouds:
             # The schema of the extension is valid only for items, and with sheets this is a
             # collection.
@@ -378,9 +388,7 @@ class _Catalogue:
         return assets
 
     def _dates(self) -> dict[str, str | None]:
-        if self.clouds:
-            return stac.dates(cloud.dates for cloud in self.clouds)
-        return stac.dates(stac.dates_of_header(source.info.created) for source in self._sources)
+        return stac.dates(_days(self.clouds, self._sources)[0])
 
     @cached_property
     def _id(self) -> str:

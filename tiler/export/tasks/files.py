@@ -22,12 +22,14 @@ from tiler.export.classified import write_classified
 from tiler.export.cloud_frame import crs_to_write
 from tiler.export.output_files import (
     CloudCopy,
+    CloudOverview,
     OutFile,
     ProductInfo,
     RasterFileRecord,
     RasterPart,
     SheetFile,
 )
+from tiler.export.overview import THINNING, write_overview
 from tiler.export.polygons import write_sheet_index
 from tiler.export.rasters import write_cog, write_legend, write_mosaic
 from tiler.export.tasks.sheets import key_of, name_of
@@ -36,6 +38,7 @@ from tiler.io.locations import is_url, joined, location
 from tiler.io.result_folder import (
     CLASSIFIED,
     LEGEND,
+    OVERVIEW,
     SHEETS,
     mosaic_file,
     raster_file,
@@ -276,6 +279,32 @@ def classified_tasks(
             points=points,
             bounds=plan.buckets.hull(cells) if cells else None,
         )
+
+
+def overview_task(
+    context: Gridded, sources: Iterable[Source], labels: Mapping[Cell, str], out: str
+) -> Task:
+    """Return the task that writes the overview of the classified clouds."""
+    plan, waters, cells = context.plan, context.waters, sorted(labels)
+    sources = list(sources)
+    wet = _wet(plan, waters, cells)
+    overview = CloudOverview(
+        labels=LABELS,
+        cells=tuple(cells),
+        area=plan.inputs.area_key,
+        edits=context.edits,
+        waters=waters.key if wet else None,
+        low_is_noise=bool(wet) and plan.config.water_low == LOW_AS_NOISE,
+        reclass=plan.config.reclass,
+    )
+    return Task.of(
+        "export",
+        OVERVIEW,
+        calling(write_overview, overview=overview, to=OutFile(out, OVERVIEW)),
+        sorted(source.identity for source in sources),
+        [[labels[cell], wet.get(cell)] for cell in cells],
+        points=sum(source.info.points for source in sources) // THINNING,
+    )
 
 
 def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:

@@ -59,7 +59,7 @@ def correct(
     Return the labels with digests that include the edits, and the `Corrections`.
     """
     plan, labels, corrections = job.plan, labelled.digests, Corrections()
-    pixels = Lattice(plan.frame.counts(plan.grid.resolution))
+    pixels = Lattice(plan.frame.counts(plan.grid.surface_pixel))
     deck_edits, decks = _find_bridges(job, assembled, labels)
     if deck_edits or plan.inputs.edits:
         edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, pixels)), pixels)
@@ -84,7 +84,7 @@ def _label_digests(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict
     digests = dict(labels)
     for cell, near in edits.by_cell(plan.buckets, labels).items():
         digests[cell] = digest_of(
-            digests[cell], [edit.digest for edit in near], str(plan.grid.resolution)
+            digests[cell], [edit.digest for edit in near], str(plan.grid.surface_pixel)
         )
     return digests
 

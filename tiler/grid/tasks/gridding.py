@@ -132,7 +132,7 @@ def has_large_pixels(plan: Plan) -> bool:
 
 def canopy_cell_m(plan: Plan) -> Fraction:
     """Return the side in metres of the cells in which canopies are compared with the terrain around them."""
-    return max(Fraction(CANOPY_CELL_M), plan.grid.resolution)
+    return max(Fraction(CANOPY_CELL_M), plan.grid.surface_pixel)
 
 
 class Grid(Enum):

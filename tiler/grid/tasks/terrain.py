@@ -113,7 +113,9 @@ class OnTin:
 def _thinning(plan: Plan) -> Lattice | None:
     """Return the cells in which one ground point makes the surface, or None if all do."""
     share = plan.surface_cells
-    return None if share is None else Lattice(plan.frame.counts(plan.grid.resolution / share))
+    return (
+        None if share is None else Lattice(plan.frame.counts(plan.grid.surface_pixel / share))
+    )
 
 
 def _where_water_is_sought(context: GridContext) -> Collection[Place] | None:

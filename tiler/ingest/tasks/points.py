@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 from tiler.core.lattice import Cell
 from tiler.core.records import SpoolRecord, digest_of
@@ -16,6 +17,7 @@ from tiler.io.locations import is_url, location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
 from tiler.runs.found import Source, by_source, skip_flags, source_of
 from tiler.schedule import Task, calling
+from tiler.schedule.task import Call
 from tiler.store import Commits
 from tiler.version import INGEST_RULES
 
@@ -117,51 +119,76 @@ def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[i
     return strays_by_source
 
 
-def assemble_tasks(
-    plan: Plan,
-    spooled: Commits,
-    fragments: Fragments,
-    strays: Mapping[int, Strays],
-) -> Iterator[Task]:
-    """Yield a task per group of neighbouring buckets."""
+def parts_of_buckets(
+    plan: Plan, fragments: Fragments, strays: Mapping[int, Strays]
+) -> list[BucketParts]:
+    """Return the locations of each bucket's points, with the rules for its strays."""
 
-    def bucket(cell: Cell) -> BucketParts:
-        sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
-        rules = ((n, strays[n].rule(plan.buckets, cell)) for n in sorted(sources))
+    def parts(cell: Cell) -> BucketParts:
+        rules = (
+            (n, strays[n].rule(plan.buckets, cell))
+            for n in sorted(sources_in(fragments[cell]) & strays.keys())
+        )
         return BucketParts(
             cell,
             tuple(fragments[cell]),
             tuple((n, rule) for n, rule in rules if rule is not None),
         )
 
-    groups: dict[Cell, list[Cell]] = defaultdict(list)
-    for cell in fragments:
-        groups[Cell(cell.ix // GROUP, cell.iy // GROUP)].append(cell)
+    return [parts(cell) for cell in sorted(fragments)]
+
+
+def sources_in(fragments: Iterable[tuple[str, int, int]]) -> set[int]:
+    """Return the numbers of the sources of fragments."""
+    return {int(source_of(piece)[1:]) for piece, _, _ in fragments}
+
+
+def assemble_tasks(
+    plan: Plan, spooled: Commits, buckets: Iterable[BucketParts]
+) -> Iterator[Task]:
+    """Yield a task per group of neighbouring buckets."""
     flags, keep = skip_flags(plan), plan.config.keep_classes
+
+    def call(group: tuple[BucketParts, ...]) -> Call:
+        return calling(assemble_buckets, buckets=group, keep_classes=keep, skip_flags=flags)
+
+    return group_tasks("assemble", plan, spooled, buckets, call)
+
+
+def group_tasks(
+    stage: str,
+    plan: Plan,
+    spooled: Commits,
+    buckets: Iterable[BucketParts],
+    call: Callable[[tuple[BucketParts, ...]], Call],
+) -> Iterator[Task]:
+    """Yield a task of a stage per group of neighbouring buckets. The call has the group as the value ``buckets``."""
+    groups: dict[Cell, list[BucketParts]] = defaultdict(list)
+    for bucket in buckets:
+        groups[Cell(bucket.cell.ix // GROUP, bucket.cell.iy // GROUP)].append(bucket)
     identities = {
         piece: SpoolRecord.of(stored).identity for piece, (_, stored) in spooled.items()
     }
-    for group in sorted(groups):
-        buckets = tuple(bucket(c) for c in sorted(groups[group]))
-        pieces_of_group = {piece for cell in groups[group] for piece, _, _ in fragments[cell]}
+    for name in sorted(groups):
+        group = tuple(groups[name])
+        pieces_of_group = {piece for bucket in group for piece, _, _ in bucket.fragments}
         parents = [identities[piece] for piece in sorted(pieces_of_group)]
-        points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
-        # The digest has no rows, because a bucket's rows in a piece depend on the other buckets
-        # that are stored.
-        content = [
-            [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules]
-            for b in buckets
-        ]
-        call = calling(assemble_buckets, buckets=buckets, keep_classes=keep, skip_flags=flags)
-        call = call.without("buckets")
-        bounds = plan.buckets.hull(groups[group])
         yield Task.of(
-            "assemble",
-            group.name,
-            call,
-            content,
+            stage,
+            name.name,
+            call(group).without("buckets"),
+            [_content(bucket) for bucket in group],
             parents,
             rules=INGEST_RULES,
-            points=points,
-            bounds=bounds,
+            points=sum(stop - start for b in group for _, start, stop in b.fragments),
+            bounds=plan.buckets.hull(bucket.cell for bucket in group),
         )
+
+
+def _content(bucket: BucketParts) -> list[Any]:
+    """Return what the digest has of a bucket.
+
+    It has no rows, because a bucket's rows in a piece depend on the other buckets that are stored.
+    """
+    counts = [[piece, stop - start] for piece, start, stop in bucket.fragments]
+    return [bucket.cell, counts, bucket.rules, *bucket.outranked]

@@ -62,10 +62,9 @@ def test_a_hole_is_a_void_of_its_area(tmp_path: Path) -> None:
     assert found_rows["voids"]["found"] == 1
     assert found_rows["void_area"]["found"] == pytest.approx(12 * 7)
     assert found_rows["voids"]["where"] == ["500026.0 5000033.5 (84 m2)"]
-    # It is too narrow to be left out as if it were water.
-    cells = found_rows["distribution"]["found"] / 100
-    assert found_rows["pulse_density"]["found"] == pytest.approx(4 * cells)
-    assert cells == pytest.approx(1 - 84 / 60**2, abs=0.002)
+    # It is too narrow to be left out as if it were water. The density is that of the cells wholly inside.
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4 * (1 - 84 / 58**2))
+    assert found_rows["distribution"]["found"] == pytest.approx(100 * (1 - 84 / 60**2), abs=0.2)
 
 
 QL1 = read_specification("usgs-ql1")
@@ -87,6 +86,106 @@ def test_random_pulses_have_the_distribution_of_chance(tmp_path: Path, per_m2: f
     found_rows = found(Pulses(x, y).write(tmp_path / "a.laz"), QL1)
     assert found_rows["distribution"] == pytest.approx(100 * (1 - math.exp(-per_m2 / 2)), abs=2)
     assert found_rows["pulse_density"] == pytest.approx(per_m2, rel=0.03)
+
+
+def random_pulses(
+    rng: np.random.Generator, width: float, height: float, per_m2: float, source: int = 1
+) -> Pulses:
+    number = rng.poisson(per_m2 * width * height)
+    return Pulses(*rng.uniform((0, 0), (width, height), (number, 2)).T, source)
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "per_m2", "degrees"),
+    [
+        (60, 60, 4, 0),
+        (60, 90, 1, 0),
+        (61.3, 60.7, 8, 0),
+        (400, 150, 4, 0),
+        (400, 400, 1, 0),
+        (100, 60, 4, 30),
+        (250, 200, 2, 17),
+    ],
+)
+def test_density_is_that_of_random_pulses_whatever_the_extent(
+    tmp_path: Path, width: float, height: float, per_m2: float, degrees: float
+) -> None:
+    """The errors are those of chance, and so is their mean. Four empty cells are a void once in 100 such surveys."""
+    angle = math.radians(degrees)
+    n, errors = per_m2 * width * height, []
+    for seed in range(4):
+        pulses = random_pulses(np.random.default_rng(seed), width, height, per_m2)
+        x, y = pulses.x + 0.37 * seed, pulses.y + 0.21 * seed
+        pulses.x = x * math.cos(angle) - y * math.sin(angle)
+        pulses.y = x * math.sin(angle) + y * math.cos(angle)
+        spec = Specification("made", {"pulse_density": per_m2}) if seed % 2 else None
+        found_rows = found(pulses.write(tmp_path / "a.laz"), spec)
+        errors.append(found_rows["pulse_density"] / per_m2 - 1)
+        assert found_rows["pulse_spacing"] == pytest.approx(found_rows["pulse_density"] ** -0.5)
+        assert found_rows["swath_density_least"] == pytest.approx(found_rows["pulse_density"])
+        assert found_rows["voids"] <= 1
+    assert max(map(abs, errors)) < 3 / math.sqrt(n)
+    assert abs(np.mean(errors)) < 2.5 / math.sqrt(4 * n)
+
+
+@pytest.mark.parametrize("per_m2", [0.5, 4.0])
+def test_a_lake_does_not_change_the_density_of_random_pulses(
+    tmp_path: Path, per_m2: float
+) -> None:
+    """The cells are those of 4 pulses per square metre, so that many are empty around the lake of the sparse cloud."""
+    errors = []
+    for seed in range(3):
+        pulses = random_pulses(np.random.default_rng(seed), 160, 160, per_m2)
+        shore = pulses.where(lambda x, y: np.hypot(x - 81, y - 79) > 35)
+        errors.append(found(shore.write(tmp_path / "a.laz"))["pulse_density"] / per_m2 - 1)
+    assert abs(np.mean(errors)) < 3 / math.sqrt(3 * shore.x.size)
+
+
+def test_missing_strips_lower_the_density(tmp_path: Path) -> None:
+    corridor = random_pulses(np.random.default_rng(3), 400, 24, 4)
+    half = corridor.where(lambda x, y: x % 16 < 8)
+    spec = Specification("made", {"pulse_density": 4.0})
+    found_rows = found(half.write(tmp_path / "a.laz"), spec)
+    # Without the gaps it would be 4. At the corners of the gaps the outline is too narrow.
+    assert 2 <= found_rows["pulse_density"] < 2.5
+
+
+def test_a_swath_without_a_whole_cell_has_an_overlap_and_no_density(tmp_path: Path) -> None:
+    """A ring one cell wide around another swath, whose footprint is the whole square."""
+    rng = np.random.default_rng(4)
+    ring = random_pulses(rng, 100, 100, 4, 2).where(
+        lambda x, y: np.maximum(abs(x - 50), abs(y - 50)) > 49
+    )
+    both = random_pulses(rng, 100, 100, 4) + ring
+    found_rows = rows(both.write(tmp_path / "a.laz"))
+    assert 0 < found_rows["swath_overlap"]["found"] <= 100
+    assert found_rows["swath_density_least"]["found"] == pytest.approx(4, rel=0.05)
+
+
+def test_ids_of_many_pulses_in_a_cell_may_be_random(tmp_path: Path) -> None:
+    pulses = random_pulses(np.random.default_rng(6), 100, 100, 8)
+    pulses.source = np.random.default_rng(7).integers(1, 200, pulses.x.size)
+    found_rows = rows(pulses.write(tmp_path / "a.laz"))
+    assert found_rows["swath_overlap"]["remark"] == "the point source ids look random"
+
+
+@pytest.mark.parametrize("degrees", [0, 25])
+def test_overlap_is_that_of_random_pulses_whatever_the_cells(
+    tmp_path: Path, degrees: float
+) -> None:
+    angle, errors = math.radians(degrees), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        second = random_pulses(rng, 60.0, 80.0, 4, 2)
+        second.x += 40
+        swaths = random_pulses(rng, 60.0, 80.0, 4) + second
+        x, y = swaths.x + 0.3 * seed, swaths.y + 0.2 * seed
+        swaths.x = x * math.cos(angle) - y * math.sin(angle)
+        swaths.y = x * math.sin(angle) + y * math.cos(angle)
+        errors.append(found(swaths.write(tmp_path / "a.laz"))["swath_overlap"] - 20)
+    # The standard deviation of 40 such surveys is 0.08.
+    assert max(map(abs, errors)) < 0.3
+    assert abs(np.mean(errors)) < 0.15
 
 
 def test_missing_lines_are_gaps(tmp_path: Path) -> None:
@@ -121,8 +220,9 @@ def test_distribution_is_the_share_of_the_cells_of_the_worst_swath(tmp_path: Pat
     assert found_rows["distribution"]["where"][0].startswith("point source 2: ")
     assert found_rows["distribution_median"]["found"] == pytest.approx(100 * 17 / 18)
     assert found_rows["voids"]["found"] == 0
-    assert found_rows["swath_density_least"]["found"] == pytest.approx(4 * 8 / 9)
-    assert found_rows["pulse_density"]["found"] == pytest.approx(4 * 17 / 9)
+    # The cells wholly inside are not a multiple of the pattern.
+    assert found_rows["swath_density_least"]["found"] == pytest.approx(4 * 8 / 9, rel=0.01)
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4 * 17 / 9, rel=0.01)
 
 
 def test_overlap_is_the_share_of_the_covered_area(tmp_path: Path) -> None:
@@ -143,6 +243,40 @@ def test_a_gap_between_swaths_is_found(tmp_path: Path, width: int) -> None:
         area = float(gaps["swath_gaps"]["where"][0].split("(")[1].split()[0].replace(",", ""))
         assert area == pytest.approx(width * 120, rel=0.3)  # Its ends are rounded.
     assert gaps["swath_gaps"]["found"] + gaps["voids"]["found"] >= 1
+
+
+PER_SWATH = (
+    *("swath_density_median", "swath_density_least", "distribution", "distribution_median"),
+    *("swath_overlap", "swath_gaps", "swath_difference", "swath_step", "repeatability"),
+)
+
+
+def test_random_point_source_ids_are_no_swaths(tmp_path: Path) -> None:
+    def change(las: Any) -> None:
+        ids = np.random.default_rng(1).integers(1, 1 << 16, len(las.x))
+        las.point_source_id = ids.astype(np.uint16)
+
+    summary = check_clouds([square(120).write(tmp_path / "a.laz", change=change)], ASKED)
+    found_rows = {row["name"]: row for row in summary["rows"]}
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4)
+    for name in PER_SWATH:
+        assert found_rows[name]["found"] is None
+        assert found_rows[name]["remark"] == "the point source ids look random"
+    [note] = summary["notes"]
+    assert note.startswith(f"{found_rows['swaths']['found']:,} point source ids look random")
+
+
+@pytest.mark.parametrize("along", ["x", "y"])
+def test_many_narrow_swaths_are_not_random(tmp_path: Path, along: str) -> None:
+    """150 scan lines of 10 pulses per metre, each with its own id, 1 m apart."""
+    x, y = np.meshgrid(np.arange(0, 60, 0.1) + 0.05, np.arange(150) + 0.5)
+    lines = Pulses(x.ravel(), y.ravel())
+    lines.source = np.repeat(np.arange(150) + 1, x.shape[1])
+    if along == "y":
+        lines.x, lines.y = lines.y, lines.x
+    found_rows = rows(lines.write(tmp_path / "a.laz"))
+    assert found_rows["swath_overlap"]["found"] == pytest.approx(0, abs=1)
+    assert found_rows["swaths"]["found"] == 150
 
 
 @pytest.mark.parametrize("degrees", [0, 10, 30, 45, 70])
@@ -226,6 +360,27 @@ def test_feet_give_the_figures_of_metres(tmp_path: Path) -> None:
     assert feet["coordinate_step"] == pytest.approx(0.001 * FEET)
 
 
+@pytest.mark.parametrize(
+    ("crs", "scales", "expected"),
+    [
+        # Feet of x and y with metres of heights, and the reverse.
+        ("EPSG:2994+5703", (0.001, 0.001, 0.01), 0.01),
+        ("EPSG:2994+5703", (0.01, 0.001, 0.001), 0.01 * FEET),
+        ("EPSG:25832+8228", (0.001, 0.001, 0.01), 0.01 * FEET),
+        ("EPSG:25832+8228", (0.001, 0.005, 0.01), 0.005),
+        ("EPSG:2994", (0.001, 0.001, 0.01), 0.01 * FEET),
+    ],
+)
+def test_the_coordinate_step_has_the_unit_of_each_axis(
+    tmp_path: Path, crs: str, scales: tuple[float, float, float], expected: float
+) -> None:
+    def change(las: Any) -> None:
+        las.change_scaling(scales=np.array(scales))
+
+    path = square(20).write(tmp_path / "a.laz", crs=crs, change=change)
+    assert found(path)["coordinate_step"] == pytest.approx(expected)
+
+
 def test_the_side_of_cells_follows_the_density_without_a_specification(tmp_path: Path) -> None:
     # The bounds are four times as large as the area of the points.
     islands = Pulses(*lattice(0, 40, 0, 40)) + Pulses(*lattice(80, 120, 80, 120))
@@ -236,9 +391,28 @@ def test_the_side_of_cells_follows_the_density_without_a_specification(tmp_path:
     assert {row["state"] for row in summary["rows"]} == {"not asked"}
 
 
-def test_a_point_far_away_does_not_change_the_figures_or_has_a_reason(tmp_path: Path) -> None:
+@pytest.mark.parametrize("far", [6e4, 1e6])
+@pytest.mark.parametrize("spec", [ASKED, None])
+def test_a_stray_is_left_out_of_the_rows_of_cells_and_named(
+    tmp_path: Path, far: float, spec: Specification | None
+) -> None:
+    swaths = square() + Pulses(*lattice(40, 100, 0, 60), 2)
+    without = found(swaths.write(tmp_path / "a.laz"), spec)
+    swaths.x[-1] = swaths.y[-1] = far
+    summary = check_clouds([swaths.write(tmp_path / "b.laz")], spec)
+    with_stray = {row["name"]: row["found"] for row in summary["rows"]}
+    for name in ("pulse_density", "swath_overlap", "swath_density_least", "distribution"):
+        assert with_stray[name] == pytest.approx(without[name], rel=0.03)
+    assert (with_stray["swath_gaps"], with_stray["voids"]) == (0, 0)
+    [note] = (note for note in summary["notes"] if "far from all others" in note)
+    x, y = (float(text) for text in note.rsplit(" ", 2)[1:])
+    assert (x, y) == pytest.approx((5e5 + far, 5e6 + far), abs=1)
+    assert note.startswith(f"{tmp_path / 'b.laz'}: 1 first return ")
+
+
+def test_many_points_far_away_are_no_strays_and_have_a_reason(tmp_path: Path) -> None:
     cloud = square()
-    cloud.x[0], cloud.y[0] = 1e6, 1e6
+    cloud.x[:20] = cloud.y[:20] = 1e6
     density = rows(cloud.write(tmp_path / "a.laz"))["pulse_density"]
     assert density["state"] == "not measured"
     assert "far from it" in density["remark"]

@@ -77,8 +77,9 @@ def test_a_gap_is_between_two_swaths_and_not_in_one() -> None:
     coverage = Coverage((80, 100))
     footprint = np.ones((80, 40), np.bool_)
     footprint[30:50, 10:30] = False
-    coverage.add((slice(0, 80), slice(0, 40)), footprint)
-    coverage.add((slice(0, 80), slice(50, 100)), np.ones((80, 50), np.bool_))
+    other = np.ones((80, 50), np.bool_)
+    coverage.add((slice(0, 80), slice(0, 40)), footprint, footprint, footprint.astype(np.int32))
+    coverage.add((slice(0, 80), slice(50, 100)), other, other, other.astype(np.int32))
     (gap,) = coverage.gaps()
     assert gap.column == pytest.approx(44.5)
     assert gap.row == pytest.approx(39.5, abs=0.5)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from pyogrio import raw
 
 from cli.main import main
 from tests.tiler.apps.acceptance.pulses import Pulses, lattice
@@ -111,3 +112,34 @@ def test_a_field_that_is_not_there_is_refused(
         check_clouds([cloud], sheets=sheets, sheet_field="name")
     assert main(["check", str(cloud), "--sheet-field", "name"]) == 2
     assert "give --sheets FILE as well" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sides", ["1km", "1000", "1000x1250"])
+def test_a_grid_is_refused_because_it_names_no_sheets(
+    cloud: Path, sides: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(cloud), "--sheets", sides]) == 2
+    assert f"--sheets {sides}: is a grid" in capsys.readouterr().err
+
+
+def test_a_file_with_several_layers_gets_the_line_of_a_run(
+    cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sheets, layer = tmp_path / "sheets.gpkg", tmp_path / "polygons.gpkg"
+    source = grid(tmp_path, rectangle(0, 0, 30, 30, "a"), rectangle(90, 0, 130, 40, "b"))
+    meta, _, shapes, columns = raw.read(source)
+    polygons = {key: meta[key] for key in ("crs", "fields", "geometry_type")}
+    for name in ("dtm", "dsm"):
+        append = sheets.exists()
+        raw.write(sheets, shapes, columns, layer=name, append=append, **polygons)
+    lines = []
+    for call in (["check"], ["run", "-o", str(tmp_path / "out"), "--progress", "none"]):
+        given = [*call, str(cloud), "--sheets", str(sheets), "--sheet-field", "sheet"]
+        assert main(given) == 3
+        lines.append(capsys.readouterr().err)
+    assert lines[0] == lines[1]
+    assert "write one with `ogr2ogr polygons.gpkg FILE LAYER`" in lines[0]
+    # What ogr2ogr does.
+    raw.write(layer, *(raw.read(sheets, layer="dsm")[i] for i in (2, 3)), **polygons)
+    row = missing(dict(check_clouds([cloud], sheets=layer, sheet_field="sheet")))
+    assert row["where"] == ["b (0 %)"]
