@@ -27,7 +27,7 @@ from tiler.apps.resolutions import (
 )
 from tiler.config import RunConfig
 from tiler.core.units import US_SURVEY_FOOT, parse_length
-from tiler.errors import ConfigError
+from tiler.errors import ConfigError, ProcessingError
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.pipeline import RunResult, run
 from tiler.simulate import DemoScene
@@ -286,6 +286,20 @@ def _write_first(out: Path, plans: Any, is_running: bool = False) -> None:
     """Write only the page of the start, as if the process were killed later."""
     if is_running:
         _write_page(out, plans, is_running)
+
+
+def test_a_damaged_run_file_does_not_hide_the_error_that_ended_the_run(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(inputs: Any, out: Path, *rest: Any) -> RunResult:
+        Path(out).mkdir(parents=True)
+        keys = ("version", "configuration", "plan", "stages")
+        Path(out, "run.json").write_text(json.dumps({"state": "done"} | dict.fromkeys(keys)))
+        raise ProcessingError("the tile cannot be filtered")
+
+    monkeypatch.setattr("tiler.apps.resolutions.run", fail)
+    with pytest.raises(ProcessingError, match="the tile cannot be filtered"):
+        run_resolutions([str(cloud)], tmp_path / "out", settings(resolution="1,2"))
 
 
 def test_a_single_run_leaves_the_folder_of_a_resolution(made: Made) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from tiler.apps.page_file import is_page_of, write_page
 from tiler.config import AUTO_WATER, NO_WATER, RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT
-from tiler.errors import ConfigError, ProcessingError, write_error
+from tiler.errors import ConfigError, TilerError, write_error
 from tiler.io.cloud_formats import SUFFIXES
 from tiler.io.locations import is_url
 from tiler.io.overwrite_check import check_names
@@ -72,7 +72,7 @@ def run_resolutions(
         try:
             results = _run_all(inputs, Path(out), config, plans, listener, until)
         except BaseException:
-            with suppress(ProcessingError):  # The error that ended the run is reported.
+            with suppress(TilerError):  # The error that ended the run is reported.
                 _write_page(Path(out), plans)
             raise
     _write_page(Path(out), plans)

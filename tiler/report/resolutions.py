@@ -47,9 +47,13 @@ def resolutions_page(
     """
     title = f"Terrain of {results_name(out)}"
     folder, first = next(iter(runs.items()))
-    states = {NOT_FINISHED: False} if is_running or None in runs.values() else {}
-    if not is_running:
-        states |= {state_text(run): is_good(run) for run in runs.values() if run}
+    shown = dict.fromkeys(runs) if is_running else runs
+    states = {NOT_FINISHED: False} if None in shown.values() else {}
+    rows = []
+    for name, run in shown.items():
+        with run_file_errors(out / name):
+            rows.append((name, *_cells(name, run)))
+            states |= {state_text(run): is_good(run)} if run else {}
     header = el(
         "header",
         *(
@@ -63,7 +67,6 @@ def resolutions_page(
         "it to the whole run with --edits."
     )
     columns = ("folder", "terrain", "pixels", "with a height", "problems", "report")
-    rows = [(name, *_cells(name, None if is_running else run)) for name, run in runs.items()]
     sections = [section("resolutions", "Resolutions", table(columns, rows, ()), el("p", text))]
     if not is_running and first and first["state"] == "done":
         with run_file_errors(out / folder), reading_rasters(out):
