@@ -329,9 +329,14 @@ def box_sums(values: npt.NDArray[np.int32], side: int) -> npt.NDArray[np.int32]:
     return sums
 
 
-def cell_figures(keys: Int64, z: Int32, shape: tuple[int, int]) -> CellFigures:
-    """Return the figures of the cells of a raster from the cells and heights of points: int64 [n], int32 [n]."""
+def cell_figures(keys: Int64, z: Int32, shape: tuple[int, int]) -> CellFigures | None:
+    """Return the figures of the cells of a raster from the cells and heights of points: int64 [n], int32 [n].
+
+    Return None if no density can reach `MIN_DENSITY_M2`, as no cell has so many points.
+    """
     counts, low, high = _figures(keys, z, shape[0] * shape[1])
+    if counts.max() < MIN_DENSITY_M2 * CELL_M**2:
+        return None
     number = counts.reshape(shape)
     filled = box_sums((number > 0).astype(np.int32), 5).ravel() * CELL_M**2
     density = box_sums(number, 5).ravel() / np.maximum(filled, 1.0)

@@ -304,9 +304,12 @@ def _in_raster(points: Xyz, scale: Scale) -> Bool:
     shape = cells.row(int(y.max())) - row0 + 1, cells.column(int(x.max())) - col0 + 1
     keys = cell_keys(x, y, cells, col0, row0, shape[1])
     figures, depth = cell_figures(keys, z, shape), scale.counts_z(MIN_DEPTH_M)
+    noise = np.zeros(x.size, np.bool_)
+    if figures is None:
+        return noise
     above = scipy.ndimage.maximum_filter(figures.high.reshape(shape), 3).ravel()
     deep = (figures.density >= MIN_DENSITY_M2) & (figures.low <= above - depth)
-    noise, todo = np.zeros(x.size, np.bool_), _first_cells(figures.low, deep, shape, depth)
+    todo = _first_cells(figures.low, deep, shape, depth)
     room = int(box_sums(figures.counts.reshape(shape), 2 * WIDE_CELLS + 1).max())
     for _ in range(ROUNDS):
         if not todo.any():
