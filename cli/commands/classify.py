@@ -54,6 +54,10 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
     the classes of IN, the output lists the tile, and the exit code is 5.
     """
     config = read_config(settings)
+    from tiler.preparation import prepare_workers
+
+    # The workers import their libraries while this process imports its own.
+    prepare_workers(config, target)
     from tiler.apps.classify import classify_file, classify_files, is_one_file
 
     session = current_session()

@@ -29,7 +29,7 @@ from tiler.pipeline import run
 from tiler.plan import KEEP, Plan
 from tiler.redaction import without_secrets
 from tiler.runs.found import Source, by_source
-from tiler.schedule import ChildPool, ChildProcess
+from tiler.schedule import FORKS, ChildPool, ChildProcess
 from tiler.store import TileStore, open_store
 
 SUFFIXES = (".laz", ".las")
@@ -303,6 +303,8 @@ def _classify(
         if config.in_process
         else inspect_in_child(guard, source, config.salvage)
     )
+    if FORKS:
+        guard.leave()  # The next child has the imports that the server makes meanwhile.
     if info.georeference.kind == "missing" and config.crs is None:
         config = config.updated(crs="none")
     if config.workers is None and info.points < ONE_WORKER_POINTS:
