@@ -26,7 +26,7 @@ SETTINGS = (
 )
 
 
-@click.command("demo", cls=TilerCommand, progress=True, resumes=True)
+@click.command("demo", cls=TilerCommand, progress=True, resumes=True, reads=True)
 @click.option(
     "-o",
     "--out",
@@ -51,6 +51,10 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     results of `tiler run` to OUT. Prints the errors of the classes and of the DTM.
     """
     config = read_config(settings)
+    from tiler.preparation import prepare_workers
+
+    # The workers import their libraries while this process simulates.
+    prepare_workers(config, out)
     from tiler.apps.demo import run_demo
 
     session = current_session()

@@ -29,7 +29,7 @@ SETTINGS = (
 )
 
 
-@click.command("evaluate", cls=TilerCommand, progress=True)
+@click.command("evaluate", cls=TilerCommand, progress=True, reads=True)
 @click.argument("clouds", metavar="[CLOUD]...", nargs=-1, type=click.Path())
 @click.option(
     "--reference",

@@ -20,6 +20,7 @@ from tiler.observe.events import Listener, Note
 from tiler.pipeline import run
 from tiler.report.accuracy import write_measured
 from tiler.report.html import write_report
+from tiler.schedule import fork_server_running
 from tiler.simulate import demo_city, demo_files
 
 RESOLUTION_M = Fraction(1)
@@ -50,6 +51,8 @@ class DemoResult:
     exit_code: int
 
 
+# Children that do tasks and children that score them share the imports.
+@fork_server_running()
 def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) -> DemoResult:
     """Simulate a city in OUT/input, run all stages into OUT, and score its classes and its DTM.
 

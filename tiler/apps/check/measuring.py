@@ -21,7 +21,7 @@ from tiler.core.units import parse_length
 from tiler.errors import ConfigError, InputError
 from tiler.io.locations import joined, state_at
 from tiler.io.result_folder import raster_places, read_run
-from tiler.schedule import call_isolated, half_of_memory
+from tiler.schedule import call_isolated, fork_server_running, half_of_memory
 
 SECONDS, SECONDS_PER_PIXEL = 120.0, 1e-5
 """Time that a comparison of rasters may take. It takes 0.2 to 0.6 s per million pixels."""
@@ -148,6 +148,8 @@ def terrain_in(out: str) -> str:
     raise InputError(f"{out}: contains no DTM; finish its run, or give the path of a DTM")
 
 
+# Children that measure share the imports.
+@fork_server_running()
 def measure(
     dtm: Path,
     points: Path | None,

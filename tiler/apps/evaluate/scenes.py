@@ -24,7 +24,7 @@ from tiler.errors import ConfigError, ProcessingError
 from tiler.inputs import find_inputs, inspect
 from tiler.io.locations import is_url, with_slashes
 from tiler.observe.events import Listener, Note, ignore_events
-from tiler.schedule import call_isolated, half_of_memory
+from tiler.schedule import call_isolated, fork_server_running, half_of_memory
 
 
 @dataclass(frozen=True)
@@ -125,6 +125,8 @@ def _names(references: Sequence[tuple[Path, str]]) -> list[str]:
     return [f"{path.stem}-{number}" for number, (path, _) in enumerate(references, start=1)]
 
 
+# Children that compare scenes share the imports.
+@fork_server_running()
 def evaluate_scenes(
     scenes: Sequence[Scene],
     ignore: Sequence[int] = IGNORED,

@@ -21,6 +21,7 @@ from tiler.apps.evaluate import (
 )
 from tiler.config import RunConfig
 from tiler.errors import ConfigError
+from tiler.schedule import FORKS, fork_server
 
 
 def square(n: int = 6) -> np.ndarray:
@@ -158,3 +159,21 @@ def test_a_filter_does_not_see_the_classes(tmp_path: Path) -> None:
     assert scores["true"]["scenes"][0]["seconds"] > 0
     assert scores["true"]["method"] == "auto"
     assert laspy.read(tmp_path / "lying.laz").classification.tolist() == lying.tolist()
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not FORKS, reason="children are no forks of a server")
+def test_scenes_share_one_server_of_forks(
+    folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[object] = []
+
+    class Counted(fork_server._Server):
+        def __init__(self, setting: tuple[object, ...]) -> None:
+            started.append(setting)
+            super().__init__(setting)
+
+    monkeypatch.setattr(fork_server, "_Server", Counted)
+    found = evaluate_scenes(find_scenes([folders[0]], [folders[1]]))
+    assert len(found["scenes"]) == 2
+    assert len(started) == 1
