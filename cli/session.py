@@ -146,13 +146,12 @@ class TilerCommand(click.Command):
         session.resumes = self._resumes
         set_up_logging(session.verbosity, as_json=session.progress == "json")
         validate_proj_database()
-        if not self._reads or ctx.params.get("in_process"):
-            return super().invoke(ctx)
         from tiler.preparation import import_reading
         from tiler.schedule import fork_server_running, prepare_children
 
-        with fork_server_running():
-            prepare_children(import_reading)
+        with fork_server_running():  # All children of the command share the imports.
+            if self._reads and not ctx.params.get("in_process"):
+                prepare_children(import_reading)
             return super().invoke(ctx)
 
 
