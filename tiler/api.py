@@ -404,7 +404,7 @@ def check_clouds(
     specification = None if spec is None else read_specification(_text("spec", spec))
     target = None if difference is None else Path(_text("difference", difference))
     page_file = None if page is None else Path(_text("page", page))
-    grid = None if sheets is None else Path(_text("sheets", sheets))
+    grid = None if sheets is None else _text("sheets", sheets)
     field_name = None if sheet_field is None else _text("sheet_field", sheet_field)
     if grid is None and field_name is not None:
         raise ConfigError(

@@ -100,7 +100,7 @@ def check_clouds(
     specification: Specification | None = None,
     difference: Path | None = None,
     page: Path | None = None,
-    sheets: Path | None = None,
+    sheets: str | Path | None = None,
     sheet_field: str | None = None,
 ) -> AcceptanceSummary:
     """Measure all rows of clouds, and compare them with a specification.
@@ -115,7 +115,7 @@ def check_clouds(
         GeoTIFF that receives the differences of swaths.
     page : Path, optional
         HTML file that receives the page.
-    sheets : Path, optional
+    sheets : path, optional
         Polygons of the sheets that must be covered.
     sheet_field : str, optional
         Field of the polygons with the names of the sheets.
@@ -134,7 +134,7 @@ def check_clouds(
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
     if sheets is not None:
-        validate_not_grid(sheets)
+        validate_not_grid(str(sheets))
     if difference is not None:
         check_difference(difference, paths)
     if page is not None:
@@ -152,7 +152,7 @@ def check_clouds(
             )
         grid = None
         if sheets is not None:
-            grid = read_sheets(sheets, sheet_field, _wkt(infos))
+            grid = read_sheets(Path(sheets), sheet_field, _wkt(infos))
             notes += grid.notes
         measured, cell_m = _measure(children, infos, specification, folder, grid)
     limits = {} if specification is None else specification.limits
