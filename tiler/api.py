@@ -32,7 +32,7 @@ from tiler.apps.results import AcceptanceSummary, CheckSummary
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
-from tiler.io.locations import as_path
+from tiler.io.locations import as_path, local_or_url
 from tiler.io.result_folder import CHECK, is_results, local_folder
 from tiler.observe.events import Event, Listener, Note, Warned, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
@@ -312,7 +312,7 @@ def check(
     >>> result.met, result.summary["accuracy"]["nva"]["points"]
     (True, 3)
     """
-    place = _text("dtm", dtm)
+    place = local_or_url(_text("dtm", dtm))
     is_out = is_results(place)
     summary = measure(
         as_path(terrain_in(place) if is_out else place),
