@@ -93,6 +93,7 @@ USUAL_LIMIT_M = 0.08
 
 DIFFERENT_CRS = "the files have different CRSs"
 DIFFERENT_VERTICAL_CRS = "the files have different vertical CRSs"
+FAR_APART = "the clouds lie farther apart than cells reach"
 
 
 def check_clouds(
@@ -418,6 +419,8 @@ def _examined(
     survey: Survey, cells: Cells, metres: float, asked: float | None
 ) -> CellFindings | str:
     """Return what the cells of all files show, or why they cannot be examined."""
+    if survey.is_apart:
+        return FAR_APART
     if not survey.keys.size:
         return "no first return that is not withheld"
     needed = needed_bytes(survey.keys)
