@@ -32,7 +32,7 @@ from tiler.apps.results import AcceptanceSummary, CheckSummary
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
-from tiler.io.locations import as_path
+from tiler.io.locations import as_path, local_or_url
 from tiler.io.result_folder import CHECK, is_results, local_folder
 from tiler.observe.events import Event, Listener, Note, Warned, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
@@ -312,7 +312,7 @@ def check(
     >>> result.met, result.summary["accuracy"]["nva"]["points"]
     (True, 3)
     """
-    place = _text("dtm", dtm)
+    place = local_or_url(_text("dtm", dtm))
     is_out = is_results(place)
     summary = measure(
         as_path(terrain_in(place) if is_out else place),
@@ -404,7 +404,7 @@ def check_clouds(
     specification = None if spec is None else read_specification(_text("spec", spec))
     target = None if difference is None else Path(_text("difference", difference))
     page_file = None if page is None else Path(_text("page", page))
-    grid = None if sheets is None else Path(_text("sheets", sheets))
+    grid = None if sheets is None else _text("sheets", sheets)
     field_name = None if sheet_field is None else _text("sheet_field", sheet_field)
     if grid is None and field_name is not None:
         raise ConfigError(

@@ -22,7 +22,7 @@ from tiler.grid.tasks.raster_table import required_rasters
 from tiler.ingest.stage import assemble, spool
 from tiler.ingest.tasks.fingerprints import register_sources
 from tiler.inputs import SourceInfo
-from tiler.io.locations import is_url, joined, upload_file, with_slashes
+from tiler.io.locations import is_url, joined, local_or_url, upload_file, with_slashes
 from tiler.io.overwrite_check import check_names
 from tiler.io.result_folder import (
     EVENTS,
@@ -95,8 +95,9 @@ def run(
     inputs : sequence of str
         Files, folders, globs or URLs of clouds.
     out : path
-        Folder of the results, which is made if it does not exist, or a URL. For a URL, run.json, the log and the report
-        are in a local folder named after the last part of the URL, and are copied to the URL at the end.
+        Folder of the results, which is made if it does not exist, or a URL. For a URL of another machine, run.json, the
+        log and the report are in a local folder named after the last part of the URL, and are copied to the URL at the
+        end.
     config : RunConfig
     listener : callable
         Listener of events, see `tiler.observe.events`.
@@ -111,7 +112,7 @@ def run(
     TilerError
         The run failed. The error has the exit code of the command. Finished work is kept.
     """
-    config, products = config or RunConfig(), str(out)
+    config, products = config or RunConfig(), local_or_url(out)
     _check(config, products, until)
     out, started = local_folder(products), time.monotonic()
     if prepare_workers(config, products):

@@ -112,7 +112,7 @@ HEADINGS = (
 )
 @click.option(
     "--sheets",
-    type=click.Path(path_type=Path),
+    type=click.Path(),
     metavar="FILE",
     help="polygons of the sheets that clouds must cover [default: none]",
 )
@@ -129,7 +129,7 @@ def command(
     paths: tuple[str, ...],
     spec: str | None,
     page: Path | None,
-    sheets: Path | None,
+    sheets: str | None,
     sheet_field: str | None,
     as_json: bool,
     **options: Any,

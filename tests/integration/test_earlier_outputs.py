@@ -13,7 +13,9 @@ from tests.invariants import clouds
 from tests.invariants.runs import do
 from tests.scenes.drawings import draw
 from tests.scenes.journals import n_features, opened_in_gis
+from tiler.apps.clean import clean
 from tiler.errors import ConfigError
+from tiler.report.html import write_report_at
 
 BOTH = "dtm,slope"
 PLAIN = {
@@ -56,6 +58,30 @@ def test_a_product_of_other_settings_is_put_aside_and_told(cloud: Path, tmp_path
     again = do(cloud, out, products=BOTH, resolution="2", overwrite=True)
     assert "slope.tif" in again.summary["outputs"]
     assert not [text for text in again.summary["notes"] if "moved" in text]
+
+
+def test_a_url_of_a_folder_on_this_machine_is_that_folder(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The current folder has the one whose name is the last part of the URL, and a run locks both."""
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "out"
+    assert do(cloud, out.as_uri(), products=BOTH).exit_code == 0
+    before = (out / "slope.tif").read_bytes()
+    assert (out / "classified" / "hill.laz").is_file()
+    how = {"parameters": {"iteration_distance": "1.2"}, "resolution": "2"}
+    result = do(cloud, out.as_uri(), **how)
+    assert result.exit_code == 0
+    assert rasters(out) == {"dtm.tif", "outdated/slope.tif"}
+    assert (out / "outdated" / "slope.tif").read_bytes() == before
+    assert result.summary["products_at"] is None
+    assert do(cloud, out, **how).did_nothing
+    assert Path(write_report_at(out.as_uri())) == out / "report.html"
+    assert clean(out.as_uri()).store_bytes > 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert do(cloud, out.as_uri(), **how).did_nothing
+    assert not list(Path().iterdir())
 
 
 def test_files_give_way_to_sheets_and_labels_to_the_inputs_own(

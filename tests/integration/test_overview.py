@@ -15,6 +15,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import computed, do
 from tests.scenes.drawings import draw
 from tiler.apps.delivery import deliver, verify
+from tiler.errors import ProcessingError
 from tiler.export import overview
 from tiler.inputs import find_inputs
 from tiler.io.result_folder import OVERVIEW
@@ -128,6 +129,42 @@ def test_one_cloud_or_none_has_no_overview(folder: Path, tmp_path: Path) -> None
     do(folder / "west.laz", tmp_path / "one")
     assert not (tmp_path / "one" / OVERVIEW).exists()
     assert "overview" not in assets(tmp_path / "one")[0]
+
+
+def test_an_overview_of_other_clouds_is_moved_if_there_is_one_cloud_now(
+    folder: Path, tmp_path: Path
+) -> None:
+    do(folder, tmp_path)
+    before = (tmp_path / OVERVIEW).read_bytes()
+    do(folder / "west.laz", tmp_path)
+    assert not (tmp_path / OVERVIEW).exists()
+    assert (tmp_path / "outdated" / OVERVIEW).read_bytes() == before
+    assert "overview" not in assets(tmp_path)[0]
+
+
+def test_an_earlier_overview_is_moved_if_the_new_one_cannot_be_written(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    do(folder, tmp_path)
+    before = (tmp_path / OVERVIEW).read_bytes()
+
+    def fails(*arguments: Any) -> None:
+        raise ProcessingError("no")
+
+    how = {"parameters": {"iteration_distance": "0.2"}}
+    with monkeypatch.context() as patch:
+        patch.setattr(overview, "new_file", fails)
+        result = do(folder, tmp_path, **how)
+    assert result.exit_code == 5
+    assert not (tmp_path / OVERVIEW).exists()
+    assert (tmp_path / "outdated" / OVERVIEW).read_bytes() == before
+    assert OVERVIEW not in result.summary["outputs"].keys() | result.summary["earlier_outputs"]
+    assert [each for each in assets(tmp_path) if "overview" in each] == []
+    assert [text for text in result.summary["notes"] if text.startswith(f"{OVERVIEW}: ")]
+    assert do(folder, tmp_path, **how).exit_code == 0
+    assert set(map(tuple, points(tmp_path / OVERVIEW).tolist())) <= set(
+        map(tuple, classified(tmp_path).tolist())
+    )
 
 
 def test_a_part_of_the_clouds_has_an_overview_of_that_part(

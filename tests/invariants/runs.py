@@ -48,7 +48,9 @@ def settings(**changes: Any) -> RunConfig:
     return RunConfig.from_mapping(values)
 
 
-def do(paths: Path | list[Path], out: Path, until: str = "export", **changes: Any) -> RunResult:
+def do(
+    paths: Path | list[Path], out: Path | str, until: str = "export", **changes: Any
+) -> RunResult:
     inputs = [paths] if isinstance(paths, Path) else paths
     return run([str(path) for path in inputs], out, settings(**changes), until=until)
 

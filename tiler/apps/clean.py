@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import is_scratch
-from tiler.io.locations import is_url
+from tiler.io.locations import is_url, local_or_url
 from tiler.io.result_folder import earlier_outputs, read_run, store_of
 from tiler.store import locked_folder, open_store
 
@@ -51,7 +51,7 @@ def clean(out: str | Path, store_url: str | None = None) -> CleanResult:
     LockedError
         A run uses the folder or its store.
     """
-    location = str(out)
+    location = out = local_or_url(out)
     if not is_url(out):
         location = str(Path(out).resolve())
         if not Path(out).is_dir():

@@ -13,7 +13,7 @@ from tiler.config import AUTO_WATER, NO_WATER, RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT
 from tiler.errors import ConfigError, TilerError, write_error
 from tiler.io.cloud_formats import SUFFIXES
-from tiler.io.locations import is_url
+from tiler.io.locations import is_url, local_or_url
 from tiler.io.overwrite_check import check_names
 from tiler.io.result_folder import REPORT, STORE, WATER, read_run, resolution_folders
 from tiler.observe.events import Listener, Note, ignore_events
@@ -61,7 +61,7 @@ def run_resolutions(
     TilerError
         `tiler.pipeline.run` raises it.
     """
-    config = config or RunConfig()
+    config, out = config or RunConfig(), local_or_url(out)
     if not isinstance(config.resolution, tuple):
         _check_folder(out)
         return run(inputs, out, config, listener, until)
@@ -99,6 +99,7 @@ def plan_resolutions(
     ConfigError, InputError
         `tiler.plan.make_plan` raises it for one of the resolutions, or ``out`` cannot be used for several.
     """
+    out = None if out is None else local_or_url(out)
     if not isinstance(config.resolution, tuple):
         return {"": make_plan(inputs, config, out)}
     folders = {folder_name(pixel): pixel for pixel in config.resolution}

@@ -144,11 +144,14 @@ def _lengths(name: str, value: Any) -> Fraction | tuple[Fraction, ...]:
 
 
 def _sheets(value: Any) -> Sides | str:
-    """Return the sides of sheets, or the name of a file: a text that is not a length and ends in a suffix."""
+    """Return the sides of sheets, or the name of a file: a text that ends in a suffix or begins as a path (``./1000``).
+
+    A length is not the name of a file.
+    """
     try:
         sides = parse_sides(value)
     except ConfigError as error:
-        if isinstance(value, str) and re.search(r"\.[a-zA-Z]\w*$", value):
+        if isinstance(value, str) and re.search(r"\.[a-zA-Z]\w*$|^\.{0,2}[/\\]", value):
             return value
         raise ConfigError(
             f"sheets: {error}, width x height (1000x1250), or a file of polygons (sheets.gpkg)"

@@ -341,13 +341,27 @@ def _cut(lines: Shapes, levels: Ints, shape: Any) -> tuple[Shapes, Ints]:
     shapely.prepare(shape)
     is_inside = shapely.contains_properly(shape, lines)
     across = np.flatnonzero(~is_inside & shapely.intersects(shape, lines))
+    pieces, edge = shapely.intersection(lines[across], shape), _edge_of_others(shape)
+    on_edge = shapely.length(shapely.intersection(pieces, edge)) > 0
+    pieces[on_edge] = shapely.difference(pieces[on_edge], edge)
     # A ring that the shape divides has one part on both sides of its first vertex.
-    merged = shapely.line_merge(shapely.intersection(lines[across], shape), directed=True)
+    merged = shapely.line_merge(pieces, directed=True)
     parts, numbers = shapely.get_parts(merged, return_index=True)
     is_line = (shapely.get_type_id(parts) == LINE) & ~shapely.is_empty(parts)
     numbers = np.concatenate((np.flatnonzero(is_inside), across[numbers[is_line]]))
     order = np.argsort(numbers, kind="stable")
     return np.concatenate((lines[is_inside], parts[is_line]))[order], levels[numbers[order]]
+
+
+def _edge_of_others(shape: Any) -> Any:
+    """Return the sides of a sheet to its east and north, which belong to the next sheet, as pixels on them do."""
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(shape)))
+    vertices, numbers = shapely.get_coordinates(rings, return_index=True)
+    (dx, dy), is_side = np.diff(vertices, axis=0).T, np.diff(numbers) == 0
+    is_side &= (dy > 0) | ((dy == 0) & (dx < 0))  # The sheet is to the left.
+    starts = np.flatnonzero(is_side)
+    sides = shapely.linestrings(np.stack((vertices[starts], vertices[starts + 1]), axis=1))
+    return shapely.multilinestrings(sides)
 
 
 def _add_lines(file: GeoPackage, lines: Shapes, levels: Ints, interval: Fraction) -> None:

@@ -46,13 +46,14 @@ from tiler.export.tasks.files import (
 from tiler.export.tasks.outdated import (
     archive_outdated,
     archive_sidecars,
+    archive_unwritten,
     invalidate_changed_outputs,
 )
 from tiler.export.tasks.review import report_review, review_task
 from tiler.export.tasks.sheets import cut
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.overwrite_check import check_links
-from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
+from tiler.io.result_folder import LEGEND, OUTLINE, OVERVIEW, SHEETS, VIRTUAL, below
 from tiler.observe.events import Detail
 from tiler.runs.compiling import class_kernels
 from tiler.runs.found import Gridded, Labelled, Source
@@ -121,6 +122,9 @@ def export(
     _make_folders([*tasks.cogs, *tasks.drawn], out)
     with _crs_code(job) as crs_code:  # A thread searches for the code while the workers write.
         made = _write(job, "export", tasks.at_once, out, earlier)
+    if tasks.overview and OVERVIEW not in made:
+        # It would show earlier classes or other clouds than those beside it.
+        archive_unwritten(job, OVERVIEW)
     job.store.drop_records()
     _report_files(job, tasks, made)
     mosaics = [*tasks.mosaics, *_cut_tasks(gridding, made, out, labelled.noise_m)]

@@ -63,6 +63,15 @@ def without_local_scheme(url: str) -> str:
     return path[1:] if has_drive else path
 
 
+def local_or_url(place: str | Path) -> str:
+    """Return the path if a URL is one of this machine (``file:///data/out``), or any other path or URL unchanged.
+
+    Libraries for URLs make no folders there, and copy files that only have to be renamed.
+    """
+    path = without_local_scheme(plain_scheme(str(place)))
+    return str(place) if is_url(path) else path
+
+
 def as_path(text: str | Path) -> Path:
     """Return a path, or an object like a path for a URL (``s3://bucket/town.laz``).
 

@@ -15,7 +15,7 @@ from tiler.core.words import counted
 from tiler.errors import InputError, write_error
 from tiler.io.atomic_files import write_atomic
 from tiler.io.foreign_content import parse_json_object
-from tiler.io.locations import is_url, joined, state_at, upload_file
+from tiler.io.locations import is_url, joined, local_or_url, state_at, upload_file
 from tiler.io.result_folder import (
     AGAIN_WITHOUT_RUN,
     CHECK,
@@ -104,6 +104,7 @@ def write_report_at(out: str, title: str | None = None) -> str:
     str
         Path or URL of the report.
     """
+    out = local_or_url(out)
     run, here, is_remote = _read_run(out), local_folder(out), is_url(out)
     if is_remote:
         here.mkdir(parents=True, exist_ok=True)

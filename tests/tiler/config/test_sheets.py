@@ -29,8 +29,12 @@ def test_sides_are_kept_in_a_file_of_settings(
     assert (config.sheet_file, config.sheet_template) == (None, "{name}_{x}_{y}")
 
 
-@pytest.mark.parametrize("name", ["box.gpkg", "2024.shp", "data/1x2.geojson"])
-def test_a_text_with_the_suffix_of_a_file_is_a_file(name: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["box.gpkg", "2024.shp", "data/1x2.geojson", "./1000", "../1x2", "/1000", ".\\1000"]
+)
+def test_a_text_with_the_suffix_of_a_file_or_the_beginning_of_a_path_is_a_file(
+    name: str,
+) -> None:
     config = RunConfig.from_mapping({"sheets": name, "sheet_field": "n"})
     assert (config.sheets, config.sheet_file) == (name, name)
     assert config.sheet_template == "{name}_{sheet}"

@@ -225,3 +225,54 @@ def test_of_two_sheets_the_first_has_the_lines_of_both(
     assert left.any()
     assert (shapely.bounds(lines[left])[:, 1] == 120).all()
     assert (shapely.bounds(lines[~left])[:, 1] < 1).all()
+
+
+@pytest.mark.parametrize("is_drawn", [False, True])
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_a_line_on_the_edge_of_two_sheets_is_in_the_one_to_the_east_or_north(
+    is_turned: bool, is_drawn: bool, small_store: TileStore, tmp_path: Path
+) -> None:
+    """The line comes from the sheet to the west or south, runs along the edge, and goes back."""
+    half, quarter = SIDE // 2, SIDE // 4
+    plane = np.tile(np.arange(SIDE) + 0.5, (SIDE, 1))
+    plane[:quarter] += 4
+    plane[-quarter:] += 4
+    plane = np.minimum(plane, SIDE - 1)  # There is one level.
+    stored(small_store, plane.T[::-1] if is_turned else plane)
+    how = {"heights": Heights("dtm", SPEC, None, None), "noise": 0.0, "sigma": 0.0}
+    how["interval"] = Fraction(half)
+    write_contours(small_store, to=OutFile(str(tmp_path), "all.gpkg"), **how)
+    (whole,), _ = lines_of(tmp_path / "all.gpkg")
+    found = []
+    for part in halves(small_store, is_turned, is_drawn):
+        write_contours(small_store, to=OutFile(str(tmp_path), "part.gpkg"), sheet=part, **how)
+        found.append(lines_of(tmp_path / "part.gpkg")[0])
+    (after,) = found[1]
+    assert (shapely.get_coordinates(after)[:, 1 if is_turned else 0] == half).all()
+    assert after.length == half - 1
+    lines = np.concatenate(found)
+    assert len(lines) == 3
+    assert shapely.length(lines).sum() == pytest.approx(whole.length)
+    assert shapely.equals(shapely.union_all(lines), whole)
+    first, last = (
+        shapely.line_locate_point(whole, shapely.get_point(lines, end)) for end in (0, -1)
+    )
+    assert (first < last).all()
+
+
+def halves(store: TileStore, is_turned: bool, is_drawn: bool) -> list[SheetPart]:
+    """Return the half to the west or south, and the other one."""
+    half = SIDE // 2
+    if is_turned:
+        specs = [RasterSpec(SPEC.lattice, 0, north, half, SIDE) for north in (half, SIDE)]
+    else:
+        specs = [RasterSpec(SPEC.lattice, west, SIDE, SIDE, half) for west in (0, half)]
+    if not is_drawn:
+        return [SheetPart(spec) for spec in specs]
+    rings = [shapely.get_coordinates(shapely.box(*spec.edges))[:4] * 1000 for spec in specs]
+    areas = [Area(((ring.astype(np.int64),),)) for ring in rings]
+    name = store.put_areas(areas)
+    return [
+        SheetPart(spec, StoredAreas((area.key,), name))
+        for spec, area in zip(specs, areas, strict=True)
+    ]

@@ -93,6 +93,7 @@ USUAL_LIMIT_M = 0.08
 
 DIFFERENT_CRS = "the files have different CRSs"
 DIFFERENT_VERTICAL_CRS = "the files have different vertical CRSs"
+FAR_APART = "the clouds lie farther apart than cells reach"
 
 
 def check_clouds(
@@ -100,7 +101,7 @@ def check_clouds(
     specification: Specification | None = None,
     difference: Path | None = None,
     page: Path | None = None,
-    sheets: Path | None = None,
+    sheets: str | Path | None = None,
     sheet_field: str | None = None,
 ) -> AcceptanceSummary:
     """Measure all rows of clouds, and compare them with a specification.
@@ -115,7 +116,7 @@ def check_clouds(
         GeoTIFF that receives the differences of swaths.
     page : Path, optional
         HTML file that receives the page.
-    sheets : Path, optional
+    sheets : path, optional
         Polygons of the sheets that must be covered.
     sheet_field : str, optional
         Field of the polygons with the names of the sheets.
@@ -134,7 +135,7 @@ def check_clouds(
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
     if sheets is not None:
-        validate_not_grid(sheets)
+        validate_not_grid(str(sheets))
     if difference is not None:
         check_difference(difference, paths)
     if page is not None:
@@ -152,7 +153,7 @@ def check_clouds(
             )
         grid = None
         if sheets is not None:
-            grid = read_sheets(sheets, sheet_field, _wkt(infos))
+            grid = read_sheets(Path(sheets), sheet_field, _wkt(infos))
             notes += grid.notes
         measured, cell_m = _measure(children, infos, specification, folder, grid)
     limits = {} if specification is None else specification.limits
@@ -418,6 +419,8 @@ def _examined(
     survey: Survey, cells: Cells, metres: float, asked: float | None
 ) -> CellFindings | str:
     """Return what the cells of all files show, or why they cannot be examined."""
+    if survey.is_apart:
+        return FAR_APART
     if not survey.keys.size:
         return "no first return that is not withheld"
     needed = needed_bytes(survey.keys)

@@ -53,14 +53,14 @@ class Coverage:
     path: Path
 
 
-def validate_not_grid(path: Path) -> None:
-    """Raise ConfigError if the name of the file of sheets is a length, with which a run makes a grid."""
+def validate_not_grid(text: str) -> None:
+    """Raise ConfigError if sheets are given by a length, with which a run makes a grid, and not by a file."""
     try:
-        parse_sides(str(path))
+        parse_sides(text)
     except ConfigError:
         return
     raise ConfigError(
-        f"--sheets {path}: is a grid, which does not say which sheets were ordered; give a file with their polygons"
+        f"--sheets {text}: is a grid, which does not say which sheets were ordered; give a file with their polygons"
     )
 
 

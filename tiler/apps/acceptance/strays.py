@@ -13,6 +13,7 @@ from tiler.core.lattice import COUNTS_PER_UNIT, Cell, Lattice
 from tiler.core.words import counted, listed
 from tiler.ingest.strays import far_buckets
 from tiler.inputs import FAR
+from tiler.inputs.extent import can_be_strays
 
 MAX_NAMED = 5
 """Number of places and of files that the note names."""
@@ -27,22 +28,28 @@ class Survey:
     keys, counts : uint64 and int64, shape (n,)
         Keys of `Cells`, sorted, and number of first returns in each.
     note : str
-        Note about strays, empty without them.
+        Note about strays, or about clouds that lie far apart. Empty without them.
+    is_apart : bool
+        Whether more first returns than strays are farther away than cells reach. The cells do not have them.
     """
 
     keys: Keys
     counts: Int64s
-    note: str
+    note: str = ""
+    is_apart: bool = False
 
 
 def survey_of(files: Sequence[FileCounts], cells: Cells) -> Survey:
     """Return the cells of the first returns of all files, without strays."""
     keys, counts = merged((file.keys, file.counts) for file in files)
-    n_beyond = sum(file.first_returns for file in files) - int(counts.sum())
+    total = sum(file.first_returns for file in files)
+    n_beyond = total - int(counts.sum())
+    if n_beyond and not can_be_strays(n_beyond, total):
+        return Survey(keys, counts, _far_apart(files, n_beyond), is_apart=True)
     strays = _strays(keys, counts, cells)
     n_strays = int(counts[strays].sum()) + n_beyond
     if not n_strays:
-        return Survey(keys, counts, "")
+        return Survey(keys, counts)
     _, columns, rows = decoded(keys[strays])
     x = (columns + cells.column + 0.5) * cells.side
     y = (rows + cells.row + 0.5) * cells.side
@@ -51,13 +58,26 @@ def survey_of(files: Sequence[FileCounts], cells: Cells) -> Survey:
     names = [
         str(file.path)
         for file in files
-        if file.first_returns > file.counts.sum() or np.isin(keys[strays], file.keys).any()
+        if _reaches_beyond(file) or np.isin(keys[strays], file.keys).any()
     ]
     note = (
         f"{listed(names, MAX_NAMED, 'files')}: {counted(n_strays, 'first return')} far from all others left out of "
         f"the rows of cells, {listed(places, MAX_NAMED, 'places')}"
     )
     return Survey(keys[~strays], counts[~strays], note)
+
+
+def _far_apart(files: Sequence[FileCounts], n_beyond: int) -> str:
+    names = [str(file.path) for file in files if _reaches_beyond(file)]
+    return (
+        f"{listed(names, MAX_NAMED, 'files')}: the clouds lie farther apart than cells reach, and no cell has "
+        f"{counted(n_beyond, 'first return')} of these files; check only clouds that lie together, or withhold points "
+        "far from all others"
+    )
+
+
+def _reaches_beyond(file: FileCounts) -> bool:
+    return file.first_returns > int(file.counts.sum())
 
 
 def _strays(keys: Keys, counts: Int64s, cells: Cells) -> Mask:

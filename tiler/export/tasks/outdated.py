@@ -172,6 +172,15 @@ def archive(job: Job, paths: Sequence[str], copies: bool = False) -> str:
     return folder
 
 
+def archive_unwritten(job: Job, path: str) -> None:
+    """Move the file of an earlier run that this run could not replace, so that it does not look current."""
+    if sizes_at([joined(job.products, path)]) != [None]:
+        job.note(
+            f"{path}: written by an earlier run, and this run could not replace it; moved to {archive(job, [path])}/",
+            Note,
+        )
+
+
 def archive_sidecars(job: Job, replaced: Collection[str]) -> None:
     """Move the sidecars of files that now have other bytes, since a GIS would show the earlier data."""
     # The VRT of a product keeps its bytes if only the pixels of the sheets change.

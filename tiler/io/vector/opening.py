@@ -94,7 +94,7 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
         Whether each feature of a GeoJSON file has a geometry, or None for other formats.
     """
     signature = SIGNATURES.get(path.suffix.lower())
-    if signature is not None and not path.is_file():
+    if not os.path.exists(path) or (signature is not None and not path.is_file()):
         raise no_such_file(path, f"give a GeoPackage, GeoJSON or Shapefile with {wanted}")
     start = _first_bytes(path)
     if packing := packing_of(start):

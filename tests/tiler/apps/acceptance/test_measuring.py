@@ -418,6 +418,28 @@ def test_many_points_far_away_are_no_strays_and_have_a_reason(tmp_path: Path) ->
     assert "far from it" in density["remark"]
 
 
+@pytest.mark.parametrize("n_east", [1, 2])
+def test_clouds_that_lie_far_apart_are_no_strays_and_are_named(
+    n_east: int, tmp_path: Path
+) -> None:
+    """The cells are around two files in the east, or between one there and the one in the west."""
+    paths = []
+    for number in range(n_east + 1):
+        cloud = Pulses(*lattice(0, 10, 0, 10, 0.1), number + 1)
+        cloud.x += 2e6 + 10 * number if number else -2e6
+        cloud.z[:] = 100
+        paths.append(cloud.write(tmp_path / f"{number}.laz"))
+    summary = check_clouds(paths)
+    density = next(row for row in summary["rows"] if row["name"] == "pulse_density")
+    assert (density["found"], density["state"]) == (None, "not asked")
+    assert "farther apart than cells reach" in density["remark"]
+    (note,) = summary["notes"]
+    named = paths[:1] if n_east == 2 else paths
+    assert note.startswith(f"{', '.join(map(str, named))}: the clouds lie farther apart")
+    assert f"{10_000 * len(named):,} first returns of these files" in note
+    assert found(paths[0])["pulse_density"] == pytest.approx(100)
+
+
 def test_facts_of_headers_and_fields(tmp_path: Path) -> None:
     def spoil(las: Any) -> None:
         las.return_number[:4] = 0

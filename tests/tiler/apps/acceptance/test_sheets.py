@@ -122,6 +122,16 @@ def test_a_grid_is_refused_because_it_names_no_sheets(
     assert f"--sheets {sides}: is a grid" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["check", "plan"])
+@pytest.mark.parametrize("name", ["./1000", "./1000.gpkg"])
+def test_a_number_that_begins_as_a_path_is_a_missing_file(
+    name: str, command: str, cloud: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--sheets", name, "--sheet-field", "n"]
+    assert main([command, str(cloud), *options]) == 3
+    assert f"{name[2:]}: no such file" in capsys.readouterr().err
+
+
 def test_a_file_with_several_layers_gets_the_line_of_a_run(
     cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
