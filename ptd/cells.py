@@ -29,6 +29,10 @@ DENSE_CELLS_PER_POINT = 16
 are sorted."""
 POSITION_BITS = 63
 """Bits of an int64 that is not negative."""
+MIX_X, MIX_Y, MIX_Z = (
+    np.uint64(factor) for factor in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+)
+"""Odd factors of SplitMix64 (Steele, Lea and Flood 2014)."""
 
 
 @kernel
@@ -108,6 +112,14 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
     return out[:n].copy()
 
 
+def _keys_in_extent(x: Int32, y: Int32, cells: CellLattice) -> tuple[Int64, int]:
+    """Return the key of each point's cell and the number of cells in the rectangle around the points, at least one."""
+    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
+    width = cells.column(int(x.max())) - col0 + 1
+    n_cells = width * (cells.row(int(y.max())) - row0 + 1)
+    return cell_keys(x, y, cells, col0, row0, width), n_cells
+
+
 def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """Find the lowest point of each occupied cell, in row-major order of the cells.
 
@@ -127,10 +139,7 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """
     if x.size == 0:
         return np.zeros(0, np.int32)
-    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-    width = cells.column(int(x.max())) - col0 + 1
-    n_cells = width * (cells.row(int(y.max())) - row0 + 1)
-    keys = cell_keys(x, y, cells, col0, row0, width)
+    keys, n_cells = _keys_in_extent(x, y, cells)
     if np.all(
         keys[1:] > keys[:-1]
     ):  # The cells are in order and have one point each, as after an earlier call.
@@ -139,6 +148,52 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
         lowest = lowest_by_key(x, y, z, keys, n_cells)
         return lowest[lowest >= 0]
     return _lowest_sorted(x, y, z, keys, np.argsort(keys, kind="stable"))
+
+
+def sample_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
+    """Choose one point of each occupied cell, in row-major order of the cells.
+
+    The choice is as good as random, but depends only on the absolute positions. So the point of a cell with twice the
+    side is that of one of its quarters. Of points at the same position, the first one is chosen.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts.
+    cells : CellLattice
+
+    Returns
+    -------
+    int32 [m]
+        Indices of the points.
+    """
+    if x.size == 0:
+        return np.zeros(0, np.int32)
+    keys, n_cells = _keys_in_extent(x, y, cells)
+    if n_cells > DENSE_CELLS_PER_POINT * x.size + 1024:
+        occupied_cells, keys = np.unique(keys, return_inverse=True)
+        n_cells = occupied_cells.size
+    chosen = _sample_by_key(x, y, z, keys, n_cells, cells.grid(0, 0))
+    return chosen[chosen >= 0]
+
+
+@kernel
+def _sample_by_key(
+    x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int, grid: CellGrid
+) -> Int32:
+    """Return the index of the point of each cell whose mixed position is smallest, -1 for empty cells."""
+    chosen = np.full(n_cells, -1, np.int32)
+    smallest = np.zeros(n_cells, np.uint64)
+    for i in range(keys.size):
+        mixed = np.uint64(as_int64(x[i]) + grid.origin_x) * MIX_X
+        mixed += np.uint64(as_int64(y[i]) + grid.origin_y) * MIX_Y
+        mixed += np.uint64(as_int64(z[i])) * MIX_Z
+        mixed = (mixed ^ (mixed >> np.uint64(32))) * MIX_Y
+        mixed = (mixed ^ (mixed >> np.uint64(32))) * MIX_Z
+        if chosen[keys[i]] < 0 or mixed < smallest[keys[i]]:
+            smallest[keys[i]] = mixed
+            chosen[keys[i]] = i
+    return chosen
 
 
 def sort_in_cells(

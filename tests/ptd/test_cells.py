@@ -16,6 +16,7 @@ from ptd.cells import (
     lowest_per_cell,
     occupied,
     quotient,
+    sample_per_cell,
     slot_of,
     sort_in_cells,
 )
@@ -61,6 +62,37 @@ def test_the_lowest_of_each_cell(
         got = lowest_per_cell(x, y, z, cells)
         assert [(int(x[i]), int(y[i]), int(z[i])) for i in got] == want
         shuffle.shuffle(points)  # type: ignore[attr-defined]
+
+
+def mixed(x: int, y: int, z: int) -> int:
+    """Mix a position with the finaliser of the sample, in integers of any size."""
+    factors = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+    value = (x * factors[0] + y * factors[1] + z * factors[2]) % 2**64
+    for factor in factors[1:]:
+        value = (value ^ value >> 32) * factor % 2**64
+    return value
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    points=st.one_of(st.lists(near, max_size=60), st.lists(far, max_size=12)),
+    repeats=st.integers(1, 2),
+    size=st.integers(1, 400),
+    origin=st.tuples(st.integers(-(10**9), 10**9), st.integers(-(10**9), 10**9)),
+)
+def test_a_sample_has_the_first_point_with_the_smallest_mixed_position_of_each_cell(
+    points: Points, repeats: int, size: int, origin: tuple[int, int]
+) -> None:
+    points *= repeats
+    first: dict[tuple[int, int], tuple[int, int]] = {}
+    for i, (x, y, z) in enumerate(points):
+        east, north = x + origin[0], y + origin[1]
+        key = north // size, east // size
+        first[key] = min(first.get(key, (2**64, 0)), (mixed(east, north, z), i))
+    got = sample_per_cell(*columns(points), CellLattice(size, 1, *origin))
+    assert got.tolist() == [i for _, (_, i) in sorted(first.items())]
+    wide = sample_per_cell(*columns(points), CellLattice(2 * size, 1, *origin))
+    assert set(wide.tolist()) <= set(got.tolist())
 
 
 full = st.integers(-(2**31) + 1, 2**31 - 1)

@@ -266,25 +266,13 @@ class Waters:
         """Return the values on which results within the bounds depend."""
         return [body.digest for body in self.near(bounds).bodies]
 
-    def holds(self, x: Counts, y: Counts) -> Bools:
-        """Return the mask of the positions, in absolute counts, that are water."""
-        is_water = np.zeros(x.shape, np.bool_)
-        for body in self.bodies:
-            is_water |= body.area.inside(x, y)
-        return is_water
-
-    def reaches(self, xyz: Counts, above: float) -> Bools:
-        """Return the mask of the points, absolute counts (3, n), that are in water.
-
-        These points are inside a body and at most ``above`` counts above its level.
-        """
-        x, y, z = xyz
-        is_in_water = np.zeros(x.shape, np.bool_)
+    def levels(self, x: Counts, y: Counts) -> Floats:
+        """Return the levels at positions in absolute counts, in whole counts, -inf where there is no water."""
+        levels = np.full(x.shape, -np.inf)
         for body in self.bodies:
             inside = np.flatnonzero(body.area.inside(x, y))
-            levels = body.heights(x[inside], y[inside])
-            is_in_water[inside] = z[inside] <= levels + above
-        return is_in_water
+            levels[inside] = body.heights(x[inside], y[inside])
+        return levels
 
     def inside(self, spec: RasterSpec, block: Block) -> Bools:
         """Return the mask of the pixels of a block that are water."""

@@ -393,14 +393,18 @@ def final_labels(
     cloud: CloudCopy | CloudOverview,
     cell: Cell,
     rows: npt.NDArray[np.intp] | slice = slice(None),
+    xyz: npt.NDArray[np.int32] | None = None,
 ) -> npt.NDArray[np.uint8]:
-    """Return the labels of the ``rows`` of a bucket after edits, uint8, with `WATER_BIT` for points in water."""
+    """Return the labels of the ``rows`` of a bucket after edits, uint8, with `WATER_BIT` for points in water.
+
+    ``rows`` need their positions ``xyz`` in local counts, int32 (3, n), so that the bucket is not read again.
+    """
     labels = store.read_labels(cloud.labels, cell)
     if cloud.edits is not None:
         labels = _corrected(store, cloud.edits, cell, labels)
     labels = labels[rows] & ~np.uint8(UNCERTIFIED_BIT)
     if cloud.waters is not None:
-        labels = _with_water(store, cloud, cell, labels, rows)
+        labels = _with_water(store, cloud, cell, labels, xyz)
     return labels
 
 
@@ -456,9 +460,9 @@ def _with_water(
     cloud: CloudCopy | CloudOverview,
     cell: Cell,
     labels: npt.NDArray[np.uint8],
-    rows: npt.NDArray[np.intp] | slice,
+    xyz: npt.NDArray[np.int32] | None,
 ) -> npt.NDArray[np.uint8]:
-    """Return the labels of the ``rows`` of a bucket, with `WATER_BIT` for points in a body of water.
+    """Return the labels of the points at ``xyz``, or of all points of a bucket, with `WATER_BIT` for points in water.
 
     Objects above the water, such as trees and boats, do not get it. If ``cloud.low_is_noise``, returns from more than
     `WATER_LOW_M` below the level become low noise.
@@ -467,15 +471,11 @@ def _with_water(
     if waters is None:
         return labels
     frame = store.meta.frame
-    xyz = (
-        store.read_bucket(cell).xyz[:, rows].astype(np.int64) + np.array([[*frame.origin, 0]]).T
-    )
-    wet = waters.holds(xyz[0], xyz[1])
-    objects = np.flatnonzero(wet & (labels == UNCLASSIFIED))
+    x, y, z = (store.read_bucket(cell).xyz if xyz is None else xyz).astype(np.int64)
+    levels = waters.levels(x + frame.origin[0], y + frame.origin[1])
+    reached = z <= levels + WATER_RISE_M / float(frame.metres_z)
+    wet = np.where(labels == UNCLASSIFIED, reached, levels > -np.inf)
     if cloud.low_is_noise:
-        inside = np.flatnonzero(wet & (labels != 0))
-        low = inside[waters.reaches(xyz[:, inside], -WATER_LOW_M / float(frame.metres_z))]
-        labels = labels.copy()
-        labels[low] = LOW_NOISE
-    wet[objects] = waters.reaches(xyz[:, objects], WATER_RISE_M / float(frame.metres_z))
+        low = z <= levels - WATER_LOW_M / float(frame.metres_z)
+        labels = np.where(low & (labels != 0), np.uint8(LOW_NOISE), labels)
     return labels | wet * np.uint8(WATER_BIT)

@@ -11,11 +11,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import numpy.typing as npt
 
+from ptd.cells import sample_per_cell
+from ptd.frame import CellLattice
 from tiler.core.lattice import COUNTS_PER_UNIT, Cell, CoordFrame
 from tiler.core.points import (
     KEY_POINT_FLAG,
     OVERLAP_FLAG,
-    REPEATED_FLAG,
     SYNTHETIC_FLAG,
     WITHHELD_FLAG,
     PointBlock,
@@ -52,12 +53,6 @@ _BITS = (
     (OVERLAP_FLAG, 8),
 )
 """Flags of `tiler.core.points`, and their bits in formats 6 to 10."""
-
-_MIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
-"""Odd factors of splitmix64."""
-
-Int64s = npt.NDArray[np.int64]
-UInt64s = npt.NDArray[np.uint64]
 
 
 def write_overview(store: TileStore, *, overview: CloudOverview, to: OutFile) -> FileRecord:
@@ -152,24 +147,21 @@ def _of_bucket(
 ) -> Records:
     """Return records of the points of a bucket, one per cell."""
     block = store.read_bucket(cell, ("xyz", "classification", "flags", "returns"))
-    is_seen = np.ones(len(block), np.bool_)
-    if block.flags is not None:
-        is_seen = block.flags & REPEATED_FLAG == 0
-    x, y, z = _absolute(block.xyz, store.meta.frame)
+    (x, y, z), frame = block.xyz, store.meta.frame
+    inside: npt.NDArray[np.intp] | None = None
     area = store.area(overview.area)
     if area is not None and not area.covers(store.meta.bucket.bounds(cell)):
-        is_seen &= area.inside(x, y)
-    rows = np.flatnonzero(is_seen)
-    if not rows.size:
-        return np.empty(0, dtype)
-    if rows.size < len(block):
-        x, y, z = x[rows], y[rows], z[rows]
-    rank, place = _rank(x, y, z), _places(x, y, side)
-    first = np.full(place.max() + 1, np.iinfo(np.uint64).max, np.uint64)
-    np.minimum.at(first, place, rank)
-    rows = rows[rank == first[place]]
-    labels = final_labels(store, overview, cell, rows)
-    return _records(block.take(rows), labels, written_classes(overview.reclass), dtype)
+        east, north = frame.origin
+        is_inside = area.inside(x.astype(np.int64) + east, y.astype(np.int64) + north)
+        inside = np.flatnonzero(is_inside)
+        x, y, z = x[inside], y[inside], z[inside]
+    # A repeated point is not chosen, since the store has the point that represents it before it.
+    rows = sample_per_cell(x, y, z, _cells(frame, side)).astype(np.intp)
+    if inside is not None:
+        rows = inside[rows]
+    block = block.take(rows)
+    labels = final_labels(store, overview, cell, rows, block.xyz)
+    return _records(block, labels, written_classes(overview.reclass), dtype)
 
 
 def _records(
@@ -189,48 +181,18 @@ def _records(
     return records
 
 
-def _absolute(xyz: npt.NDArray[np.int32], frame: CoordFrame) -> tuple[Int64s, Int64s, Int64s]:
-    east, north = np.array(frame.origin, np.int64)
-    return xyz[0] + east, xyz[1] + north, xyz[2].astype(np.int64)
-
-
 def _thinner(records: Records, frame: CoordFrame, side: int, most: int) -> tuple[Records, int]:
     """Return at most ``most`` records, one per cell, and the side of the cells, which is doubled if needed.
 
     A cell has the point of one of its quarters, so the points do not depend on the side at which the thinning begins.
     """
+    x, y, z = (np.ascontiguousarray(records[axis]) for axis in "XYZ")
     while True:
-        x, y, z = _absolute(np.stack([records[axis] for axis in "XYZ"]), frame)
-        place, rank = _places(x, y, side), _rank(x, y, z)
-        order = np.argsort(rank)
-        order = order[np.argsort(place[order], kind="stable")]
-        is_first = np.ones(order.size, np.bool_)
-        is_first[1:] = np.diff(place[order]) != 0
-        records = records[order[is_first]]
-        if records.size <= most:
-            return records, side
+        chosen = sample_per_cell(x, y, z, _cells(frame, side))
+        if chosen.size <= most:
+            return records[chosen], side
         side *= 2
 
 
-def _places(x: Int64s, y: Int64s, side: int) -> Int64s:
-    """Return the number of the cell of each point, row by row from the south-west."""
-    row, col = y // side, x // side
-    if not row.size:
-        return row
-    col -= col.min()
-    place: Int64s = (row - row.min()) * (col.max() + 1) + col
-    return place
-
-
-def _rank(x: Int64s, y: Int64s, z: Int64s) -> UInt64s:
-    """Return numbers as good as random that depend only on the position, uint64, shape (n,).
-
-    The point of a cell has the smallest one, so that each class has its share of the cells.
-    """
-    mixed: UInt64s = x.view(np.uint64) * _MIX[0]
-    mixed += y.view(np.uint64) * _MIX[1]
-    mixed += z.view(np.uint64) * _MIX[2]
-    for factor in _MIX[1:]:
-        mixed ^= mixed >> np.uint64(32)
-        mixed *= factor
-    return mixed
+def _cells(frame: CoordFrame, side: int) -> CellLattice:
+    return CellLattice(side, 1, *frame.origin)

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from ptd.cells import sort_in_cells
+from ptd.cells import sample_per_cell, sort_in_cells
 from ptd.frame import CellLattice
 from ptd.kernel import compiled_count
 from ptd.matched.evidence import DIM, LIDAR, concluded
@@ -38,7 +38,7 @@ Tell = Callable[[], None]
 
 STAGE = "compile"
 """Key of the stage in the progress while the run waits for kernels."""
-KERNELS = {"filters": 100, "gridding": 70, "classes": 4, "sorting": 4}
+KERNELS = {"filters": 100, "gridding": 70, "classes": 4, "sorting": 5}
 """Approximate numbers of kernels, for progress only."""
 SECONDS = 1800
 """Time in seconds after which a process that compiles counts as hung."""
@@ -104,11 +104,12 @@ CLASS_KERNELS = Kernels("classes", warm_classes, KERNELS["classes"])
 
 
 def warm_sorting(notify: Tell) -> None:
-    """Compile the kernels that sort the points of buckets if necessary, after a call of ``notify``."""
-    counts = np.arange(8, dtype=np.int32)
+    """Compile the kernels that sort and thin the points of buckets if necessary, after a call of ``notify``."""
+    counts, cells = np.arange(8, dtype=np.int32), CellLattice(1, 1, 0, 0)
 
     def sort() -> None:
-        sort_in_cells(counts, counts, counts, CellLattice(1, 1, 0, 0))
+        sort_in_cells(counts, counts, counts, cells)
+        sample_per_cell(counts, counts, counts, cells)
 
     compile_once("sorting", notify, sort)
 

@@ -1,4 +1,4 @@
-"""Positions along the line of a river, against GEOS."""
+"""Positions along the line of a river, against GEOS, and levels of several bodies."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiler.core import water
+from tiler.core.area import Area
 
 
 @given(
@@ -31,3 +32,19 @@ def test_positions_along_a_line_are_those_of_geos(
     assert np.array_equal(
         along, shapely.line_locate_point(shapely.LineString(line), shapely.points(x, y))
     )
+
+
+def test_levels_are_those_of_the_last_body() -> None:
+    """A river falls from 900 to 700 counts over a part of a lake."""
+    lake, river = (
+        Area.from_json([[[west, 0, west + 1000, 0, west + 1000, 1000, west, 1000]]])
+        for west in (0, 500)
+    )
+    flow = np.array([[500, 500, 900], [1500, 500, 700]])
+    bodies = (
+        water.Water(1, water.LAKE, lake, level=400),
+        water.Water(2, water.RIVER, river, flow=flow),
+    )
+    x = np.array([-100, 100, 600, 1400, 1600])
+    levels = water.Waters(bodies).levels(x, np.full(5, 300))
+    assert levels.tolist() == [-np.inf, 400, 880, 720, -np.inf]
