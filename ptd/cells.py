@@ -27,6 +27,8 @@ class Xyz(NamedTuple):
 DENSE_CELLS_PER_POINT = 16
 """A raster of cells is made if it has at most this many cells per point. Otherwise the points
 are sorted."""
+SAMPLED_CELLS_PER_POINT = 4
+"""The same for samples, where a cell takes three times the memory."""
 POSITION_BITS = 63
 """Bits of an int64 that is not negative."""
 MIX_X, MIX_Y, MIX_Z = (
@@ -170,7 +172,7 @@ def sample_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     if x.size == 0:
         return np.zeros(0, np.int32)
     keys, n_cells = _keys_in_extent(x, y, cells)
-    if n_cells > DENSE_CELLS_PER_POINT * x.size + 1024:
+    if n_cells > SAMPLED_CELLS_PER_POINT * x.size + 1024:
         occupied_cells, keys = np.unique(keys, return_inverse=True)
         n_cells = occupied_cells.size
     chosen = _sample_by_key(x, y, z, keys, n_cells, cells.grid(0, 0))

@@ -15,6 +15,7 @@ from tests.scenes.drawings import draw
 from tests.scenes.journals import n_features, opened_in_gis
 from tiler.apps.clean import clean
 from tiler.errors import ConfigError
+from tiler.io.result_folder import foreign_files
 from tiler.report.html import write_report_at
 
 BOTH = "dtm,slope"
@@ -76,6 +77,10 @@ def test_a_url_of_a_folder_on_this_machine_is_that_folder(
     assert (out / "outdated" / "slope.tif").read_bytes() == before
     assert result.summary["products_at"] is None
     assert do(cloud, out, **how).did_nothing
+    run_file = out / "run.json"
+    of_older_version = json.loads(run_file.read_text("utf-8")) | {"products_at": out.as_uri()}
+    run_file.write_text(json.dumps(of_older_version), "utf-8")
+    assert foreign_files(out, str(out), ["dtm.tif"]) == []
     assert Path(write_report_at(out.as_uri())) == out / "report.html"
     assert clean(out.as_uri()).store_bytes > 0
     (tmp_path / "elsewhere").mkdir()

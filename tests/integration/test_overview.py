@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ from tests.scenes.drawings import draw
 from tiler.apps.delivery import deliver, verify
 from tiler.errors import ProcessingError
 from tiler.export import overview
+from tiler.export.tasks import outdated
 from tiler.inputs import find_inputs
 from tiler.io.result_folder import OVERVIEW
+from tiler.runs.job import Job
 
 SIDE_M = 100.0
 
@@ -200,3 +203,27 @@ def test_a_later_run_does_not_read_it_and_a_delivery_has_it(
     (entry,) = (entry for entry in entries if entry["path"] == OVERVIEW)
     assert (entry["kind"], entry["points"]) == ("cloud", len(points(out / OVERVIEW)))
     assert not verify(tmp_path / "to").changed
+
+
+def test_an_overview_that_cannot_be_moved_either_does_not_end_the_run(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = outdated.archive
+
+    def held(job: Job, paths: Sequence[str]) -> str:
+        if OVERVIEW in paths:
+            raise ProcessingError("in use")
+        return archive(job, paths)
+
+    def fails(*arguments: Any) -> None:
+        raise ProcessingError("no")
+
+    do(folder, tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(overview, "new_file", fails)
+        patch.setattr(outdated, "archive", held)
+        result = do(folder, tmp_path, parameters={"iteration_distance": "0.2"})
+    assert result.exit_code == 5
+    assert [text for text in result.summary["notes"] if "nor move it (in use)" in text]
+    assert (tmp_path / OVERVIEW).exists()
+    assert "classified.vpc" in result.summary["outputs"]

@@ -29,7 +29,7 @@ from tiler.pipeline import run
 from tiler.plan import KEEP, Plan
 from tiler.redaction import without_secrets
 from tiler.runs.found import Source, by_source
-from tiler.schedule import FORKS, ChildPool, ChildProcess
+from tiler.schedule import FORKS, ChildPool, ChildProcess, fork_server_running
 from tiler.store import TileStore, open_store
 
 SUFFIXES = (".laz", ".las")
@@ -83,6 +83,8 @@ def is_one_file(sources: Sequence[str], target: str) -> bool:
     return not (is_glob or Path(source).is_dir())
 
 
+# Children that inspect, filter and write share the imports.
+@fork_server_running()
 def classify_file(
     source: str | Path,
     target: str | Path,
@@ -121,6 +123,7 @@ def classify_file(
         return _classify(guard, source, target, config, listener)
 
 
+@fork_server_running()
 def classify_files(
     sources: Sequence[str],
     folder: str | Path,

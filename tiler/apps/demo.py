@@ -14,6 +14,7 @@ from tiler.apps.results import DtmScores, SceneReport
 from tiler.config import RunConfig
 from tiler.core.file_names import link_error
 from tiler.errors import ConfigError, write_error
+from tiler.io.locations import is_url, local_or_url
 from tiler.io.overwrite_check import check_links
 from tiler.io.result_folder import CLASSIFIED, EVALUATION
 from tiler.observe.events import Listener, Note
@@ -72,7 +73,10 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
     TilerError
         `tiler.pipeline.run` raises it, or a file that was not made by a demo would be replaced.
     """
-    out = Path(out)
+    place = local_or_url(out)
+    if is_url(place):
+        raise ConfigError(f"-o {place}: is a URL; give a folder on this machine")
+    out = Path(place)
     _validate_own_files(out, config)
     listener(Note(f"simulating a city of seed {seed} in {out / 'input'}"))
     scene = demo_city(out / "input", seed)

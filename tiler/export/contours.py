@@ -354,7 +354,7 @@ def _cut(lines: Shapes, levels: Ints, shape: Any) -> tuple[Shapes, Ints]:
 
 
 def _edge_of_others(shape: Any) -> Any:
-    """Return the sides of a sheet to its east and north, which belong to the next sheet, as pixels on them do."""
+    """Return the sides of a sheet to its east and north, which are not part of it, as pixels on them are not."""
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(shape)))
     vertices, numbers = shapely.get_coordinates(rings, return_index=True)
     (dx, dy), is_side = np.diff(vertices, axis=0).T, np.diff(numbers) == 0

@@ -66,9 +66,15 @@ def without_local_scheme(url: str) -> str:
 def local_or_url(place: str | Path) -> str:
     """Return the path if a URL is one of this machine (``file:///data/out``), or any other path or URL unchanged.
 
-    Libraries for URLs make no folders there, and copy files that only have to be renamed.
+    Libraries for URLs make no folders there, and copy files that only have to be renamed. Raise ConfigError for
+    ``file://server/out``.
     """
-    path = without_local_scheme(plain_scheme(str(place)))
+    text = plain_scheme(str(place))
+    path = without_local_scheme(text)
+    if path != text and not os.path.isabs(path):
+        raise ConfigError(
+            f"{place}: names a server or a relative path; give a whole path after file://, such as file:///data/out"
+        )
     return str(place) if is_url(path) else path
 
 

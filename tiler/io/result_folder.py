@@ -18,7 +18,15 @@ from tiler.core.file_names import product_names
 from tiler.core.products import PRODUCTS, VECTOR_PRODUCTS
 from tiler.errors import ConfigError
 from tiler.io.foreign_content import parse_json_object
-from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at, with_slashes
+from tiler.io.locations import (
+    is_url,
+    joined,
+    names_in,
+    read_bytes,
+    sizes_at,
+    with_slashes,
+    without_local_scheme,
+)
 from tiler.redaction import without_secrets
 
 RUN = "run.json"
@@ -230,8 +238,11 @@ def _earlier_run(out: Path, products: str) -> dict[str, Any]:
     url = without_secrets(products).rstrip("/") if is_url(products) else ""
     for place in (str(out), products):
         run = read_run(place)
+        if run is None:
+            continue
         # The folder on this machine may contain the run.json of results at another URL.
-        if run is not None and (run.get("products_at") or "").rstrip("/") == url:
+        at = without_local_scheme((run.get("products_at") or "").rstrip("/"))
+        if (at if is_url(at) else "") == url:
             return run
     return {}
 

@@ -125,3 +125,15 @@ def test_exhausted_memory_is_not_an_error_of_the_server() -> None:
     """An answer that expands hugely: the process that reads it reports its limit."""
     with pytest.raises(MemoryError), locations.storage_errors():
         raise MemoryError
+
+
+@pytest.mark.parametrize("url", ["file://localhost/data/out", "FILE://out"])
+def test_a_url_of_a_file_has_a_whole_path(url: str) -> None:
+    with pytest.raises(ConfigError, match="give a whole path after file://"):
+        locations.local_or_url(url)
+
+
+def test_only_urls_of_this_machine_become_paths(tmp_path: Path) -> None:
+    assert locations.local_or_url(f"file://{tmp_path.as_posix()}") == tmp_path.as_posix()
+    for place in ("out", "s3://bucket/out", "zip::file:///data/out.zip"):
+        assert locations.local_or_url(place) == place

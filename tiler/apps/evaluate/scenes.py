@@ -197,6 +197,7 @@ def _compare(
     return findings, how, write_error_map(grid, maps.folder, scene.name, georeference.wkt)
 
 
+@fork_server_running()
 def filter_and_evaluate(
     clouds: Sequence[str | Path],
     config: RunConfig,

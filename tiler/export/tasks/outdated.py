@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from tiler.core.words import listed
-from tiler.errors import ConfigError, is_in_use, write_error
+from tiler.errors import ConfigError, TilerError, is_in_use, write_error
 from tiler.export.output_files import FileRecord
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
 from tiler.io.overwrite_check import check_links
@@ -174,11 +174,12 @@ def archive(job: Job, paths: Sequence[str], copies: bool = False) -> str:
 
 def archive_unwritten(job: Job, path: str) -> None:
     """Move the file of an earlier run that this run could not replace, so that it does not look current."""
-    if sizes_at([joined(job.products, path)]) != [None]:
-        job.note(
-            f"{path}: written by an earlier run, and this run could not replace it; moved to {archive(job, [path])}/",
-            Note,
-        )
+    told = f"{path}: written by an earlier run, and this run could not replace it"
+    try:
+        if sizes_at([joined(job.products, path)]) != [None]:
+            job.note(f"{told}; moved to {archive(job, [path])}/", Note)
+    except (TilerError, OSError) as error:  # Such as a file that another program has open.
+        job.note(f"{told}, nor move it ({error}); do not use it", Note)
 
 
 def archive_sidecars(job: Job, replaced: Collection[str]) -> None:
