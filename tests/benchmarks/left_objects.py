@@ -90,8 +90,23 @@ class Sample(NamedTuple):
     cell_m: float
 
 
+class Pixels(NamedTuple):
+    """Pixels of a run of a scene: heights, numbers of ground points and of others, errors (NaN: unknown), and side."""
+
+    heights: np.ndarray
+    ground: np.ndarray
+    objects: np.ndarray
+    error: np.ndarray
+    cell_m: float
+
+
 def sampled(known: Known, folder: Path) -> Sample:
     """The candidates of a run of a scene, in cells of one pixel."""
+    return sample_of(known.name, *pixels_of(known, folder))
+
+
+def pixels_of(known: Known, folder: Path) -> Pixels:
+    """The pixels of a run of a scene, and some around, which are not known."""
     store = open_store(str(ran(known, folder) / "store.zarr"))
     spec = RasterSpec.from_json(store.get_state("raster-dtm-outlined"))
     block = Block(0, 0, spec.height, spec.width)
@@ -112,7 +127,7 @@ def sampled(known: Known, folder: Path) -> Sample:
     # As in a run, there is no terrain beyond the raster.
     heights, error = (np.pad(cells, PAD, constant_values=np.nan) for cells in (heights, error))
     ground, objects = (np.pad(cells, PAD) for cells in (ground, objects))
-    return sample_of(known.name, heights, ground, objects, error, cell_m)
+    return Pixels(heights, ground, objects, error, cell_m)
 
 
 def sample_of(

@@ -49,6 +49,8 @@ class Reason:
 
 LEFT = "object left in the terrain"
 """Reason whose places have their own chances."""
+UNSURE = "unsure terrain"
+"""The same, for places with few ground points."""
 HOLE_M = 1.0
 """Height error that a missing height counts as in the order of places."""
 
@@ -61,6 +63,7 @@ REASONS: dict[str, Reason] = {
     "terrain above all returns": Reason(3.1, is_certain=True),
     # The finder gives a chance for each place.
     LEFT: Reason(),
+    UNSURE: Reason(),
     "objects suspected in the terrain": Reason(10.1, {LIDAR: [Counts(1, 1)]}),
     "place without returns": Reason(
         1.2,

@@ -532,6 +532,39 @@ class AboveResult(Record):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class UnsurePlace(Record):
+    """Place where the terrain is unsure.
+
+    Attributes
+    ----------
+    bounds : [west, south, east, north]
+        Edges in units of the CRS.
+    area_m2 : float
+    error_m : float
+        Typical error of its heights.
+    gap_m : float
+        Mean distance to the nearest ground point.
+    slope : float
+        Slope of the land (rise over run).
+    objects : float
+        Share of objects among the returns around.
+    chance : float
+        Chance that the terrain is wrong there.
+    rings : Rings
+        Outline of its cells.
+    """
+
+    bounds: list[float]
+    area_m2: float
+    error_m: float
+    gap_m: float
+    slope: float
+    objects: float
+    chance: float
+    rings: Rings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LeftObject(Record):
     """Object that is probably left in the terrain.
 

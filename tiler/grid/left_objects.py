@@ -1,9 +1,12 @@
-"""Search of a block for objects left in the terrain: what it reads, and the outlines of what it finds.
+"""Search of a block for objects left in the terrain and for unsure places: what it reads, and their outlines.
 
-`tiler.grid.object_candidates` judges the terrain and the numbers of points.
+`tiler.grid.object_candidates` and `tiler.grid.unsure_terrain` judge the terrain and the numbers of points. One search
+does both, as the points take most of its time.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import scipy
@@ -31,6 +34,13 @@ from tiler.grid.object_candidates import (
     reach_cells,
 )
 from tiler.grid.steps import Counts
+from tiler.grid.unsure_terrain import (
+    Shape,
+    may_be_unsure,
+    shape_of,
+    squares_around,
+    unsure_places,
+)
 
 CELL_M, MAX_CELL_M = 1.0, 2.0
 """Approximate and largest side of the cells in which the terrain is examined. In coarser pixels nothing is found."""
@@ -55,7 +65,7 @@ def _side(pixel_m: float) -> int | None:
 
 
 def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[None, Counts]:
-    """Find the objects left in the terrain whose first cell begins in a block.
+    """Find the objects left in the terrain, and the unsure places, whose first cell begins in a block.
 
     Parameters
     ----------
@@ -71,30 +81,47 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     counts : dict
         ``objects``: for each its ``chance``, ``height_m``, ``steep`` and number of ``pixels``. Of its outline, which is
         `WIDER_CELLS` wider, the number of ``ground`` points, and ``rectangles``: first row, first column, last row and
-        last column of pixels of runs of its cells.
+        last column of pixels of runs of its cells. ``unsure``: see `_unsure`.
     """
     spec, block, frame = points.spec, points.block, points.frame
     pixel_m = float(spec.lattice.size * frame.metres_xy)
     side = _side(pixel_m)
     if side is None:
-        return None, {"objects": []}
+        return None, {"objects": [], "unsure": []}
     cell_m = side * pixel_m
     wide = PixelCells(spec, block, side, reach_cells(cell_m))
     top, left = wide.window.row - block.row + margin, wide.window.col - block.col + margin
     pixels = terrain[top : top + wide.window.height, left : left + wide.window.width]
     heights = wide.means(pixels, ~np.isnan(pixels)) * float(frame.units.vertical)
     found, levels = candidates(heights, cell_m, reach_cells(cell_m) - near_cells(cell_m))
-    cells = PixelCells(spec, block, side, near_cells(cell_m))
-    window = cells.window
-    row = np.maximum(window.row + found.row * side, 0) - block.row
-    column = np.maximum(window.col + found.column * side, 0) - block.col
-    is_here = (row >= 0) & (row < block.height) & (column >= 0) & (column < block.width)
+    near = PixelCells(spec, block, side, near_cells(cell_m))
+    is_here = _is_here(near, block, found.row, found.column)
     is_judged = _nested_with(found, levels, is_here & found.shaped(Limits()))
-    if not is_judged.any():
-        return None, {"objects": []}
-    ground, objects = _counts(points, cells, _hull(found, levels, is_judged))
+    squares = _squares(wide, PixelCells(spec, block, side, 0))
+    shape = shape_of(heights[squares], cell_m)
+    boxes = [squares] if may_be_unsure(shape.rise, cell_m).any() else []
+    if is_judged.any():
+        boxes.append(_shifted(_hull(found, levels, is_judged), _part(wide, near)))
+    if not boxes:
+        return None, {"objects": [], "unsure": []}
+    counts = _counts(points, wide, _around(boxes))
+    unsure = _unsure(wide, squares, block, shape, counts, cell_m)
+    ground, objects = (n[_part(wide, near)] for n in counts)
     measures = measures_of(found, levels, ground, objects, cell_m)
     chance = np.where(is_judged, chances(measures), 0.0)
+    places = _objects(found, levels, chance, is_here, ground, near)
+    return None, {"objects": places, "unsure": unsure}
+
+
+def _objects(
+    found: Candidates,
+    levels: list[Level],
+    chance: Float64,
+    is_here: Bools,
+    ground: Int64,
+    near: PixelCells,
+) -> list[dict[str, Any]]:
+    """Return the objects whose first cell begins in a block, with their outlines."""
     places = []
     for i, inside, box in chosen(found, levels, chance):
         if is_here[i]:
@@ -105,11 +132,93 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
                     "height_m": round(float(found.height_m[i]), 2),
                     "steep": round(float(found.steep[i]), 3),
                     "ground": int(ground[wider][outline].sum()),
-                    "pixels": int(inside.sum()) * side**2,
-                    "rectangles": _rectangles(outline, wider, window, side),
+                    "pixels": int(inside.sum()) * near.side**2,
+                    "rectangles": _rectangles(outline, wider, near.window, near.side),
                 }
             )
-    return None, {"objects": places}
+    return places
+
+
+def _unsure(
+    wide: PixelCells,
+    part: Box,
+    block: Block,
+    shape: Shape,
+    counts: tuple[Int64, Int64],
+    cell_m: float,
+) -> list[dict[str, Any]]:
+    """Return the unsure places in a part of the cells whose first cell begins in a block.
+
+    Each has its ``chance``, mean ``rise_m``, ``gap_m`` and ``tilt``, share of ``objects``, number of ``pixels``, and
+    ``rectangles`` as objects have.
+    """
+    ground, objects = (n[part] for n in counts)
+    rows, columns = part
+    corner = wide.north + rows.start, wide.west + columns.start
+    found = unsure_places(shape, ground, objects, cell_m, corner)
+    first = np.array([(p.row + rows.start, p.column + columns.start) for p in found])
+    is_here = _is_here(wide, block, *first.reshape(-1, 2).T)
+    return [
+        {
+            "chance": round(min(place.chance, MOST_CHANCE), 3),
+            "rise_m": round(place.rise_m, 2),
+            "gap_m": round(place.gap_m, 1),
+            "tilt": round(place.tilt, 2),
+            "objects": round(place.objects, 2),
+            "pixels": int(place.cells.sum()) * wide.side**2,
+            "rectangles": _rectangles(
+                place.cells, _shifted(place.box, part), wide.window, wide.side
+            ),
+        }
+        for place, here in zip(found, is_here, strict=True)
+        if here
+    ]
+
+
+def _is_here(cells: PixelCells, block: Block, row: Int64, column: Int64) -> Bools:
+    """Return a mask of the cells that begin in a block."""
+    row = np.maximum(cells.window.row + row * cells.side, 0) - block.row
+    column = np.maximum(cells.window.col + column * cells.side, 0) - block.col
+    is_here: Bools = (row >= 0) & (row < block.height) & (column >= 0) & (column < block.width)
+    return is_here
+
+
+def _part(wide: PixelCells, cells: PixelCells) -> Box:
+    """Return the rows and columns of some cells among those of a wider margin."""
+    top, left = cells.north - wide.north, cells.west - wide.west
+    rows, columns = (n // cells.side for n in (cells.window.height, cells.window.width))
+    return slice(top, top + rows), slice(left, left + columns)
+
+
+def _shifted(box: Box, part: Box) -> Box:
+    """Return a box of the cells of a part as one of all cells."""
+    return tuple(
+        slice(own.start + whole.start, own.stop + whole.start)
+        for own, whole in zip(box, part, strict=True)
+    )
+
+
+def _squares(wide: PixelCells, own: PixelCells) -> Box:
+    """Return the cells that decide on the unsure places that may begin in those of a block."""
+    ends = (
+        squares_around(first, pixels // own.side)
+        for first, pixels in (
+            (own.north, own.window.height),
+            (own.west, own.window.width),
+        )
+    )
+    return tuple(
+        slice(first - corner, stop - corner)
+        for (first, stop), corner in zip(ends, (wide.north, wide.west), strict=True)
+    )
+
+
+def _around(boxes: list[Box]) -> Box:
+    """Return the box around some."""
+    return tuple(
+        slice(min(part.start for part in parts), max(part.stop for part in parts))
+        for parts in zip(*boxes, strict=True)
+    )
 
 
 def _nested_with(found: Candidates, levels: list[Level], some: Bools) -> Bools:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
-from tiler.core.chances import LEFT, chance_of
+from tiler.core.chances import LEFT, UNSURE, chance_of
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.points import NOISE
 from tiler.core.review import STATUSES
@@ -32,6 +32,8 @@ INSIDE = "void inside the survey"
 AT_BORDER = "void at the border of the survey"
 LIKELY = 0.8
 """Chance from which a place is called likely."""
+PLANTS, STEEP = 0.5, 0.3
+"""Share of objects and slope from which they are named as causes of unsure terrain."""
 
 Run = Mapping[str, Any]
 Place = tuple[float, float, float, float]
@@ -244,6 +246,33 @@ def _left(run: Run) -> Iterator[Problem]:
         )
 
 
+def _unsure(run: Run) -> Iterator[Problem]:
+    """Yield the places where ground points are few and the terrain is rough, the worst first."""
+    unit = _unit(run, "vertical")
+    for place in run.get("unsure", ()):
+        share, causes = place["objects"], []
+        if share >= PLANTS:
+            causes.append(f"plants ({share:.0%} of the returns are not ground)")
+        if place["slope"] >= STEEP:
+            causes.append(f"a slope of {place['slope']:.0%}")
+        reason = f", with {' and '.join(causes)}" if causes else ""
+        gap, error = (length_text(round(place[m], 1), unit) for m in ("gap_m", "error_m"))
+        why = (
+            f"{_area(run, place['area_m2'])} of rough terrain are about {gap} from the nearest ground point{reason}; "
+            f"a typical error is {error}"
+        )
+        yield Problem(
+            UNSURE,
+            place_of(place["bounds"]),
+            why,
+            "look at the points: use --edits with action ground or not_ground for those with a wrong class",
+            place["area_m2"],
+            stake_m=place["error_m"],
+            chance=place["chance"],
+            rings=place["rings"],
+        )
+
+
 def _voids(run: Run) -> Iterator[Problem]:
     """Yield the voids, those inside the survey before those at its border, without small ones there."""
     found = list(_all_voids(run))
@@ -347,6 +376,7 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _implausible,
     _above,
     _left,
+    _unsure,
     _warnings,
     _objects,
     _voids,

@@ -44,6 +44,7 @@ from tiler.core.results import (
     SurveyResult,
     TerrainResult,
     TileResult,
+    UnsurePlace,
     VoidResult,
     VoidsResult,
     WaterResult,
@@ -141,6 +142,7 @@ class Results:
     without_returns: list[VoidResult]
     above_returns: AboveResult
     left_objects: list[LeftObject]
+    unsure: list[UnsurePlace]
     implausible: list[Implausible]
     review: ReviewResult
     changes: Changes

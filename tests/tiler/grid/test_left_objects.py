@@ -130,7 +130,12 @@ def test_places_do_not_depend_on_blocks(make_scene, resolution: int, size: int) 
 
 
 def places(scene: Scene, spec: RasterSpec, size: int) -> list[dict]:
-    """Return the places in all blocks of a size."""
+    """Return the objects in all blocks of a size."""
+    return blocks_of(scene, spec, size, "objects")
+
+
+def blocks_of(scene: Scene, spec: RasterSpec, size: int, kind: str) -> list[dict]:
+    """Return the places of a kind in all blocks of a size."""
     margin = left_margin(float(spec.lattice.size * scene.store.meta.frame.metres_xy))
     reads = {
         "points": Read("points"),
@@ -141,5 +146,5 @@ def places(scene: Scene, spec: RasterSpec, size: int) -> list[dict]:
         counts = make_block(
             scene.store, "dtm-left", left_objects, reads, spec, block, NODATA, margin=margin
         )
-        found += counts["objects"]
+        found += counts[kind]
     return sorted(found, key=lambda place: place["rectangles"])

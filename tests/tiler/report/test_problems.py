@@ -244,6 +244,10 @@ EVERY_PROBLEM: dict[str, Any] = {
     "left_objects": [{
         "bounds": BOUNDS, "area_m2": 24.0, "height_m": 2.0, "steep": 0.9, "ground": 3, "chance": 0.7, "rings": [],
     }],
+    "unsure": [{
+        "bounds": BOUNDS, "area_m2": 40.0, "error_m": 0.8, "gap_m": 2.5, "slope": 0.4, "objects": 0.9, "chance": 0.6,
+        "rings": [],
+    }],
     "advice": ["a roof"], "advice_at": [[3.0, 4.0]],
     "voids": voids(void(1e5, at_border=False), void(1e5), void(1.0)),
     "without_returns": [{"bounds": BOUNDS, "area_m2": 24.0}],
@@ -260,6 +264,15 @@ EVERY_PROBLEM: dict[str, Any] = {
     "healed": ["b1"],
 }  # fmt: skip
 """Content of run.json with which every source finds a problem."""
+
+
+def test_unsure_terrain_names_its_causes() -> None:
+    (place,) = EVERY_PROBLEM["unsure"]
+    open_land = {**place, "slope": 0.1, "objects": 0.2}
+    both, neither = found(unsure=[place, open_land])
+    assert "plants (90% of the returns are not ground) and a slope of 40%" in both.why
+    assert ("plants" in neither.why, "slope" in neither.why) == (False, False)
+    assert (both.action, both.stake_m, both.chance) == ("", 0.8, 0.6)
 
 
 def test_the_table_of_chances_has_every_reason_with_a_position() -> None:

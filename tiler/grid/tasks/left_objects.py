@@ -1,19 +1,23 @@
-"""Objects left in the terrain: their entries in run.json, and a note."""
+"""Objects left in the terrain and unsure places: their entries in run.json, and notes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from tiler.core.chances import LEFT, expected_loss
 from tiler.core.raster import Block, RasterSpec
-from tiler.core.results import LeftObject
+from tiler.core.results import LeftObject, UnsurePlace
 from tiler.core.units import length_text
 from tiler.core.words import counted
 from tiler.grid.steps import Counts
 from tiler.grid.tasks.findings import MAX_LISTED, bounds_of, rings_around
 from tiler.runs.job import Job
+
+ERROR_PER_RISE = 1.5
+"""Typical error of an unsure place by its mean rise, the median of scenes whose terrain is known."""
 
 
 def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
@@ -35,6 +39,22 @@ def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Co
         )
 
 
+def report_unsure(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
+    """Add to run.json the places where the terrain is unsure, and note their number."""
+    pixel_m2 = float(job.plan.grid.resolution**2)
+    found = [
+        _unsure(spec, values, pixel_m2)
+        for counts in of_blocks.values()
+        for values in counts["unsure"]
+    ]
+    found.sort(
+        key=lambda place: (-place.chance * place.error_m**2 * place.area_m2, place.bounds)
+    )
+    job.results.unsure = found[:MAX_LISTED]
+    if found:
+        job.note(f"the terrain is unsure in {counted(len(found), 'place')}, see review.gpkg")
+
+
 def _loss(place: LeftObject) -> float:
     return expected_loss(LEFT, place.chance, place.height_m, place.area_m2) or 0.0
 
@@ -47,6 +67,20 @@ def _object(spec: RasterSpec, values: Mapping[str, float], pixel_m2: float) -> L
         height_m=values["height_m"],
         steep=values["steep"],
         ground=int(values["ground"]),
+        chance=values["chance"],
+        rings=rings_around(spec, top, left, bottom, right),
+    )
+
+
+def _unsure(spec: RasterSpec, values: Mapping[str, Any], pixel_m2: float) -> UnsurePlace:
+    top, left, bottom, right = np.array(values["rectangles"], np.int64).T
+    return UnsurePlace(
+        bounds=bounds_of(spec, (top.min(), left.min()), (bottom.max(), right.max())),
+        area_m2=values["pixels"] * pixel_m2,
+        error_m=round(ERROR_PER_RISE * values["rise_m"], 2),
+        gap_m=values["gap_m"],
+        slope=values["tilt"],
+        objects=values["objects"],
         chance=values["chance"],
         rings=rings_around(spec, top, left, bottom, right),
     )

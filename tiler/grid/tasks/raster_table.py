@@ -22,7 +22,7 @@ Rasters of pixels:
 - ``<name>-outlined``: a model that ends at the outline of the survey, with level water.
 - ``canopy``: the crowns where they hide the ground, and ``canopy-below``: the terrain there.
 - ``dtm-above``: no pixels, but a record for each block of where the terrain lies above all returns.
-- ``dtm-left``: no pixels, but the objects that are probably left in the terrain.
+- ``dtm-left``: no pixels, but the objects that are probably left in the terrain, and the places where it is unsure.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ from tiler.grid.tasks.gridding import (
     coarse_cell_m,
     nodata_of,
 )
-from tiler.grid.tasks.left_objects import report_left_objects
+from tiler.grid.tasks.left_objects import report_left_objects, report_unsure
 from tiler.grid.tasks.steps import (
     NONE,
     Near,
@@ -112,7 +112,8 @@ def raster_table(plan: Plan) -> dict[str, OnTin | Step]:
 def required_rasters(plan: Plan) -> list[OnTin | Step]:
     """Return the rasters to make, each after its inputs. The terrain and its inputs come first.
 
-    Every run looks for places where the terrain is above all returns, and for objects that are left in it.
+    Every run looks for places where the terrain is above all returns, for objects that are left in it, and for
+    places where it is unsure.
     """
     config, table = plan.config, raster_table(plan)
     steps: dict[str, OnTin | Step] = {}
@@ -256,6 +257,7 @@ def _of_laser_scans(step: Step, context: GridContext, near: Near) -> Mapping[Blo
 
 def _left_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
     report_left_objects(job, context.spec, of_blocks)
+    report_unsure(job, context.spec, of_blocks)
 
 
 def _mask_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:

@@ -1,0 +1,99 @@
+"""Unsure terrain: rough places far from ground are found, and rough ground that is seen is not."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from tests.tiler.grid.conftest import Scene
+from tests.tiler.grid.test_left_objects import blocks_of
+from tiler.grid.unsure_terrain import LEAST_CHANCE, SQUARE_CELLS, shape_of, unsure_places
+
+SIDE = 200
+ROWS, COLUMNS = np.indices((SIDE, SIDE)).astype(float)
+
+
+def rough(rng: np.random.Generator, height_m: float) -> np.ndarray:
+    """Return a slope with facets of 4 m that rise by up to a height."""
+    corners = rng.uniform(0, height_m, (SIDE // 4 + 2, SIDE // 4 + 2))
+    row, column = (ROWS // 4).astype(int), (COLUMNS // 4).astype(int)
+    u, v = ROWS % 4 / 4, COLUMNS % 4 / 4
+    upper = corners[row, column] * (1 - v) + corners[row, column + 1] * v
+    lower = corners[row + 1, column] * (1 - v) + corners[row + 1, column + 1] * v
+    heights: np.ndarray = 100 + 0.1 * ROWS + upper * (1 - u) + lower * u
+    return heights
+
+
+def patch(row: float, column: float, radius: float) -> np.ndarray:
+    """Return the cells of a disc."""
+    cells: np.ndarray = np.hypot(ROWS - row, COLUMNS - column) <= radius
+    return cells
+
+
+def seen_at(hidden: np.ndarray) -> np.ndarray:
+    """Return the cells with ground points: all that are not hidden, and the corners of facets."""
+    seen: np.ndarray = ~hidden | ((ROWS % 4 == 0) & (COLUMNS % 4 == 0) & (ROWS % 8 == 0))
+    return seen
+
+
+def land(where: np.ndarray, height_m: float) -> np.ndarray:
+    """Return a slope that is rough in some cells."""
+    return np.where(where, rough(np.random.default_rng(3), height_m), 100 + 0.1 * ROWS)
+
+
+@pytest.mark.parametrize("cell_m", [0.8, 1.0, 1.4])
+def test_rough_land_far_from_ground_is_found_there(cell_m: float) -> None:
+    rough_land = patch(100, 100, 14)
+    places = found(land(rough_land, 5.0), seen_at(rough_land), cell_m)
+    cells = np.zeros(rough_land.shape, np.bool_)
+    for place in places:
+        cells[place.box] |= place.cells
+        assert max(place.cells.shape) <= SQUARE_CELLS
+        assert LEAST_CHANCE <= place.chance <= 1
+    assert np.count_nonzero(cells & rough_land) >= 0.3 * np.count_nonzero(rough_land)
+    assert not (cells & ~patch(100, 100, 17)).any()
+
+
+def test_rough_land_with_ground_points_is_not_unsure() -> None:
+    everywhere = np.ones(ROWS.shape, np.bool_)
+    assert not found(land(everywhere, 5.0), everywhere, 1.0)
+
+
+def test_smooth_land_without_ground_points_is_not_unsure() -> None:
+    hidden = patch(100, 100, 30)
+    assert not found(100 + 0.4 * ROWS + 0.2 * COLUMNS, ~hidden, 1.0)
+
+
+def test_sparse_scans_are_not_judged() -> None:
+    rough_land = patch(100, 100, 14)
+    heights, seen = land(rough_land, 5.0), seen_at(rough_land)
+    shape = shape_of(heights, 1.0)
+    assert unsure_places(shape, 3 * seen, 3 * ~seen, 1.0)
+    assert not unsure_places(shape, 1 * seen, 1 * ~seen, 1.0)
+
+
+def found(heights: np.ndarray, seen: np.ndarray, cell_m: float) -> list:
+    """Return the places in cells with six ground points each where the ground is seen, else with six objects."""
+    return unsure_places(shape_of(heights, cell_m), 6 * seen, 6 * ~seen, cell_m)
+
+
+@pytest.mark.parametrize("resolution", [500, 700, 1000])
+@pytest.mark.parametrize("size", [37, 64])
+def test_places_do_not_depend_on_blocks(make_scene, resolution: int, size: int) -> None:
+    rough_land = patch(60, 70, 20) | patch(130, 120, 30)
+    heights, seen = land(rough_land, 6.0), seen_at(rough_land)
+    scene = scanned(make_scene, heights, seen)
+    spec = scene.grid_into_store("dtm", Fraction(resolution))
+    whole, parts = (blocks_of(scene, spec, n, "unsure") for n in (10_000, size))
+    assert whole
+    assert parts == whole
+
+
+def scanned(make_scene, heights: np.ndarray, seen: np.ndarray) -> Scene:
+    """Return a scene with two points in each cell, which are ground where it is seen."""
+    x, y = COLUMNS.ravel() * 1000, (SIDE - 1 - ROWS.ravel()) * 1000
+    z, labels = heights.ravel() * 1000, np.where(seen, 2, 1).ravel().astype(np.uint8)
+    pulses = [np.stack((x + dx, y + dy, z), axis=1) for dx in (250, 750) for dy in (250, 750)]
+    return make_scene(np.concatenate(pulses).astype(np.int64), np.tile(labels, 4))

@@ -1,0 +1,232 @@
+"""Places where the terrain of a laser scan is unsure: it is rough, and ground points are far.
+
+Under plants and on steep land, no return may have reached the ground. The TIN then spans plants or a valley. Such
+places do not stand up from the land around, as objects do (`tiler.grid.object_candidates`).
+
+The measure is the height above the lowest cell nearby, without the trend of the land, times the root of the distance to
+the nearest ground. Places are connected cells with a large measure within a square of `SQUARE_CELLS`, so that none is
+longer. Each gets a chance from six means. All that decides on a place lies within `RIM_CELLS` of its square, and
+sums are of whole numbers. So blocks do not change the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ptd.gridding.ground_cells import box_sums
+from tiler.grid.coarse import distances
+from tiler.grid.object_candidates import TOUCHING, Bools, Box, Float64, Int64
+
+SQUARE_CELLS = 48
+"""Side of the squares that cut places."""
+TREND_M, NEARBY_M, AROUND_M = 9.0, 5.0, 21.0
+"""Sides of the windows of the trend, of the lowest cell and of the returns around."""
+FARTHEST_CELLS = 8
+"""Distance from which ground is as good as none."""
+RIM_CELLS = 17
+"""Distance from a cell within which all lies that decides on its measures, in cells of at least 0.65 m."""
+LEAST_MEASURE = 0.3
+"""Least measure of a cell of a place, in m^1.5."""
+LEAST_AREA_M2, LEAST_SUM = 4.0, 16.0
+"""Least area of a place, and least sum of the squares of its measures times the area of a cell, in m^5."""
+LEAST_CHANCE = 0.55
+"""Least chance of a place that is listed."""
+LEAST_RETURNS_M2 = 2.0
+"""Least number of returns around per square metre. In sparser scans, ground is far everywhere."""
+MM = 1000.0
+"""Sums are of whole millimetres."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Logarithm of the odds that a place is wrong, as a sum.
+
+    The constants were fitted by ``python -m tests.benchmarks.unsure``. Rises, distances, slopes and areas count with
+    their logarithm.
+
+    Attributes
+    ----------
+    always : float
+    rise : float
+        For the height above the lowest cell nearby.
+    gap : float
+        For the root of the distance to the nearest ground.
+    objects : float
+        For the share of objects among the returns around.
+    tilt : float
+        For the slope of the land. On steep land, terrain is rough where it is right, too.
+    steep : float
+        For the slope from cell to cell.
+    area : float
+        For the area.
+    """
+
+    always: float = -3.15
+    rise: float = 3.93
+    gap: float = 5.07
+    objects: float = -3.81
+    tilt: float = -3.2
+    steep: float = 1.99
+    area: float = 1.11
+
+
+class Shape(NamedTuple):
+    """Form of the terrain in each cell, in metres: rise above the lowest cell nearby, trend, and height."""
+
+    rise: Float64
+    trend: Float64
+    heights: Float64
+
+
+class Place(NamedTuple):
+    """Place with its cells, their box, first cell, chance, mean rise and gap in metres, tilt, and share of objects."""
+
+    cells: Bools
+    box: Box
+    row: int
+    column: int
+    chance: float
+    rise_m: float
+    gap_m: float
+    tilt: float
+    objects: float
+
+
+def shape_of(heights: Float64, cell_m: float) -> Shape:
+    """Return the form of the terrain of cells, heights in metres, NaN where there is none."""
+    known = ~np.isnan(heights)
+    mm = np.rint(np.where(known, heights, 0.0) * MM).astype(np.int64)
+    half = _half(TREND_M, cell_m)
+    n = _around(known.astype(np.int64), half)
+    trend = np.where(n > 0, _around(mm, half) / np.maximum(n, 1), np.nan) / MM
+    above = np.where(known, heights - trend, np.inf)
+    lowest = scipy.ndimage.minimum_filter(
+        above, 2 * _half(NEARBY_M, cell_m) + 1, mode="constant", cval=np.inf
+    )
+    rise = np.zeros(heights.shape)
+    np.subtract(above, lowest, out=rise, where=known)
+    return Shape(rise, trend, heights)
+
+
+def may_be_unsure(rise: Float64, cell_m: float) -> Bools:
+    """Return a mask of the cells that can belong to a place, whatever the ground points are."""
+    return _smooth(rise * (FARTHEST_CELLS * cell_m) ** 0.5) >= LEAST_MEASURE
+
+
+def unsure_places(
+    shape: Shape,
+    ground: Int64,
+    objects: Int64,
+    cell_m: float,
+    corner: tuple[int, int] = (0, 0),
+) -> list[Place]:
+    """Find the places of cells.
+
+    Parameters
+    ----------
+    shape : Shape
+    ground, objects : int64 (rows, columns)
+        Number of ground points and of others in each cell.
+    cell_m : float
+        Side of a cell in metres.
+    corner : tuple of int
+        Row and column of the first cell, which say where the squares begin.
+    """
+    labels, squared, measures = measured(shape, ground, objects, cell_m, corner)
+    always, *by = astuple(Weights())
+    # A matrix product may depend on the number of rows in its last bit.
+    chance = scipy.special.expit(always + (measures * by).sum(axis=1))
+    boxes = scipy.ndimage.find_objects(labels)
+    places = []
+    for i in np.flatnonzero((chance >= LEAST_CHANCE) & (squared >= LEAST_SUM)):
+        box, cells = boxes[i], labels[boxes[i]] == i + 1
+        row, column = box[0].start, box[1].start + int(np.argmax(cells[0]))
+        rise, gap, share, tilt = measures[i, :4]
+        means = np.exp(rise), np.exp(gap) ** 2, np.exp(tilt), share
+        places.append(Place(cells, box, row, column, float(chance[i]), *map(float, means)))
+    return places
+
+
+def measured(
+    shape: Shape, ground: Int64, objects: Int64, cell_m: float, corner: tuple[int, int]
+) -> tuple[npt.NDArray[np.int32], Float64, Float64]:
+    """Return labels of candidates, the sum of the squares of each, and its six measures in the order of `Weights`."""
+    gap = distances(ground > 0, FARTHEST_CELLS)
+    gap = np.sqrt(np.maximum(np.minimum(gap, FARTHEST_CELLS) - 0.5, 0.0) * cell_m)
+    measure = _smooth(shape.rise * gap)
+    # At the border of the window, cells have no neighbours. They belong to no place of a block.
+    measure[[0, -1]] = measure[:, [0, -1]] = 0.0
+    at = np.flatnonzero(measure >= LEAST_MEASURE)
+    half = _half(AROUND_M, cell_m)
+    n_objects, n_ground = (_around(n, half).ravel() for n in (objects, ground))
+    is_dense = (n_objects + n_ground)[at] >= LEAST_RETURNS_M2 * (2 * half + 1) ** 2 * cell_m**2
+    cells = np.zeros(measure.shape, np.bool_)
+    cells.flat[at[is_dense]] = True
+    labels = _labels_in_squares(cells, corner)
+    sizes = np.bincount(labels.ravel())
+    is_kept = sizes * cell_m**2 >= LEAST_AREA_M2
+    is_kept[0] = False
+    labels = np.where(is_kept, np.cumsum(is_kept), 0).astype(np.int32)[labels]
+    at, area = np.flatnonzero(labels), sizes[is_kept]
+    of = labels.ravel()[at] - 1
+
+    def mean(values: Float64) -> Float64:
+        means: Float64 = np.bincount(of, values, area.size) / area
+        return means
+
+    columns = (
+        np.log(mean(shape.rise.ravel()[at]) + 0.05),
+        np.log(mean(gap.ravel()[at]) + 0.1),
+        mean(n_objects[at] / (n_objects + n_ground)[at]),
+        np.log(mean(_slope(shape.trend, at, cell_m)) + 0.05),
+        np.log(mean(_slope(shape.heights, at, cell_m)) + 0.05),
+        np.log(area * cell_m**2),
+    )
+    squared = mean(measure.ravel()[at] ** 2) * area * cell_m**2
+    return labels, squared, np.column_stack(columns)
+
+
+def squares_around(first: int, size: int) -> tuple[int, int]:
+    """Return the first cell, and the one after the last, that decide on the places of squares that touch some cells."""
+    top, bottom = first // SQUARE_CELLS, -(-(first + size) // SQUARE_CELLS)
+    return top * SQUARE_CELLS - RIM_CELLS, bottom * SQUARE_CELLS + RIM_CELLS
+
+
+def _labels_in_squares(cells: Bools, corner: tuple[int, int]) -> npt.NDArray[np.int32]:
+    """Label connected cells within each square, by labelling the squares with gaps between them."""
+    at = [
+        first % SQUARE_CELLS + np.arange(size)
+        for first, size in zip(corner, cells.shape, strict=True)
+    ]
+    rows, columns = (i + i // SQUARE_CELLS for i in at)
+    apart = np.zeros((rows[-1] + 1, columns[-1] + 1), np.bool_)
+    place = np.ix_(rows, columns)
+    apart[place] = cells
+    return scipy.ndimage.label(apart, TOUCHING)[0][place].astype(np.int32)
+
+
+def _slope(heights: Float64, at: npt.NDArray[np.intp], cell_m: float) -> Float64:
+    """Return the slope at cells that do not lie at the border, given by flat indices, 0 beside unknown heights."""
+    flat, columns = heights.ravel(), heights.shape[1]
+    down, right = (flat[at + step] - flat[at - step] for step in (columns, 1))
+    slope: Float64 = np.nan_to_num(np.hypot(down, right)) / (2 * cell_m)
+    return slope
+
+
+def _half(window_m: float, cell_m: float) -> int:
+    return max(int(window_m / cell_m / 2), 1)
+
+
+def _around(cells: Int64, half: int) -> Int64:
+    return box_sums(np.pad(cells, half), half, half)
+
+
+def _smooth(values: Float64) -> Float64:
+    """Return the means of three by three cells."""
+    means: Float64 = _around(np.rint(values * MM).astype(np.int64), 1) / (9 * MM)
+    return means
