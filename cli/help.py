@@ -12,7 +12,7 @@ from difflib import get_close_matches
 
 import click
 
-from cli.output import write_line
+from cli.output import write_lines
 
 OWN_WORDS = "its own"
 """Short help of options that differ between commands: the first words of their help."""
@@ -155,8 +155,7 @@ def help_all_option() -> click.Option:
     def show(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
         if asked and not context.resilient_parsing:
             context.meta[SHOWS_ALL] = True
-            for line in context.get_help().splitlines():
-                write_line(line)
+            write_lines(context.get_help().splitlines())
             context.exit()
 
     return click.Option(
@@ -200,7 +199,6 @@ underscores."""
 
 
 def _long_names(params: Sequence[click.Parameter]) -> list[str]:
-    """Return the names of options that begin with two hyphens."""
     names = (name for p in params for name in (*p.opts, *p.secondary_opts))
     return [name for name in names if name.startswith("--")]
 

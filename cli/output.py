@@ -12,8 +12,9 @@ import json
 import os
 import sys
 from bisect import bisect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Any, TextIO
 
 import click
@@ -34,6 +35,20 @@ def write_line(line: str, error: bool = False) -> None:
     """
     encoding = (sys.stderr if error else sys.stdout).encoding or "utf-8"
     click.echo(shown(line).encode(encoding, "backslashreplace").decode(encoding), err=error)
+
+
+def write_lines(lines: Iterable[str]) -> None:
+    """Write lines to stdout, see `write_line`."""
+    for line in lines:
+        write_line(line)
+
+
+def print_result(result: Any, as_json: bool, lines: Iterable[str]) -> None:
+    """Write the fields of a dataclass to stdout as JSON, or lines that tell of it."""
+    if as_json:
+        print_json(asdict(result))
+    else:
+        write_lines(lines)
 
 
 def print_json(value: Any) -> None:
@@ -112,8 +127,7 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
 
 def print_facts(facts: Mapping[str, Any]) -> None:
     """Print one line per fact with aligned names and nested facts below, but skip facts that are None."""
-    for line in fact_lines(facts):
-        write_line(line)
+    write_lines(fact_lines(facts))
 
 
 def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:

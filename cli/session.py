@@ -140,7 +140,7 @@ class TilerCommand(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, and return its exit code, or None for 0."""
         from tiler.io.proj_database import validate_proj_database
-        from tiler.observe.logs import set_up_logging
+        from tiler.observe.json_lines import set_up_logging
 
         session = ctx.ensure_object(Session)
         session.resumes = self._resumes

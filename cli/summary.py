@@ -107,8 +107,10 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     if summary.get("report"):
         lines.append(f"report      {joined(out, summary['report'])}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
-    lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
-    lines.append(f"memory      {memory_text(summary['peak_rss_bytes'])}")
+    lines += [
+        f"time        {duration_text(summary['seconds'])}{rate}",
+        f"memory      {memory_text(summary['peak_rss_bytes'])}",
+    ]
     left_out = left_out_lines(summary["quarantined"])
     return [*lines, *_first(left_out), *_first(failed_lines(summary["failed_tasks"]))]
 
@@ -267,7 +269,6 @@ def _made_lines(summary: Summary, out: str) -> Iterator[str]:
 
 
 def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
-    """Yield name, count and file of each result."""
     from tiler.report.problems import review_text
 
     unit = summary.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)

@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
-from cli.acceptance import print_acceptance
 from cli.options import json_option
-from cli.output import print_json, print_table, write_line
+from cli.output import print_json, write_line
 from cli.session import TilerCommand
-from tiler.core.units import length_text
-from tiler.core.words import counted
 from tiler.errors import ConfigError
-
-FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
-HEADINGS = (
-    "",
-    "points",
-    "RMSEV",
-    "mean",
-    "median",
-    "NMAD",
-    "95 % within",
-    "largest",
-    "outliers",
-)
 
 
 @click.command("check", cls=TilerCommand)
@@ -152,6 +135,7 @@ def command(
     measured. With clouds only --spec, --difference, --page, --sheets, --sheet-field and --json
     have a meaning.
     """
+    from cli.checks import print_acceptance, print_report
     from tiler.api import check, check_clouds
     from tiler.apps.acceptance import are_clouds
 
@@ -189,122 +173,7 @@ def command(
     if as_json:
         print_json(result.summary)
     else:
-        _print_report(result.summary)
+        print_report(result.summary)
         if result.report is not None:
             write_line(f"report  {result.report}")
     return result.exit_code
-
-
-def _print_report(report: Mapping[str, Any]) -> None:
-    if "accuracy" in report:
-        _print_accuracy(report["accuracy"])
-    if "seams" in report:
-        _print_seams(report["seams"])
-    if "strips" in report:
-        _print_strips(report["strips"])
-    if "against" in report:
-        _print_changes(report["against"])
-    for requirement in report["requirements"]:
-        unit = f" {requirement['unit']}".rstrip()
-        value = (
-            "not measured"
-            if requirement["value"] is None
-            else f"{requirement['value']:.4g}{unit}"
-        )
-        state = "met" if requirement["met"] else "NOT met"
-        write_line(
-            f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}"
-        )
-    for path in report["figures"]:
-        write_line(f"drawn   {path}")
-
-
-def _print_accuracy(accuracy: Mapping[str, Any]) -> None:
-    from tiler.report.accuracy import statement_text
-
-    rows = [
-        (name.upper(), *_figures(accuracy[name]))
-        for name in ("nva", "vva", "all")
-        if accuracy[name]["points"]
-    ]
-    rows += [(name, *_figures(figures)) for name, figures in accuracy["land_cover"].items()]
-    print_table(f"DTM minus checkpoint, {accuracy['unit']}", HEADINGS, rows)
-    outside, none = accuracy["outside"], accuracy["no_height"]
-    if outside or none:
-        write_line(f"without a DTM height: {outside} outside the DTM, {none} at nodata pixels")
-    if accuracy["constant_offset"]:
-        write_line(accuracy["constant_offset"])
-    write_line(statement_text(accuracy["asprs"]))
-    for note in accuracy["notes"]:
-        write_line(f"note    {note}")
-
-
-def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
-    texts = []
-    for name in FIGURES:
-        value = figures[name]
-        if value is None or isinstance(value, int):
-            texts.append("-" if value is None else str(value))
-        else:
-            texts.append(f"{value:+.3f}" if name in ("bias", "median") else f"{value:.3f}")
-    return tuple(texts)
-
-
-def _print_seams(seams: Mapping[str, Any]) -> None:
-    from tiler.report.accuracy import seams_text
-
-    keys = ("mean_step", "largest_step", "mean_jump", "largest_jump")
-    rows = [
-        (
-            name.replace("_", " "),
-            f"{seams[name]['pairs']:,}",
-            *(_number(seams[name][key]) for key in keys),
-        )
-        for name in ("tiles", "beside_tiles", "blocks", "beside_blocks", "interior")
-        if name in seams
-    ]
-    columns = ("position", "pairs", "mean step", "largest step", "mean jump", "largest jump")
-    unit = seams["horizontal_metres_per_unit"]
-    edges = f"across edges of tiles of {length_text(seams['tile'] * unit, unit)}"
-    print_table(f"steps between pixels, {seams['unit']}, {edges}", columns, rows)
-    write_line(seams_text(seams))
-
-
-def _print_strips(strips: Mapping[str, Any]) -> None:
-    if not strips["pairs"]:
-        write_line(
-            f"strips  none to compare: the points have {counted(len(strips['strips']), 'flight line')} (by point "
-            "source id), and no cell has points of two"
-        )
-        return
-    keys = ("rmse", "bias", "median", "nmad", "p95_abs")
-    rows = [
-        (f"{p['second']} - {p['first']}", f"{p['cells']:,}", *(_number(p[key]) for key in keys))
-        for p in strips["pairs"]
-    ]
-    rows.append(("all", f"{strips['cells']:,}", *(_number(strips["all"][key]) for key in keys)))
-    columns = ("strips", "cells", "RMSE", "mean", "median", "NMAD", "95 % within")
-    print_table(f"strips in cells of {strips['cell_m']:g} m, {strips['unit']}", columns, rows)
-
-
-def _print_changes(against: Mapping[str, Any]) -> None:
-    from tiler.report.accuracy import CHANGE_HEADINGS, changes_text, groups_of, places_of
-
-    keys = ("rmse", "bias", "median", "nmad", "p95_abs")
-    rows = [
-        (name, f"{found['pixels']:,}", *(_number(found[key]) for key in keys))
-        for name, found in groups_of(against).items()
-    ]
-    columns = ("pixels of", "number", "RMSE", "mean", "median", "NMAD", "95 % within")
-    print_table(f"DTM minus {against['old']}, {against['unit']}", columns, rows)
-    write_line(changes_text(against))
-    if against["places"]:
-        print_table("largest places", CHANGE_HEADINGS, places_of(against, 5))
-    for note in against["notes"]:
-        write_line(f"note    {note}")
-    if against["difference"]:
-        write_line(f"wrote   {against['difference']}")
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"

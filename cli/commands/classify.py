@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, json_option, read_config
-from cli.output import print_facts, print_json, write_line
+from cli.output import print_facts, print_json, write_lines
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import failed_lines
 
@@ -60,7 +60,6 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
     prepare_workers(config, target)
     from tiler.apps.classify import classify_file, classify_files, is_one_file
 
-    session = current_session()
     with shown_progress() as listener:
         if is_one_file(source, target):
             summary = classify_file(source[0], target, config, listener)
@@ -68,10 +67,9 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
             summary = classify_files(source, target, config, listener)
     if as_json:
         print_json(summary)
-    elif not session.quiet:
+    elif not current_session().quiet:
         print_facts({n: value for n, value in summary.items() if n not in NOT_PRINTED})
-        for file in summary.get("quarantined", []):
-            write_line(f"left out    {file['path']}: {file['error']}")
-        for line in failed_lines(summary["failed_tasks"]):
-            write_line(line)
+        left_out = summary.get("quarantined", [])
+        write_lines(f"left out    {file['path']}: {file['error']}" for file in left_out)
+        write_lines(failed_lines(summary["failed_tasks"]))
     return summary["exit_code"]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import click
 
 from cli.options import json_option
-from cli.output import print_json, write_line
+from cli.output import print_result
 from cli.session import TilerCommand
 
 
@@ -31,10 +29,8 @@ def command(out: str, store: str | None, as_json: bool) -> None:
     from tiler.apps.clean import clean
 
     cleaned = clean(out, store)
-    if as_json:
-        print_json(asdict(cleaned))
-        return
-    write_line(
-        f"removed  {cleaned.removed_objects} objects, {cleaned.removed_bytes / 1e6:,.1f} MB"
+    lines = (
+        f"removed  {cleaned.removed_objects} objects, {cleaned.removed_bytes / 1e6:,.1f} MB",
+        f"store    {cleaned.store_bytes / 1e6:,.1f} MB",
     )
-    write_line(f"store    {cleaned.store_bytes / 1e6:,.1f} MB")
+    print_result(cleaned, as_json, lines)

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cli.options import SETTINGS, config_options, describe_setting, read_config
-from cli.output import write_line
+from cli.output import write_line, write_lines
 from cli.session import TilerCommand
 from tiler.config import RunConfig
 from tiler.config.sources import preset_text
@@ -57,8 +57,7 @@ def command(template: bool, **settings: Any) -> None:
         if template:
             lines.append("")
     lines.extend(_parameter_lines(config, template))
-    for line in "\n".join(lines).split("\n"):
-        write_line(line)
+    write_lines("\n".join(lines).split("\n"))
 
 
 def toml_line(name: str, value: Any) -> str:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import click
 
 from cli.ending import DONE, PARTIAL
 from cli.options import json_option
-from cli.output import print_json, write_line
+from cli.output import print_result
 from cli.session import TilerCommand, shown_progress
 from tiler.core.words import counted
 from tiler.observe.progress import size_text
@@ -31,14 +29,9 @@ def command(out: str, to: str, as_json: bool) -> int:
 
     with shown_progress() as listener:
         made = deliver(out, to, listener)
-    if as_json:
-        print_json(asdict(made))
-    else:
-        write_line(
-            f"delivered  {counted(made.files, 'file')}, {size_text(made.bytes)}, to {to}"
-        )
-        for name in made.removed:
-            write_line(f"removed    {name}, which this run does not deliver")
-        if not made.complete:
-            write_line("incomplete the run left something out, see the report")
+    lines = [f"delivered  {counted(made.files, 'file')}, {size_text(made.bytes)}, to {to}"]
+    lines += [f"removed    {name}, which this run does not deliver" for name in made.removed]
+    if not made.complete:
+        lines.append("incomplete the run left something out, see the report")
+    print_result(made, as_json, lines)
     return DONE if made.complete else PARTIAL

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, json_option, read_config
-from cli.output import print_json, write_line
+from cli.output import print_json, write_lines
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import score_lines, summary_lines
 
@@ -57,15 +57,11 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     prepare_workers(config, out)
     from tiler.apps.demo import run_demo
 
-    session = current_session()
     with shown_progress() as listener:
         result = run_demo(out, seed, config, listener)
     if as_json:
         print_json(asdict(result))
-    elif not session.quiet:
-        for line in (
-            *summary_lines(result.summary, out),
-            *score_lines(result.classes, result.dtm),
-        ):
-            write_line(line)
+    elif not current_session().quiet:
+        write_lines(summary_lines(result.summary, out))
+        write_lines(score_lines(result.classes, result.dtm))
     return result.exit_code

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, json_option, read_config
-from cli.output import print_json, print_table, write_line
+from cli.output import print_json, print_table, write_lines
 from cli.session import TilerCommand, shown_progress
 from cli.summary import AGREEMENT, dtm_lines, percent_text, score_lines
 from tiler.config.parsing import parse_classes
@@ -107,10 +107,9 @@ def command(
         raise click.UsageError("--dtm and --true-dtm need each other; give both")
     if not clouds and dtm is None:
         raise click.UsageError("nothing to evaluate; give CLOUD, or --dtm and --true-dtm")
-    if difference is not None and dtm is None:
-        raise click.UsageError("--difference needs --dtm and --true-dtm")
-    if dtm_sigma is not None and dtm is None:
-        raise click.UsageError("--dtm-sigma needs --dtm and --true-dtm")
+    for option, value in (("--difference", difference), ("--dtm-sigma", dtm_sigma)):
+        if value is not None and dtm is None:
+            raise click.UsageError(f"{option} needs --dtm and --true-dtm")
     filters = settings["method"] is not None
     if clouds and filters == bool(references):
         raise click.UsageError(
@@ -162,14 +161,11 @@ def command(
     if clouds:
         _print_scores(scores)
     if dtm is not None:
-        for line in dtm_lines(scores["dtm"]):
-            write_line(line)
+        write_lines(dtm_lines(scores["dtm"]))
 
 
 def _print_scores(scores: Mapping[str, Any]) -> None:
-    """Print the scores of all points, by class, and by scene if there are several."""
-    for line in score_lines(scores):
-        write_line(line)
+    write_lines(score_lines(scores))
     rows = [
         (code, f"{c['points']:,}", f"{c['labelled_ground']:,}", percent_text(c["error"]))
         for code, c in scores["classes"].items()
@@ -187,5 +183,4 @@ def _print_scores(scores: Mapping[str, Any]) -> None:
         lines.append(("mean", "", *(percent_text(scores["mean"][n]) for n in names)))
         columns = ("scene", "points", "type I", "type II", "total", *AGREEMENT.values())
         print_table("by scene", columns, lines)
-    for path in (path for scene in scenes for path in scene["maps"]):
-        write_line(f"map     {path}")
+    write_lines(f"map     {path}" for scene in scenes for path in scene["maps"])

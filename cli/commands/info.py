@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from cli.options import json_option
-from cli.output import map_lines, print_facts, print_json, print_table, write_line
+from cli.output import map_lines, print_facts, print_json, print_table, write_lines
 from cli.session import TilerCommand
 from cli.summary import failed_lines, left_out_lines, memory_text
 from tiler.core.words import counted
@@ -31,14 +31,14 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
     or a virtual point cloud (.vpc), it prints a table with one row per cloud, for which it
     reads only the headers and a few points.
     """
-    from tiler.apps.clouds import COLUMNS, describe_many, is_many, rows
+    from tiler.apps.clouds import COLUMNS, describe_many, is_many, table_row
 
     if is_many(paths):
         clouds = describe_many(paths)
         if as_json:
             print_json([asdict(cloud) for cloud in clouds])
         else:
-            print_table(counted(len(clouds), "cloud"), COLUMNS, rows(clouds))
+            print_table(counted(len(clouds), "cloud"), COLUMNS, list(map(table_row, clouds)))
         return
     from tiler.apps.info import describe
     from tiler.report.runfile import run_file_errors
@@ -57,8 +57,7 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
             facts = _in_words(description)
         print_facts(facts)
         if density is not None:
-            for line in map_lines(density, sys.stdout.encoding):
-                write_line(line)
+            write_lines(map_lines(density, sys.stdout.encoding))
 
 
 def _in_words(description: Mapping[str, Any]) -> dict[str, Any]:

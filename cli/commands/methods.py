@@ -61,9 +61,7 @@ def parameter_facts(params: Any) -> list[dict[str, Any]]:
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return str(value)
+    return ("yes" if value else "no") if isinstance(value, bool) else str(value)
 
 
 def range_text(minimum: float | None, maximum: float | None) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, inputs_argument, json_option, read_config
-from cli.output import print_json, write_line
+from cli.output import print_json, write_line, write_lines
 from cli.session import TilerCommand
 
 
@@ -54,7 +54,6 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
     for name, each in plans.items():
         if others:
             write_line(f"resolution  {name}")
-        for line in plan_lines(each):
-            write_line(line)
-    for line in [] if cluster is None else cluster.lines(max(projected_memory(plan).values())):
-        write_line(line)
+        write_lines(plan_lines(each))
+    if cluster is not None:
+        write_lines(cluster.lines(max(projected_memory(plan).values())))

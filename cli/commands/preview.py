@@ -65,7 +65,6 @@ def command(
     from tiler.core.units import parse_length
     from tiler.errors import ConfigError
 
-    session = current_session()
     side = None if size is None else float(parse_length(size))
     if side is not None and side <= 0:
         raise ConfigError(f"--size {size}: must be above 0")
@@ -78,7 +77,7 @@ def command(
                 "windows": [dataclasses.asdict(window) for window in drawn_windows],
             }
         )
-    elif not session.quiet:
+    elif not current_session().quiet:
         write_line(f"{out}: surface above, terrain below; from left to right:")
         for window in drawn_windows:
             x0, y0, x1, y1 = window.bounds

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import click
 
 from cli.options import json_option
-from cli.output import print_json, write_line
+from cli.output import print_result
 from cli.session import TilerCommand
 from tiler.core.words import counted
 from tiler.errors import ConfigError
@@ -70,13 +68,11 @@ def command(
     from tiler.apps.review import write_review_page
 
     written = write_review_page(out, places, page, store)
-    if as_json:
-        print_json(asdict(written))
-    elif not written.page:
-        write_line("no place is open, so there is no page")
-    else:
+    line = "no place is open, so there is no page"
+    if written.page:
         rest = "" if written.shown == written.open else f" of {written.open:,}"
-        write_line(f"page  {written.page}: {counted(written.shown, 'place')}{rest}")
+        line = f"page  {written.page}: {counted(written.shown, 'place')}{rest}"
+    print_result(written, as_json, [line])
 
 
 def _make_statement(
@@ -90,9 +86,5 @@ def _make_statement(
     from tiler.apps.statement import write_statement
 
     made = write_statement(out, places, page, store, answers)
-    if as_json:
-        print_json(asdict(made))
-        return
-    write_line(made.text)
-    if made.page:
-        write_line(f"page  {made.page}: {counted(made.shown, 'square')} to answer next")
+    page_line = f"page  {made.page}: {counted(made.shown, 'square')} to answer next"
+    print_result(made, as_json, (made.text, page_line) if made.page else (made.text,))

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, inputs_argument, json_option, out_option, read_config
-from cli.output import print_json, write_line
+from cli.output import print_json, write_lines
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import run_lines
 
@@ -60,7 +60,6 @@ def job_command(name: str, help: str, until: str) -> click.Command:
         prepare_workers(config, out)
         from tiler.apps.resolutions import run_resolutions
 
-        session = current_session()
         with shown_progress() as listener:
             result = run_resolutions(inputs, out, config, listener, until=until)
         results = [result, *result.others]
@@ -70,9 +69,8 @@ def job_command(name: str, help: str, until: str) -> click.Command:
                 if result.others
                 else result.summary
             )
-        elif not session.quiet:
-            for line in run_lines(results, out):
-                write_line(line)
+        elif not current_session().quiet:
+            write_lines(run_lines(results, out))
         return result.exit_code
 
     return command

@@ -12,7 +12,6 @@ from cli.session import TilerCommand, current_session, shown_progress
 
 
 def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
-    """Print the names that --scene accepts, and exit."""
     if not wanted:
         return
     from tiler.simulate import SCENES, SITES
@@ -125,10 +124,9 @@ def command(
         sigma_m=metres(sigma),
         blunders=blunders,
     )
-    session = current_session()
     with shown_progress() as listener:
         written = write_scene(out, spec, float(parse_length(resolution)), listener)
     if as_json:
         print_json(asdict(written))
-    elif not session.quiet:
+    elif not current_session().quiet:
         print_facts(asdict(written))

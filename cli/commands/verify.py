@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import click
 
 from cli.ending import DONE, PARTIAL
 from cli.options import json_option
-from cli.output import print_json, write_line
+from cli.output import print_result
 from cli.session import TilerCommand, shown_progress
 from tiler.core.words import counted
 
@@ -26,12 +24,9 @@ def command(folder: str, as_json: bool) -> int:
 
     with shown_progress() as listener:
         found = verify(folder, listener)
-    if as_json:
-        print_json(asdict(found))
-    else:
-        for state in ("missing", "changed", "extra"):
-            for name in getattr(found, state):
-                write_line(f"{state:9s}{name}")
-        same = found.files - len(found.missing) - len(found.changed)
-        write_line(f"verified {same:,} of {counted(found.files, 'file')}")
+    states = {"missing": found.missing, "changed": found.changed, "extra": found.extra}
+    lines = [f"{state:9s}{name}" for state, names in states.items() for name in names]
+    same = found.files - len(found.missing) - len(found.changed)
+    verified = f"verified {same:,} of {counted(found.files, 'file')}"
+    print_result(found, as_json, (*lines, verified))
     return PARTIAL if found.missing or found.changed else DONE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -35,6 +36,12 @@ SHOWN_FIRST = {
     "reclass",
 }  # fmt: skip
 """Settings that are not advanced parameters."""
+OF_TYPE: dict[str, Callable[[Any], Any]] = {
+    "flag": bool,
+    "int": lambda value: value,
+    "names": list,
+}
+"""Defaults of settings that the plugin gets as values, by kind. It gets the others as text."""
 _CONFIG_DEFAULTS = RunConfig().to_json()
 LABELS = {
     "INPUT": "Point clouds", "OUTPUT": "Folder of the results", "CONFIG": "File with settings (TOML)",
@@ -128,23 +135,14 @@ def _from_setting(key: str) -> dict[str, Any]:
         from tiler.config.sources import preset_names
 
         kind, choices = "choice", list(preset_names())
-    elif kind == "pairs":
-        kind = "texts"
-    elif kind == "crs":
-        kind = "text"
     elif kind == "lengths":
         # The plugin loads one folder of results.
         kind, help = "length", help.partition(" With several")[0]
     default: Any = default_text(spec) or None
-    value: Any = spec.default
-    if kind == "flag":
-        default = bool(value)
-    elif kind == "int":
-        default = value
-    elif kind == "names":
-        default = list(value)
+    if kind in OF_TYPE:
+        default = OF_TYPE[kind](spec.default)
     return {
-        "kind": kind,
+        "kind": {"pairs": "texts", "crs": "text"}.get(kind, kind),
         "choices": choices,
         "default": default,
         "config_default": _CONFIG_DEFAULTS[key],

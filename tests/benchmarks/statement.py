@@ -25,10 +25,9 @@ from tests.benchmarks.scorecard import DATA
 from tests.benchmarks.scorecard_text import table
 from tests.benchmarks.sigma_scenes import CORNER, known_scenes, placed, ran
 from tests.tiler.apps.check.rasters import write_heights
-from tiler.apps.statement.rising import OPENING_M, half_side
 from tiler.apps.statement.sample import sample_of
-from tiler.apps.statement.squares import Terrain
-from tiler.apps.statement.words import OBJECT_M
+from tiler.apps.statement.squares import OPENING_M, Terrain, half_side
+from tiler.apps.statement.writing import OBJECT_M
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.store import open_store

@@ -179,9 +179,7 @@ def classify_files(
     kept = sum_by_class(record.kept or {} for record in records)
     if text := kept_text(kept, result.summary["classes"]["no_part"]):
         listener(Note(text))
-    notes: dict[str, None] = {}
-    for record in records:
-        notes |= dict.fromkeys(record.notes or ())
+    notes = dict.fromkeys(note for record in records for note in record.notes or ())
     return {
         "files": len(records),
         "points": sum(record.points for record in records),

@@ -61,9 +61,8 @@ def clean(out: str | Path, store_url: str | None = None) -> CleanResult:
         before = store.usage()
         store.clean_up()
         after = store.usage()
-        scratch = []
-        if not is_url(out):  # Objects at a URL are never unfinished.
-            scratch = list(_scratch(Path(out)))
+        # Objects at a URL are never unfinished.
+        scratch = [] if is_url(out) else list(_scratch(Path(out)))
         sizes = [path.stat().st_size for path in scratch]
         for path in scratch:
             path.unlink(missing_ok=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,24 +41,14 @@ def describe_cloud(path: Path) -> dict[str, Any]:
     """Describe a cloud: its checked header, units, density and classes."""
     info = inspect(path)
     georeference = info.georeference
-    file_format = "LAS"
-    if info.compressed:
-        file_format = "LAZ"
-    if info.copc:
-        file_format += ", COPC"
     cloud_format = format_of(path)
-    if not cloud_format.is_las:
-        file_format = cloud_format.name
-    horizontal, vertical = "unknown", "not declared"
-    if georeference.horizontal:
-        horizontal = unit_label(georeference.horizontal)
-    if georeference.vertical:
-        vertical = unit_label(georeference.vertical)
-    description = {
+    name = f"{'LAZ' if info.compressed else 'LAS'}{', COPC' if info.copc else ''}"
+    horizontal, vertical = georeference.horizontal, georeference.vertical
+    return {
         "kind": "cloud",
         "path": str(path),
         "size_bytes": info.size,
-        "format": file_format,
+        "format": name if cloud_format.is_las else cloud_format.name,
         "las_version": info.version if cloud_format.is_las else None,
         "point_format": info.point_format if cloud_format.is_las else None,
         "points": info.points,
@@ -66,13 +56,9 @@ def describe_cloud(path: Path) -> dict[str, Any]:
         "scales": list(info.scales),
         "crs": georeference.name or "none",
         "crs_kind": georeference.kind,
-        "horizontal_unit": horizontal,
-        "vertical_unit": vertical,
-    }
-    metres = float(georeference.horizontal or 1)
-    return {
-        **description,
-        **_point_facts(path, info.bounds, metres),
+        "horizontal_unit": unit_label(horizontal) if horizontal else "unknown",
+        "vertical_unit": unit_label(vertical) if vertical else "not declared",
+        **_point_facts(path, info.bounds, float(horizontal or 1)),
         "notes": list(info.notes),
         "warnings": crs_warnings(georeference.wkt, info.bounds),
     }
@@ -136,16 +122,11 @@ def describe_point_tiles(path: str) -> dict[str, Any]:
     }
 
 
-class DensityMap(TypedDict):
-    """Sides of a cell, and rows of densities in points per square metre, from north to south."""
-
-    width_m: float
-    height_m: float
-    per_m2: list[list[float]]
-
-
-def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> DensityMap:
+def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
     """Return the density in cells twice as high as wide, like the characters of a terminal.
+
+    ``width_m`` and ``height_m`` are the sides of a cell, and ``per_m2`` are rows of densities in points per square
+    metre, from north to south.
 
     Parameters
     ----------
@@ -155,9 +136,7 @@ def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> DensityMap:
         Side of a cell, metres.
     """
     filled = np.argwhere(counts)
-    high, wide = 1, 1
-    if len(filled):
-        high, wide = filled.max(axis=0) + 1
+    high, wide = filled.max(axis=0) + 1 if len(filled) else (1, 1)
     times = max(math.ceil(wide / _MAP_COLUMNS), math.ceil(high / (2 * _MAP_ROWS)))
     rows, columns = math.ceil(high / (2 * times)), math.ceil(wide / times)
     padded = np.zeros((rows * 2 * times, columns * times), np.int64)
@@ -274,12 +253,8 @@ def _listed(source: SourceInfo) -> ListedCloud:
     )
 
 
-def rows(clouds: Sequence[ListedCloud | UnreadableCloud]) -> list[list[str]]:
-    """Return the rows of the table, with cells in the order of `COLUMNS`."""
-    return [_row(cloud) for cloud in clouds]
-
-
-def _row(cloud: ListedCloud | UnreadableCloud) -> list[str]:
+def table_row(cloud: ListedCloud | UnreadableCloud) -> list[str]:
+    """Return the row of a cloud in the table, with cells in the order of `COLUMNS`."""
     if isinstance(cloud, UnreadableCloud):
         return [cloud.path, cloud.error, *[""] * (len(COLUMNS) - 2)]
     density = "-" if cloud.per_m2 is None else f"{cloud.per_m2:.3g}"

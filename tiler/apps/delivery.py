@@ -14,14 +14,12 @@ from functools import cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from pyproj import CRS
-
 from tiler.apps.evaluate.rasters import open_raster
 from tiler.config import RunConfig, without_folders
-from tiler.core.crs import split, vertical_name
+from tiler.core.crs import split_wkt, vertical_name
 from tiler.core.records import new_digest
 from tiler.errors import ConfigError, InputError, write_error
-from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path, write_atomic
+from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path
 from tiler.io.cloud_reading import BLOCK_BYTES
 from tiler.io.foreign_content import excerpt, parse_json_object
 from tiler.io.las.headers import read_header
@@ -49,7 +47,7 @@ from tiler.observe.events import (
 )
 from tiler.report.accuracy import read_measured, seams_text
 from tiler.report.client import client_page
-from tiler.report.runfile import run_file_errors
+from tiler.report.runfile import run_file_errors, write_whole
 from tiler.store import locked_folder
 
 MANIFEST = "manifest.json"
@@ -120,14 +118,14 @@ def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events)
         earlier = _earlier_delivery(target)
         check_links("--to", target, [PAGE, *names, *earlier])
         _check_page(target, earlier)
-        _write(target / UNDER_WAY, b"")
+        write_whole(target / UNDER_WAY, b"")
         with _shown(listener, "copy", "copy the files", map(source.joinpath, names)) as done:
             entries = [_copied(source, target, name, run, done) for name in sorted(names)]
         check = read_measured(source, CHECK, run)
         entries.append(_page(source, target, {**run, "check": check}, entries))
         manifest = _manifest(run, check, entries)
     removed = list(_remove(target, earlier, {entry["path"] for entry in entries}))
-    _write(target / MANIFEST, json.dumps(manifest, indent=1).encode())
+    write_whole(target / MANIFEST, json.dumps(manifest, indent=1).encode())
     (target / UNDER_WAY).unlink(missing_ok=True)
     size = sum(entry["bytes"] for entry in entries)
     return Delivery(str(to), len(entries), size, removed, manifest["verdicts"]["complete"])
@@ -267,7 +265,7 @@ def _page(
     content = client_page(source, run, entries)
     path, sha256 = target / PAGE, hashlib.sha256(content).hexdigest()
     if not _is_file(path) or _sha256(path) != sha256:
-        _write(path, content)
+        write_whole(path, content)
     return {"path": PAGE, "bytes": len(content), "sha256": sha256, "kind": "page"}
 
 
@@ -297,11 +295,10 @@ def _facts(path: Path, name: str, run: Mapping[str, Any]) -> dict[str, Any]:
 @cache
 def _crs_names(wkt: str | None) -> dict[str, str | None]:
     """Return code or name of the horizontal CRS, and name of the height reference, each None if it is not given."""
-    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
-    if horizontal is None:
-        return {"crs": None, "vertical": vertical_name(wkt)}
-    authority = horizontal.to_authority(min_confidence=100)
-    code = ":".join(authority) if authority else horizontal.name
+    horizontal, code = split_wkt(wkt)[0], None
+    if horizontal is not None:
+        authority = horizontal.to_authority(min_confidence=100)
+        code = ":".join(authority) if authority else horizontal.name
     return {"crs": code, "vertical": vertical_name(wkt)}
 
 
@@ -351,13 +348,6 @@ def _remove(target: Path, earlier: Mapping[str, Any], delivered: set[str]) -> It
             yield name
             with suppress(OSError):  # A folder that is not empty stays.
                 path.parent.rmdir()
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        write_atomic(path, content)
-    except OSError as error:
-        raise write_error(str(path), error, path.parent) from error
 
 
 def _entries(folder: Path) -> dict[str, Any]:

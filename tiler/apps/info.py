@@ -70,12 +70,9 @@ def describe(path: str) -> dict[str, Any]:
             # On a web server, the test for a folder would read the whole cloud. Reading it
             # reports a missing one.
             is_cloud = is_url(path) and name.endswith((*SUFFIXES, "ept.json"))
-            if is_cloud:
-                missing = False
-            elif is_url(path):
-                missing = state_at(path) is None
-            else:
-                missing = not location.exists()
+            missing = not is_cloud and (
+                state_at(path) is None if is_url(path) else not location.exists()
+            )
             is_folder = not missing and not is_cloud and location.is_dir()
     except OSError as error:
         # Many servers refuse a folder, but not the files in it.
@@ -163,11 +160,9 @@ def describe_store(url: str) -> dict[str, Any]:
 
 
 def _commits(store: TileStore) -> dict[str, Commits]:
-    commits = {stage: store.committed(stage) for stage in ("spool", "assemble")}
-    # Passes that do not apply have no commits.
-    for number in range(store.get_state("passes") or 0):
-        commits[f"filter{number}"] = store.committed(f"filter{number}")
-    return commits | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
+    passes = (f"filter{number}" for number in range(store.get_state("passes") or 0))
+    stages = ("spool", "assemble", *passes, "grid-dtm", "export")
+    return {stage: store.committed(stage) for stage in stages}
 
 
 def describe_result(folder: Path) -> dict[str, Any]:

@@ -125,16 +125,13 @@ def make_preview(
         windows = spread(positions, number, side, _hull(sources))
         files = _cut(guard, sources, windows, Path(scratch), config.salvage)
         settings = _settings(plan)
-        columns: list[tuple[Shade, Shade]] = []
-        drawn_windows: list[PreviewWindow] = []
+        made: list[tuple[tuple[Shade, Shade], PreviewWindow]] = []
         filled = [(b, paths) for b, paths in zip(windows, files, strict=True) if paths]
         for number_drawn, (bounds, paths) in enumerate(filled, start=1):
             listener(Note(f"draw window {number_drawn} of {len(filled)}"))
-            column, window = _window(bounds, paths, settings, tell)
-            columns.append(column)
-            drawn_windows.append(window)
-    write_png(Path(target), _montage(columns))
-    return drawn_windows
+            made.append(_window(bounds, paths, settings, tell))
+    write_png(Path(target), _montage([column for column, _ in made]))
+    return [window for _, window in made]
 
 
 def _once(listener: Listener) -> Listener:
@@ -161,12 +158,13 @@ def _places(
 ) -> list[tuple[float, float]]:
     chosen = sorted({len(sources) * i // FILES for i in range(FILES)})
     each = max(PLACES // len(chosen), 1)
-    positions = []
-    for source in (sources[i] for i in chosen):
-        positions += read_in_child(
+    return [
+        place
+        for source in (sources[i] for i in chosen)
+        for place in read_in_child(
             guard, sample_places, source.path, each, salvage, source.octree
         )
-    return positions
+    ]
 
 
 def _hull(sources: Sequence[SourceInfo]) -> Box:
@@ -280,9 +278,7 @@ def _window(
 
     summary = run(list(paths), out, config, tell, until="grid").summary
     store = open_store(str(out / STORE))
-    ground = summary["counts"]["participating"]
-    if "filter" in summary:
-        ground = summary["filter"]["ground"]
+    ground = summary.get("filter", {}).get("ground", summary["counts"]["participating"])
     failed = summary["failed_tasks"]
     for task in failed:
         listener(Warned(f"{task['title']} {task['key']} failed: {task['error']}"))
@@ -317,5 +313,4 @@ def _montage(columns: Sequence[Sequence[Shade]]) -> npt.NDArray[np.uint8]:
             top, left = row * (high[0] + GAP), sum(wide[:number]) + number * GAP
             height, width = column[row].shape
             paper[top : top + height, left : left + width] = column[row]
-    opaque = np.full_like(paper, 255)
-    return np.stack((paper, paper, paper, opaque), axis=-1)
+    return np.stack((paper, paper, paper, np.full_like(paper, 255)), axis=-1)

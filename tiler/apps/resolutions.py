@@ -8,7 +8,6 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-from tiler.apps.page_file import is_page_of, write_page
 from tiler.config import AUTO_WATER, NO_WATER, RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT
 from tiler.errors import ConfigError, TilerError, write_error
@@ -17,10 +16,12 @@ from tiler.io.locations import is_url, local_or_url
 from tiler.io.overwrite_check import check_names
 from tiler.io.result_folder import REPORT, STORE, WATER, read_run, resolution_folders
 from tiler.observe.events import Listener, Note, ignore_events
-from tiler.observe.several_runs import OneOfSeveral, stages_of
+from tiler.observe.job_progress import OneOfSeveral, stages_of
 from tiler.pipeline import expected_stages, run
 from tiler.plan import Plan, make_plan
+from tiler.report.document import is_page_of
 from tiler.report.resolutions import MAKER, resolutions_page
+from tiler.report.runfile import write_whole
 from tiler.runs.job import RunResult
 from tiler.schedule import fork_server_running
 
@@ -141,7 +142,6 @@ def _run_all(
     listener: Listener,
     until: str,
 ) -> list[RunResult]:
-    """Run all resolutions, the finest first."""
     results: list[RunResult] = []
     later = [
         stage
@@ -182,7 +182,6 @@ def folder_name(pixel: Fraction) -> str:
 
 
 def _check_folder(out: str | Path) -> None:
-    """Raise ConfigError if ``out`` is the folder of one of several resolutions."""
     if not is_url(str(out)) and str(Path(out)) in resolution_folders(Path(out).parent):
         whole = Path(out).parent
         raise ConfigError(
@@ -218,7 +217,6 @@ def _check_out(out: str | Path, config: RunConfig) -> None:
 
 
 def _tell_of_others(out: str | Path, plans: Mapping[str, Plan], listener: Listener) -> None:
-    """Note the folders of earlier runs with other resolutions."""
     others = [path for path in resolution_folders(out) if Path(path).name not in plans]
     if others:
         listener(Note(f"{', '.join(others)}: of an earlier run with other resolutions"))
@@ -230,4 +228,4 @@ def _write_page(out: Path, plans: Mapping[str, Plan], is_running: bool = False) 
     except OSError as error:
         raise write_error(str(out), error, out) from error
     runs = {folder: read_run(str(out / folder)) for folder in plans}
-    write_page(out / REPORT, resolutions_page(out, runs, is_running))
+    write_whole(out / REPORT, resolutions_page(out, runs, is_running))

@@ -13,6 +13,13 @@ from typing import NotRequired, TypedDict
 from tiler.apps.difference_statistics import Spread
 
 
+class InUnit(TypedDict):
+    """Lengths of one unit, which has a name, and metres."""
+
+    unit: str
+    metres_per_unit: float
+
+
 class AccuracyFigures(Spread):
     """Differences of some checkpoints: their number, their statistics, and the number of outliers.
 
@@ -56,7 +63,7 @@ class CheckedPoint(TypedDict):
     outlier: bool
 
 
-class Accuracy(TypedDict):
+class Accuracy(InUnit):
     """Accuracy of a DTM, with heights in ``unit``.
 
     ``points``, ``used``, ``outside`` (of the raster) and ``no_height`` (a pixel around it has no data) are numbers of
@@ -65,8 +72,6 @@ class Accuracy(TypedDict):
     """
 
     dtm: str
-    unit: str
-    metres_per_unit: float
     points: int
     used: int
     outside: int
@@ -92,7 +97,7 @@ class Steps(TypedDict):
     largest_jump: float | None
 
 
-class Seams(TypedDict):
+class Seams(InUnit):
     """Steps within tiles (``interior``), across the edges of tiles and blocks, and on lines next to these edges.
 
     The heights are in ``unit``, and the sides of tiles and buckets in units of the CRS.
@@ -101,8 +106,6 @@ class Seams(TypedDict):
     ``excess_error`` is its standard error as if pairs were independent, None for fewer than two.
     """
 
-    unit: str
-    metres_per_unit: float
     horizontal_metres_per_unit: float
     tile: float
     bucket: float
@@ -123,15 +126,13 @@ class StripPair(Spread):
     cells: int
 
 
-class Strips(TypedDict):
+class Strips(InUnit):
     """Differences of all pairs of strips in the cells that they share, with heights in ``unit``.
 
     ``strips`` is the number of ground points by source id. ``cells`` is the number of comparisons, one per cell and
     pair of strips. ``rough`` is the number of comparisons left out, because a strip has too few points or is too rough.
     """
 
-    unit: str
-    metres_per_unit: float
     cell_m: float
     strips: dict[str, int]
     cells: int
@@ -161,7 +162,7 @@ class ChangePlace(TypedDict):
     volume_m3: float
 
 
-class Against(TypedDict):
+class Against(InUnit):
     """Comparison with an earlier DTM: new minus old, in ``unit``, over the pixels that both have.
 
     ``only_new`` and ``only_old`` are numbers of pixels in which only one has a height. ``changed_pixels`` differ by
@@ -171,8 +172,6 @@ class Against(TypedDict):
     """
 
     old: str
-    unit: str
-    metres_per_unit: float
     change_m: float
     only_new: int
     only_old: int

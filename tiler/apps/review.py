@@ -11,7 +11,6 @@ from pyproj import CRS
 
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate.rasters import raster_named
-from tiler.apps.page_file import validate_page, write_page
 from tiler.core.crs import split
 from tiler.core.words import counted
 from tiler.errors import ConfigError, InputError
@@ -20,8 +19,9 @@ from tiler.io.overwrite_check import same_file
 from tiler.io.result_folder import REVIEW, REVIEW_PAGE, give_results, read_run, store_of
 from tiler.io.vector import CUT
 from tiler.report.cards import card, decisions
-from tiler.report.document import el, page, section
-from tiler.report.places import Detail, OpenPlaces, read_open_places, units_of
+from tiler.report.document import el, page, section, validate_page
+from tiler.report.places import Detail, OpenPlaces, read_open_places
+from tiler.report.runfile import units_of, write_whole
 from tiler.schedule import call_isolated, half_of_memory
 
 SECONDS, SECONDS_PER_PLACE = 60.0, 20.0
@@ -91,7 +91,7 @@ def write_review_page(
         )
     if not found.number:
         return ReviewPage("", 0, 0)
-    write_page(target, _page(Path(out), run, found))
+    write_whole(target, _page(Path(out), run, found))
     return ReviewPage(str(target), len(found.cards), found.number)
 
 

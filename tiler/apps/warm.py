@@ -56,11 +56,12 @@ def warm(methods: Sequence[str]) -> WarmResult:
         )
     discard_damaged()
     n_before = compiled_count()
-    needed_kernels = []
-    for method in methods:
-        needed_kernels += [filter_kernels(method, kind) for kind in kinds_of(method)]
-    needed_kernels += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
-    needed_kernels += [CLASS_KERNELS, SORT_KERNELS]
+    needed_kernels = [
+        *(filter_kernels(method, kind) for method in methods for kind in kinds_of(method)),
+        *map(grid_kernels, ("linear", "natural")),
+        CLASS_KERNELS,
+        SORT_KERNELS,
+    ]
     todo = [kernels for kernels in needed_kernels if not is_compiled(kernels.name)]
     try:
         with ChildPool(max(min(cores(), len(todo)), 1), None) as guards:

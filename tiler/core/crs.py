@@ -74,15 +74,18 @@ def raster_crs(wkt: str | None) -> str | None:
 
 
 @lru_cache(maxsize=64)
+def split_wkt(wkt: str | None) -> tuple[CRS | None, CRS | None]:
+    """Return the parts of a CRS as `split` does. Both are None if there is no CRS."""
+    return (None, None) if wkt is None else split(CRS.from_wkt(wkt))
+
+
 def vertical_name(wkt: str | None) -> str | None:
     """Return the name of the height reference of a CRS, like ``NAVD88 height (EPSG:5703)``.
 
     A CRS with three axes has heights above an ellipsoid: ``ellipsoidal height (WGS 84)``. The result is None if the CRS
     does not define heights.
     """
-    if wkt is None:
-        return None
-    vertical = split(CRS.from_wkt(wkt))[1]
+    vertical = split_wkt(wkt)[1]
     if vertical is None:
         return None
     if not vertical.is_vertical and vertical.geodetic_crs is not None:

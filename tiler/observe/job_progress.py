@@ -1,18 +1,25 @@
-"""Estimates of the progress of a whole job and of the time left, from its events."""
+"""Estimates of the progress of a whole job and of the time left, from its events.
+
+A run that is one of several in a job has a listener that makes its events those of the job.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 
 from tiler.observe.events import (
     Event,
+    ExpectedStage,
     JobStarted,
+    Listener,
+    RunFinished,
     StageFinished,
     StagesPassedOver,
     StageStarted,
     TaskDone,
+    TaskFailed,
 )
 
 OWN_SHARE = 0.03
@@ -24,61 +31,34 @@ MIN_SHARE_LEFT = 0.1
 than expected."""
 
 
+EARLY = ("spool", "surveys", "assemble", "filter")
+"""Prefixes of stages that the first run does for the others."""
+
+
 @dataclass
 class StageProgress:
     """Progress of a stage, measured in points or pixels if their number is known, and in tasks if not.
 
     Attributes
     ----------
-    key, title : str
-    tasks : int
-        Number of all tasks.
-    points : int
-        Number of points in the tasks that earlier runs did not do.
-    tasks_done : int
-        Number of tasks that are done, in this run or before.
+    event : StageStarted
+        Start of the stage. Its points and pixels are those of tasks that earlier runs did not do.
     started : float
         Time of the start by the clock of the listener.
-    before : int
-        Number of tasks that earlier runs did.
-    points_done : int
-        Number of points that this run did.
-    pixels, pixels_done : int
-        Number of pixels that this run makes, and that it has made so far.
-    by_pixels : bool
-        Whether the work is measured in pixels as well.
     last_end : float
         Time of the end of the last task, or of the start of the stage, by the clock of the listener.
+    tasks_done : int
+        Number of tasks that are done, in this run or before.
+    points_done, pixels_done : int
+        Numbers of points and pixels that this run did.
     """
 
-    key: str
-    title: str
-    tasks: int
-    points: int
-    tasks_done: int
+    event: StageStarted
     started: float
-    before: int = 0
+    last_end: float
+    tasks_done: int
     points_done: int = 0
-    pixels: int = 0
     pixels_done: int = 0
-    by_pixels: bool = False
-    last_end: float = 0.0
-
-    @classmethod
-    def at_start(cls, event: StageStarted, now: float) -> StageProgress:
-        """Return the progress of a stage that begins."""
-        return cls(
-            key=event.stage,
-            title=event.title,
-            tasks=event.tasks,
-            points=event.points,
-            tasks_done=event.done,
-            started=now,
-            before=event.done,
-            pixels=event.pixels,
-            by_pixels=event.by_pixels,
-            last_end=now,
-        )
 
     def count(self, event: TaskDone, now: float) -> None:
         """Count a task that is done."""
@@ -90,12 +70,12 @@ class StageProgress:
     @property
     def work(self) -> int:
         """Number of points and pixels that measure this run's work, or 0 if it is measured in tasks."""
-        return self.points + (self.pixels if self.by_pixels else 0)
+        return self.event.points + (self.event.pixels if self.event.by_pixels else 0)
 
     @property
     def work_done(self) -> int:
         """Part of `work` that is done."""
-        return self.points_done + (self.pixels_done if self.by_pixels else 0)
+        return self.points_done + (self.pixels_done if self.event.by_pixels else 0)
 
     @property
     def spent(self) -> float:
@@ -107,24 +87,18 @@ class StageProgress:
         """Share of this run's work that is done, 0 to 1."""
         if self.work > 0:
             return min(self.work_done / self.work, 1.0)
-        todo = self.tasks - self.before
-        if todo == 0:
-            return 1.0
-        return min((self.tasks_done - self.before) / todo, 1.0)
+        todo = self.event.tasks - self.event.done
+        return 1.0 if todo == 0 else min((self.tasks_done - self.event.done) / todo, 1.0)
 
     @property
     def remaining_share(self) -> float:
         """Share of the tasks that earlier runs did not do."""
-        if self.tasks == 0:
-            return 0.0
-        return 1 - self.before / self.tasks
+        return 1 - self.event.done / self.event.tasks if self.event.tasks else 0.0
 
     def rate(self, seconds: float) -> float | None:
         """Return work per second, or tasks if `work` is not counted, or None before the first."""
-        done = self.work_done if self.work else self.tasks_done - self.before
-        if not done or seconds <= 0:
-            return None
-        return done / seconds
+        done = self.work_done if self.work else self.tasks_done - self.event.done
+        return done / seconds if done and seconds > 0 else None
 
 
 class JobProgress:
@@ -174,21 +148,24 @@ class JobProgress:
                 for key in event.stages:
                     self._expected.pop(key, None)
             case StageStarted():
-                self.stage = StageProgress.at_start(event, self._clock())
+                now = self._clock()
+                self.stage = StageProgress(event, now, now, event.done)
                 keys = list(self._expected)
                 # Earlier stages that did not run are not needed.
-                if self.stage.key in self._expected:
-                    self._ended.update(keys[: keys.index(self.stage.key)])
-            case TaskDone() if self.stage is not None and self.stage.key == event.stage:
+                if event.stage in self._expected:
+                    self._ended.update(keys[: keys.index(event.stage)])
+            case TaskDone() if self.stage is not None and self.stage.event.stage == event.stage:
                 self.stage.count(event, self._clock())
-            case StageFinished() if self.stage is not None and self.stage.key == event.stage:
+            case StageFinished() if (
+                self.stage is not None and self.stage.event.stage == event.stage
+            ):
                 self._end(self.stage, event.seconds)
 
     def _end(self, stage: StageProgress, seconds: float) -> None:
         if self._expected_of(stage) > 0:
             self._seen_seconds += seconds
             self._seen_expected += self._expected_of(stage)
-        self._ended.add(stage.key)
+        self._ended.add(stage.event.stage)
         self.stage = None
 
     def fraction(self) -> float:
@@ -210,13 +187,9 @@ class JobProgress:
         stage = self.stage
         if not self.known:
             return None if stage is None else self._own_left(stage)
-        later = dict(self._expected)
-        for key in self._ended:
-            later.pop(key, None)
-        if stage is None:
-            return self._pace() * sum(later.values())
-        later.pop(stage.key, None)
-        return self._pace() * sum(later.values()) + self._stage_left(stage)
+        done = self._ended if stage is None else self._ended | {stage.event.stage}
+        later = sum(seconds for key, seconds in self._expected.items() if key not in done)
+        return self._pace() * later + (0.0 if stage is None else self._stage_left(stage))
 
     def _done_share(self) -> float:
         """Return the share of the job that is done, from its finished tasks."""
@@ -224,15 +197,15 @@ class JobProgress:
         if not total:
             return 0.0
         done = sum(seconds for key, seconds in self._expected.items() if key in self._ended)
-        if self.stage is not None and self.stage.key not in self._ended:
+        if self.stage is not None and self.stage.event.stage not in self._ended:
             # The share of the stage includes the work of earlier runs.
             stage_share = 1 - self.stage.remaining_share * (1 - self.stage.fraction)
-            done += self._expected.get(self.stage.key, 0.0) * stage_share
+            done += self._expected.get(self.stage.event.stage, 0.0) * stage_share
         return min(done / total, 1.0)
 
     def _expected_of(self, stage: StageProgress) -> float:
         """Return the expected time for this run's part of a stage, in seconds."""
-        return self._expected.get(stage.key, 0.0) * stage.remaining_share
+        return self._expected.get(stage.event.stage, 0.0) * stage.remaining_share
 
     def _pace(self) -> float:
         """Return the ratio of measured to expected time."""
@@ -269,5 +242,54 @@ class JobProgress:
         """
         if stage.fraction <= 0:
             return None
-        spent = self._clock() - stage.started
-        return spent * (1 - stage.fraction) / stage.fraction
+        return (self._clock() - stage.started) * (1 - stage.fraction) / stage.fraction
+
+
+def stages_of(name: str, stages: Sequence[ExpectedStage]) -> list[ExpectedStage]:
+    """Return the stages of a later run without those that the first run does, with keys that have its name."""
+    return [
+        {**stage, "stage": f"{name} {stage['stage']}"}
+        for stage in stages
+        if not stage["stage"].startswith(EARLY)
+    ]
+
+
+class OneOfSeveral:
+    """Listener that tells another one about a run as a part of a job.
+
+    Parameters
+    ----------
+    listener : callable
+    name : str
+        Name of the run, or an empty text for the first one, with which the job starts.
+    later : sequence of ExpectedStage
+        Stages of all later runs of the job (`stages_of`).
+    is_last : bool
+        Whether the job ends with this run.
+    """
+
+    def __init__(
+        self, listener: Listener, name: str, later: Sequence[ExpectedStage], is_last: bool
+    ) -> None:
+        self._listener, self._name, self._is_last = listener, name, is_last
+        self._later = later
+        self._known: Collection[str] = {stage["stage"] for stage in later}
+
+    def __call__(self, event: Event) -> None:
+        """Handle an event."""
+        match event:
+            case JobStarted():
+                if not self._name:
+                    self._listener(JobStarted([*event.stages, *self._later]))
+            case RunFinished() if not self._is_last:
+                pass
+            case StageStarted() | TaskDone() | StageFinished() | TaskFailed():
+                self._listener(replace(event, stage=self._key(event.stage)))
+            case StagesPassedOver():
+                self._listener(StagesPassedOver([self._key(stage) for stage in event.stages]))
+            case _:
+                self._listener(event)
+
+    def _key(self, stage: str) -> str:
+        key = f"{self._name} {stage}"
+        return key if key in self._known else stage

@@ -1,18 +1,20 @@
 """Events for programs, as lines of JSON: all of them in ``events.jsonl``, and progress (docs/progress.md).
 
 ``events.jsonl`` has the events of all runs with the same OUT. A line of progress has the same entries each time.
+Logging to stderr is set up here too, as lines of JSON or as text.
 """
 
 from __future__ import annotations
 
 import errno
 import json
+import logging
 import os
+import sys
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import IO, TypedDict, cast
 
 from tiler.core.file_names import link_error, without_links
@@ -28,12 +30,16 @@ from tiler.observe.events import (
     Warned,
 )
 from tiler.observe.job_progress import JobProgress
-from tiler.redaction import stored
+from tiler.redaction import shown, stored
 
 MIN_SECONDS = 0.2
 """Minimum time between two lines without a message, unless a stage begins or ends."""
 REPORTED_BY_FILE = "spool"
 """Stage whose failed tasks are not reported, since one warning per file reports them."""
+
+
+_LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
+_OWN_LOGGERS = ("tiler", "ptd", "cli")
 
 
 class Progress(TypedDict):
@@ -78,12 +84,12 @@ def progress_record(
             progress["progress"] = _rounded(job.fraction(), 4)
     if job is not None and job.stage is not None:
         stage = job.stage
-        progress["stage"], progress["title"] = stage.key, stage.title
+        progress["stage"], progress["title"] = stage.event.stage, stage.event.title
         progress["rate"] = _rounded(stage.rate(now - stage.started))
         if stage.work:
             progress["done"], progress["total"] = stage.work_done, stage.work
         else:
-            progress["done"], progress["total"] = stage.tasks_done, stage.tasks
+            progress["done"], progress["total"] = stage.tasks_done, stage.event.tasks
     return cast(Progress, stored(progress))
 
 
@@ -195,7 +201,7 @@ class EventLog:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             # Without a buffer, closing the file does not repeat a failed write.
-            self._stream = open(path, "a+b", buffering=0, opener=without_links)  # noqa: SIM115 - `close` closes the file.
+            self._stream = open(path, "a+b", buffering=0, opener=without_links)  # noqa: SIM115 - `__exit__` closes the file.
             if self._stream.tell() > 0:
                 self._stream.seek(-1, 2)
                 if self._stream.read(1) != b"\n":
@@ -214,17 +220,60 @@ class EventLog:
         except OSError as error:
             raise write_error(str(self._path), error, self._path.parent) from error
 
-    def close(self) -> None:
-        """Close the file. A later event would raise ValueError."""
-        self._stream.close()
-
     def __enter__(self) -> EventLog:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+    def __exit__(self, *ended: object) -> None:
+        self._stream.close()
+
+
+class _StderrHandler(logging.Handler):
+    """Handler that writes to the current `sys.stderr`, which progress bars replace."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = self.format(record)
+        if record.name == "py.warnings":
+            # The text of a Python warning has several lines, with source code at the end.
+            text = " ".join(text.split())
+        print(shown(text), file=sys.stderr, flush=True)
+
+
+class _JsonHandler(_StderrHandler):
+    """Handler that writes each record as a line of ``--progress json``."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        is_warning = record.levelno >= logging.WARNING
+        level = (
+            "error" if record.levelno >= logging.ERROR else "warning" if is_warning else "info"
+        )
+        text = " ".join(record.getMessage().split())
+        print(json_line(text, level), file=sys.stderr, flush=True)
+
+
+def set_up_logging(verbosity: int, as_json: bool = False) -> None:
+    """Send the log to stderr. Another call replaces the set-up.
+
+    Parameters
+    ----------
+    verbosity : int
+        Level of detail. -1 or less shows only errors, 0 also warnings, 1 also decisions and steps of tiler, 2 or more
+        also all details of tiler and messages of the libraries (from level INFO).
+    as_json : bool
+        Whether to write each message as a line of ``--progress json``.
+    """
+    level = _LEVELS.get(max(verbosity, -1), logging.DEBUG)
+    handler = _JsonHandler() if as_json else _StderrHandler()
+    form = (
+        "%(levelname)s %(name)s: %(message)s"
+        if verbosity >= 2
+        else "%(levelname)s: %(message)s"
+    )
+    handler.setFormatter(logging.Formatter(form))
+    root = logging.getLogger()
+    for old in [h for h in root.handlers if isinstance(h, _StderrHandler)]:
+        root.removeHandler(old)
+    root.addHandler(handler)
+    root.setLevel(logging.INFO if verbosity >= 2 else max(level, logging.WARNING))
+    for name in _OWN_LOGGERS:
+        logging.getLogger(name).setLevel(level)
+    logging.captureWarnings(True)

@@ -48,9 +48,7 @@ TROUBLE = (Warned, TaskFailed)
 
 def rate_text(count: float, seconds: float, unit: str = "points") -> str:
     """Return points, or another unit, per second as short text: ``2.1 M points/s``, empty if there is no rate yet."""
-    if count <= 0 or seconds <= 0:
-        return ""
-    return f"{count_text(count / seconds)} {unit}/s"
+    return f"{count_text(count / seconds)} {unit}/s" if count > 0 and seconds > 0 else ""
 
 
 def stage_rate(stage: StageProgress, seconds: float) -> str:
@@ -58,9 +56,9 @@ def stage_rate(stage: StageProgress, seconds: float) -> str:
 
     A stage that writes both rasters and clouds has no rate.
     """
-    if stage.by_pixels and stage.points:
+    if stage.event.by_pixels and stage.event.points:
         return ""
-    if stage.pixels:
+    if stage.event.pixels:
         return rate_text(stage.pixels_done, seconds, "pixels")
     return rate_text(stage.points_done, seconds)
 
@@ -87,9 +85,7 @@ def duration_text(seconds: float) -> str:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours}:{minutes:02d}:{rest:02d} h"
-    return f"{minutes}:{rest:02d} min"
+    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
 
 
 class PlainLines:
@@ -142,7 +138,7 @@ class PlainLines:
                 if not self._stages:
                     self._show(stage)
                 elif self._begun or event.seconds >= _MIN_SECONDS:
-                    self._write(f"{stage.title}: {self._end(stage, event.seconds)}")
+                    self._write(f"{stage.event.title}: {self._end(stage, event.seconds)}")
 
     def _end(self, stage: StageProgress, seconds: float) -> str:
         parts = [f"done in {duration_text(seconds)}", stage_rate(stage, seconds)]
@@ -154,10 +150,10 @@ class PlainLines:
         """Write a line about the running stage: its beginning once it has taken some seconds, then its progress."""
         if not self._begun and self._clock() - stage.started >= _START_LINE_SECONDS:
             self._begun = True
-            self._write(f"{stage.title}: {start_text(stage)}")
+            self._write(f"{stage.event.title}: {start_text(stage)}")
         elif self._begun and self._clock() - self._last_line >= self._interval:
             now = "" if self._stages else time.strftime("%H:%M ")
-            self._write(f"{now}{stage.title}: {self._middle(stage)}")
+            self._write(f"{now}{stage.event.title}: {self._middle(stage)}")
 
     def _middle(self, stage: StageProgress) -> str:
         parts = [f"{stage.fraction:.0%}", stage_rate(stage, self._clock() - stage.started)]
@@ -177,14 +173,14 @@ def message_text(event: Event) -> str | None:
 
 def start_text(stage: StageProgress) -> str:
     """Return text about the work of a stage at its beginning."""
-    todo = stage.tasks - stage.before
+    todo = stage.event.tasks - stage.event.done
     text = "1 task" if todo == 1 else f"{todo} tasks"
-    if stage.points:
-        text += f", {count_text(stage.points)} points"
-    if stage.by_pixels:
-        text += f", {count_text(stage.pixels)} pixels"
-    if stage.before:
-        text += f" ({stage.before} of {stage.tasks} were done before)"
+    if stage.event.points:
+        text += f", {count_text(stage.event.points)} points"
+    if stage.event.by_pixels:
+        text += f", {count_text(stage.event.pixels)} pixels"
+    if stage.event.done:
+        text += f" ({stage.event.done} of {stage.event.tasks} were done before)"
     return text
 
 
@@ -241,7 +237,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
                 case StageStarted() if stage is not None:
                     bars.reset(
                         part,
-                        description=shown(stage.title),
+                        description=shown(stage.event.title),
                         visible=True,
                         clock=not job.known,
                         rate="",
@@ -372,18 +368,15 @@ def bar_markup(progress: Progress, warnings: list[str]) -> str:
         All warnings of the job so far.
     """
     done = progress["progress"]
-    parts = []
-    if done is not None:
-        parts.append(f"{done:.0%}")
+    parts = [] if done is None else [f"{done:.0%}"]
     if progress["title"]:
         parts.append(progress["title"])
     if progress["eta"] is not None:
         parts.append(f"about {duration_text(progress['eta'])} left")
     if progress["message"] == "done":
         done, parts = 1.0, ["done"]
-    bar = "<progress></progress>"
-    if done is not None:
-        bar = f'<progress value="{done:.4f}" max="1"></progress>'
+    value = "" if done is None else f' value="{done:.4f}" max="1"'
+    bar = f"<progress{value}></progress>"
     lines = [f"{bar} {_text(', '.join(parts))}"]
     lines += [f"warning: {_text(warning)}" for warning in warnings]
     return "".join(f"<div>{line}</div>" for line in lines)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ from tiler.redaction import shown, stored
 from tiler.report.document import Content, Node, bar, el, facts, table
 from tiler.report.pictures import open_raster
 from tiler.report.problems import MAX_ROWS, Run
+from tiler.report.runfile import units_of
 
 FIGURES = {
     "points": "points",
@@ -99,14 +100,13 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
             content.append(el("p", text, class_="warning"))
     if check.get("accuracy"):
         content += _checkpoints(check["accuracy"])
-    if check.get("seams"):
-        content.append(_seams(check["seams"]))
-    if check.get("strips"):
-        content.append(_strips(check["strips"]))
-    if check.get("against"):
-        content.append(_changes(check["against"]))
-    if check.get("requirements"):
-        content.append(_requirements(check["requirements"]))
+    makers: dict[str, Callable[[Any], Node]] = {
+        "seams": _seams,
+        "strips": _strips,
+        "against": _changes,
+        "requirements": _requirements,
+    }
+    content += [make(check[name]) for name, make in makers.items() if check.get(name)]
     if "total" in evaluation:
         content.append(_classes(evaluation))
     if evaluation.get("dtm"):
@@ -120,8 +120,7 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
 def statement_text(asprs: Mapping[str, Any]) -> str:
     """Return the accuracy statement by the ASPRS standards, or what it lacks."""
     lacks = "; ".join(asprs["missing"])
-    text: str = asprs["statement"] or f"no accuracy statement by the ASPRS standards: {lacks}"
-    return text
+    return str(asprs["statement"] or f"no accuracy statement by the ASPRS standards: {lacks}")
 
 
 SURE_ERRORS = 4
@@ -185,20 +184,24 @@ def groups_of(against: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 def places_of(against: Mapping[str, Any], number: int) -> list[tuple[str, ...]]:
     """Return rows of `CHANGE_HEADINGS` for the first places of change."""
-    rows = []
-    for place in against["places"][:number]:
-        west, south, east, north = place["bounds"]
-        figures = (place["mean_m"], place["largest_m"])
-        rows.append(
-            (
-                f"{west:.0f}, {south:.0f}",
-                f"{east:.0f}, {north:.0f}",
-                f"{place['area_m2']:,.0f}",
-                *(f"{figure:.2f}" for figure in figures),
-                f"{place['volume_m3']:,.0f}",
-            )
+    return [
+        (
+            "{:.0f}, {:.0f}".format(*place["bounds"][:2]),
+            "{:.0f}, {:.0f}".format(*place["bounds"][2:]),
+            f"{place['area_m2']:,.0f}",
+            f"{place['mean_m']:.2f}",
+            f"{place['largest_m']:.2f}",
+            f"{place['volume_m3']:,.0f}",
         )
-    return rows
+        for place in against["places"][:number]
+    ]
+
+
+def groups_at(accuracy: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the figures of the checkpoints by type, of all, and by land cover."""
+    kinds = ("nva", "vva", "all")
+    found = {kind.upper(): accuracy[kind] for kind in kinds if accuracy[kind]["points"]}
+    return {**found, **accuracy["land_cover"]}
 
 
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
@@ -239,12 +242,9 @@ def _percent(share: float | None) -> str:
 
 
 def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
-    groups = {
-        name.upper(): found[name] for name in ("nva", "vva", "all") if found[name]["points"]
-    }
-    groups |= found["land_cover"]
     rows = [
-        (name, *(_number(values[key]) for key in FIGURES)) for name, values in groups.items()
+        (name, *(_number(values[key]) for key in FIGURES))
+        for name, values in groups_at(found).items()
     ]
     offset = found["constant_offset"]
     return [
@@ -408,7 +408,7 @@ def rule_of_thumb(run: Run, checked: AtCheckpoints | None = None) -> list[Conten
     sigma = run.get("sigma")
     if not sigma:
         return []
-    unit_m = float(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
+    unit_m = units_of(run)[1]
     unit = short_unit(unit_m)
     pixels = max(sum(sigma[name]["pixels"] for name in GROUPS), 1)
     ratio = checked.measured / checked.expected if checked and checked.expected else None
@@ -443,7 +443,7 @@ def standard_errors(run: Run) -> list[Content]:
     """Return a histogram of the standard errors, or an empty list if the run made none."""
     if not run.get("sigma"):
         return []
-    unit_m = float(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
+    unit_m = units_of(run)[1]
     columns = (f"standard error, {short_unit(unit_m)}", "pixels", "")
     return [table(columns, _histogram(run["sigma"], unit_m), (1,))]
 
@@ -468,10 +468,12 @@ def _histogram(found: Mapping[str, Any], unit_m: float) -> list[tuple[Content, .
     if not there:
         return []
     edges, most = found["edges_m"], max(counts)
-    rows: list[tuple[Content, ...]] = []
-    for i in range(there[0], there[-1] + 1):
-        text = f"{edges[i] / unit_m:.2f} to {edges[i + 1] / unit_m:.2f}"
-        if i == len(counts) - 1:
-            text = f"{edges[i] / unit_m:.2f} and more"
-        rows.append((text, f"{counts[i]:,}", bar(counts[i] / most, BAR_WIDTH)))
-    return rows
+    ends = [*(f"to {edge / unit_m:.2f}" for edge in edges[1 : len(counts)]), "and more"]
+    return [
+        (
+            f"{edges[i] / unit_m:.2f} {ends[i]}",
+            f"{counts[i]:,}",
+            bar(counts[i] / most, BAR_WIDTH),
+        )
+        for i in range(there[0], there[-1] + 1)
+    ]

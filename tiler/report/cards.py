@@ -182,7 +182,6 @@ def small_card(place: Card, run: Mapping[str, Any], units: tuple[float, float]) 
 
 
 def _form(number: int, place: Card, unit: str) -> Node:
-    """Return the controls with which the user decides."""
     if place.geometry is None:
         text = "This outline has too many corners for a page: decide in review.gpkg."
         return el("p", text, class_="warning")
@@ -195,8 +194,9 @@ def _form(number: int, place: Card, unit: str) -> Node:
         )
         for status, title in TITLES.items()
     ]
+    selected = {columns["action"]: {"selected": "selected"}}
     options = [
-        el("option", action or "(none)", value=action, **_selected(action == columns["action"]))
+        el("option", action or "(none)", value=action, **selected.get(action, {}))
         for action in ("", *ACTIONS)
     ]
     z = "" if columns["z"] is None else repr(columns["z"])
@@ -213,10 +213,6 @@ def _form(number: int, place: Card, unit: str) -> Node:
         el("label", "note ", el("input", type="text", name="note", value=columns["note"])),
         el("output", "", class_="bad"),
     )
-
-
-def _selected(is_selected: bool) -> dict[str, str]:
-    return {"selected": "selected"} if is_selected else {}
 
 
 def _picture(place: Card, heights: Floats, run: Mapping[str, Any], title: str) -> Node:
@@ -306,8 +302,7 @@ def _height_range(section: Section) -> tuple[float, float]:
     if points.size:
         lines.append(np.percentile(points, (CLIPPED_PERCENT, 100 - CLIPPED_PERCENT)))
     heights = np.concatenate(lines)
-    heights = heights[np.isfinite(heights)]
-    return height_range(heights.tolist() or [0.0], [])
+    return height_range(heights[np.isfinite(heights)].tolist() or [0.0], [])
 
 
 def _caption(section: Section, unit: str, metres: float) -> str:

@@ -2,7 +2,7 @@
 
 Elements are from `xml.etree.ElementTree`, whose serializer escapes every text and attribute, so
 that file names and messages cannot become markup. A content security policy forbids the page to
-load anything or to run other scripts.
+load anything or to run other scripts. A command replaces only a page that it wrote earlier.
 """
 
 from __future__ import annotations
@@ -10,11 +10,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from xml.etree import ElementTree
 
+from tiler.core.file_names import link_error
+from tiler.errors import ConfigError
+from tiler.io.overwrite_check import Target, check_targets, is_url_path
 from tiler.redaction import shown
 
 MAX_NARROW = 3
@@ -22,6 +28,10 @@ MAX_NARROW = 3
 
 Node = ElementTree.Element
 Content = Node | str | None
+
+
+HEAD_BYTES = 8192
+"""Bytes at the start of a page in which the name of its command stands."""
 
 
 def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
@@ -86,6 +96,16 @@ def swatch(colour: str, text: str) -> Node:
     box = el("rect", width=12, height=12, fill=colour)
     square = el("svg", box, width=12, height=12, aria_hidden="true")
     return el("span", square, f" {text}", class_="swatch")
+
+
+def link(path: str) -> Node:
+    """Return a link to a file by its path relative to the page."""
+    return el("a", path, href=quote(os.fsencode(path)))
+
+
+def more(number: int, most: int, where: str = "run.json") -> Node | None:
+    """Return a line about the entries beyond the most that are shown, or None if all are."""
+    return el("p", f"{number - most:,} more are in {where}.") if number > most else None
 
 
 def facts(pairs: Mapping[str, Content]) -> Node:
@@ -180,3 +200,46 @@ def page(
 
 def _digest(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
+
+
+def validate_page(target: Path, reads: Iterable[str | Path], maker: str) -> None:
+    """Raise ConfigError if a page cannot be written, or would replace a file that is not an earlier page.
+
+    Parameters
+    ----------
+    target : Path
+        File that the user gives with ``--page``, or its default.
+    reads : iterable of str or Path
+        Paths and URLs of all files that the command reads.
+    maker : str
+        Name of the command, which its pages have in their head (`tiler.report.document.page`).
+    """
+    if is_url_path(target):
+        raise ConfigError(f"--page {target}: is a URL; give a file on this machine")
+    check_targets([Target("--page", target, (".html",))], reads)
+    if target.is_symlink():
+        raise link_error(target, "--page")
+    if not target.parent.is_dir():
+        raise ConfigError(
+            f"--page {target}: its folder does not exist; make it, or give another file"
+        )
+    if not target.exists():
+        return
+    try:
+        is_earlier = is_page_of(target, maker)
+    except OSError as error:
+        raise ConfigError(
+            f"--page {target}: cannot be read ({error.strerror}); give another file"
+        ) from error
+    if not is_earlier:
+        raise ConfigError(
+            f"--page {target}: exists and is not a page of this command; give another file"
+        )
+
+
+def is_page_of(target: Path, maker: str) -> bool:
+    """Return whether a file is an earlier page of a command."""
+    if not target.is_file():
+        return False
+    with target.open("rb") as stream:
+        return f'content="{maker}"'.encode() in stream.read(HEAD_BYTES)

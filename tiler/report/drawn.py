@@ -13,6 +13,7 @@ from tiler.core.units import length_text, short_unit, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.problems import MAX_ROWS, Run
+from tiler.report.runfile import units_of
 
 
 def drawn(run: Run) -> list[Node]:
@@ -20,8 +21,7 @@ def drawn(run: Run) -> list[Node]:
     lines, edits, water, contours = (
         run.get(name) for name in ("breaklines", "edits", "water", "contours")
     )
-    wide = run.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
-    high = run.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
+    wide, high = units_of(run)
     unit = short_unit(high)
     content: list[Content] = []
     if "bridges" in run:
@@ -56,8 +56,7 @@ def drawn(run: Run) -> list[Node]:
         ]
         columns = ("number", "kind", f"level, {unit}", "area", "confidence")
         content += [el("h3", f"Water: {len(water):,}"), table(columns, bodies, (0, 3))]
-        pictures = [profile(body, unit) for body in water[:MAX_ROWS]]
-        content += [picture for picture in pictures if picture is not None]
+        content += [profile(body, unit) for body in water[:MAX_ROWS]]
     if contours:
         interval = length_text(contours["interval"] * high, high)
         text = f"{counted(contours['lines'], 'line')} of {contours['vertices']:,} vertices, every {interval}."
@@ -79,14 +78,12 @@ tinted."""
 
 def shapes(run: Run) -> list[dict[str, Any]]:
     """Return the layers of the map that can be switched off, with lines as x, y, x, y, ... in units of the CRS."""
-    of_features = {name: run.get(name) or () for name in ("water", "bridges", "edits")}
     lines = {
-        name: [r for f in features for r in f.get("rings", ())]
-        for name, features in of_features.items()
+        name: [r for feature in run.get(name) or () for r in feature.get("rings", ())]
+        for name in ("water", "bridges", "edits")
     }
-    lines["outline"] = (run.get("outline") or {}).get("rings", [])
-    lines["canopy"] = (run.get("canopy") or {}).get("rings", [])
-    lines["breaklines"] = (run.get("breaklines") or {}).get("drawn", [])
+    for name, part in (("outline", "rings"), ("canopy", "rings"), ("breaklines", "drawn")):
+        lines[name] = (run.get(name) or {}).get(part, [])
     return [
         {"name": name, "title": title, "colour": colour, "tinted": tinted, "lines": lines[name]}
         for name, (title, colour, tinted) in LAYERS.items()

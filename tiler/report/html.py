@@ -7,13 +7,12 @@ checkpoints.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
 from tiler.core.words import counted
-from tiler.errors import InputError, write_error
-from tiler.io.atomic_files import write_atomic
+from tiler.errors import InputError
 from tiler.io.foreign_content import parse_json_object
 from tiler.io.locations import is_url, joined, local_or_url, state_at, upload_file
 from tiler.io.result_folder import (
@@ -43,9 +42,15 @@ from tiler.report.cards import small_card
 from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn, shapes
 from tiler.report.pictures import VIRIDIS, Pictures, css, draw, ramp_colour, reading_rasters
-from tiler.report.places import Detail, read_open_places, units_of
+from tiler.report.places import Detail, read_open_places
 from tiler.report.problems import marked_places, problems
-from tiler.report.runfile import run_file_errors, title_of, write_run_file
+from tiler.report.runfile import (
+    run_file_errors,
+    title_of,
+    units_of,
+    write_run_file,
+    write_whole,
+)
 from tiler.report.tables import specification
 from tiler.schedule import call_isolated, half_of_memory
 from tiler.store import locked_folder
@@ -81,10 +86,7 @@ def write_report(
     with reading_rasters(out), run_file_errors(out):
         page = _page(out, content, products or content.get("products_at") or str(out))
     target = out / REPORT
-    try:
-        write_atomic(target, page)
-    except OSError as error:
-        raise write_error(str(target), error, out) from error
+    write_whole(target, page)
     return target
 
 
@@ -271,10 +273,8 @@ def _events(path: Path) -> Iterator[dict[str, Any]]:
         return
     with open(path, encoding="utf-8", errors="replace") as lines:
         for line in lines:
-            try:
+            with suppress(ValueError):
                 yield parse_json_object(line)
-            except ValueError:
-                continue
 
 
 def map_data(
@@ -344,7 +344,6 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _files(run: Mapping[str, Any]) -> list[list[Any]]:
-    """Return name and bounds of each input cloud."""
     inputs = [i for i in run.get("inputs", ()) if i.get("bounds")][:MAX_FILES]
     return [
         [shown(Path(i["path"]).name), *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs

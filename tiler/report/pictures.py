@@ -27,6 +27,7 @@ from tiler.core.units import short_unit
 from tiler.errors import ProcessingError
 from tiler.io.locations import is_url, plain_scheme
 from tiler.io.raster_files import palette_png_bytes
+from tiler.report.runfile import units_of
 
 LONGER_SIDE = 1600
 """Largest number of pixels of the longer side of a picture."""
@@ -254,15 +255,15 @@ def _strips(rows: int) -> Iterator[slice]:
 def hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Picture:
     """Draw a hillshade of the decimated heights, as details smaller than a pixel of the picture are not visible."""
     west, south, east, north = extent
-    metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
+    wide_m, high_m = units_of(run)
     rows, columns = heights.shape
-    across = (east - west) / columns * metres["horizontal"]
-    down = (north - south) / rows * metres["horizontal"]
+    across = (east - west) / columns * wide_m
+    down = (north - south) / rows * wide_m
     shade = np.empty(heights.shape, np.float32)
     for strip in _strips(rows):
         # a row of neighbours on either side
         first, last = max(strip.start - 1, 0), min(strip.stop + 1, rows)
-        part = heights[first:last] * np.float32(metres["vertical"])
+        part = heights[first:last] * np.float32(high_m)
         level = np.where(np.isfinite(part), np.float32(0.0), np.float32(np.nan))
         to_south = np.gradient(part, down, axis=0) if rows > 1 else level
         to_east = np.gradient(part, across, axis=1) if columns > 1 else level
@@ -273,7 +274,7 @@ def hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Pictur
 
 
 def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
-    unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
+    unit = short_unit(units_of(run)[1])
     low, high = _range(heights)
     decimals = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
     return _ramp(
@@ -305,7 +306,7 @@ def _density(density: Floats) -> Picture:
 
 def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
     """Draw standard errors with logarithmic shades, so that errors of centimetres and of metres are both visible."""
-    unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
+    unit = short_unit(units_of(run)[1])
     logarithms = np.log10(sigma, out=sigma)
     low, high = _range(logarithms)
     return _ramp(

@@ -28,6 +28,7 @@ from tiler.io.vector import POLYGONS, Feature, read_in_crs
 from tiler.io.vector.reading import read_features
 from tiler.report.cards import Card, Section
 from tiler.report.pictures import CACHE_BYTES, Extent
+from tiler.report.runfile import units_of
 from tiler.store import TileStore, open_store
 
 MARGIN = 0.75
@@ -112,22 +113,16 @@ def read_open_places(
     found = read_features(path, POLYGONS, every_layer=True, may_be_empty=True)
     rows = [row for row in found.features if is_place(row.layer, row.attributes)]
     features = sorted((row for row in rows if _status(row) == OPEN), key=_rank)
-    kept = [_kept_row(row) for row in rows if _status(row) != OPEN]
+    kept = [_kept(row, status=_status(row)) for row in rows if _status(row) != OPEN]
     if edits is not None:
         wkt = None if found.crs is None else crs_in_file(found.crs).to_wkt()
         drawn = read_in_crs(edits, POLYGONS, wkt, may_be_empty=True).features
         own = [row for row in drawn if not is_place(row.layer, row.attributes)]
         # Of overlapping edits the last one counts.
-        kept = [*(_kept_edit(row) for row in own), *kept]
+        kept = [*(_kept(row, status=FIXED, z=row.height()) for row in own), *kept]
     with open_survey(dtm, run, store_url, detail) as survey:
         cards = [place_card(feature, survey) for feature in features[: detail.places]]
     return OpenPlaces(cards, len(features), found.crs, kept)
-
-
-def units_of(run: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the metres in a unit of the coordinates, and in one of the heights, of a run."""
-    metres = (run.get("plan") or {}).get("metres_per_unit") or {}
-    return metres.get("horizontal", 1.0), metres.get("vertical", 1.0)
 
 
 def _opened(store_url: str) -> TileStore | None:
@@ -143,33 +138,29 @@ def _status(row: Feature) -> str:
     return str(row.attributes.get("status") or FIXED).strip().lower()
 
 
+def _number(row: Feature, name: str) -> float | None:
+    value = row.attributes.get(name)
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+
+
 def _rank(row: Feature) -> float:
-    rank = row.attributes.get("rank")
-    return float(rank) if isinstance(rank, int | float) and math.isfinite(rank) else math.inf
+    rank = _number(row, "rank")
+    return math.inf if rank is None else rank
 
 
 def _columns(row: Feature) -> dict[str, Any]:
     """Return the columns of a place. Values of another type, which a user may have given, are empty."""
-    columns: dict[str, Any] = {}
-    for name in TEXTS:
-        text = row.attributes.get(name)
-        columns[name] = text if isinstance(text, str) else ""
-    for name in NUMBERS:
-        number = row.attributes.get(name)
-        columns[name] = None
-        if isinstance(number, int | float) and math.isfinite(number):
-            columns[name] = float(number)
-    rank = _rank(row)
-    return {**columns, "rank": int(rank) if math.isfinite(rank) else None}
+    texts = {name: row.attributes.get(name) for name in TEXTS}
+    rank = _number(row, "rank")
+    return {
+        **{name: text if isinstance(text, str) else "" for name, text in texts.items()},
+        **{name: _number(row, name) for name in NUMBERS},
+        "rank": None if rank is None else int(rank),
+    }
 
 
-def _kept_row(row: Feature) -> tuple[dict[str, Any], str]:
-    return {**_columns(row), "status": _status(row)}, str(shapely.to_geojson(row.geometry))
-
-
-def _kept_edit(row: Feature) -> tuple[dict[str, Any], str]:
-    columns = {**_columns(row), "status": FIXED, "z": row.height()}
-    return columns, str(shapely.to_geojson(row.geometry))
+def _kept(row: Feature, **changed: Any) -> tuple[dict[str, Any], str]:
+    return {**_columns(row), **changed}, str(shapely.to_geojson(row.geometry))
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from tiler.core.points import NOISE
 from tiler.core.review import STATUSES
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
-from tiler.report.document import Content, Node, el, section, table
-from tiler.report.runfile import title_of
+from tiler.report.document import Content, Node, el, more, section, table
+from tiler.report.runfile import title_of, units_of
 
 MAX_ROWS = 1000
 """Largest number of rows of a table. The other rows are in run.json."""
@@ -81,9 +81,7 @@ class Problem(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry of run.json. Its outline is in the entry of its source."""
-        entry = self._asdict()
-        del entry["rings"]
-        return entry
+        return {name: value for name, value in self._asdict().items() if name != "rings"}
 
 
 def problems_of(run: Run) -> list[Problem]:
@@ -135,10 +133,10 @@ def _requirements(run: Run) -> Iterator[Problem]:
 
 
 def _warnings(run: Run) -> Iterator[Problem]:
-    for text in run["plan"].get("warnings", ()):
-        yield Problem("setting or input", None, text)
-    for text in run.get("doubts", ()):
-        yield Problem("doubtful decision", None, text)
+    yield from (
+        Problem("setting or input", None, text) for text in run["plan"].get("warnings", ())
+    )
+    yield from (Problem("doubtful decision", None, text) for text in run.get("doubts", ()))
 
 
 def _objects(run: Run) -> Iterator[Problem]:
@@ -181,13 +179,8 @@ def _labels(run: Run) -> Iterator[Problem]:
         yield Problem("doubtful tiles", None, why, remedy)
 
 
-def _unit(run: Run, direction: str) -> float:
-    """Return the metres per unit of the CRS: ``horizontal`` or ``vertical``."""
-    return float(run["plan"].get("metres_per_unit", {}).get(direction, 1.0))
-
-
 def _area(run: Run, square_metres: float) -> str:
-    return small_area_text(square_metres, _unit(run, "horizontal"))
+    return small_area_text(square_metres, units_of(run)[0])
 
 
 def _implausible(run: Run) -> Iterator[Problem]:
@@ -199,7 +192,7 @@ def _implausible(run: Run) -> Iterator[Problem]:
 def _above(run: Run) -> Iterator[Problem]:
     """Yield the places where the terrain is certainly wrong, because it lies above all returns."""
     for place in run.get("above_returns", {}).get("worst", ()):
-        height = length_text(round(place["height_m"], 1), _unit(run, "vertical"))
+        height = length_text(round(place["height_m"], 1), units_of(run)[1])
         why = f"{_area(run, place['area_m2'])} of terrain lie above all returns, by up to {height}"
         remedy = (
             "look at the points; use --edits with action ground if they are ground, or void to leave it "
@@ -220,7 +213,7 @@ def _above(run: Run) -> Iterator[Problem]:
 def _left(run: Run) -> Iterator[Problem]:
     """Yield the objects that are probably left in the terrain, the worst first."""
     for place in run.get("left_objects", ()):
-        height = length_text(round(place["height_m"], 1), _unit(run, "vertical"))
+        height = length_text(round(place["height_m"], 1), units_of(run)[1])
         sure = "likely" if place["chance"] >= LIKELY else "perhaps"
         why = (
             f"{sure} an object: {_area(run, place['area_m2'])} of terrain rise by up to {height} above the land around "
@@ -277,15 +270,13 @@ def _voids(run: Run) -> Iterator[Problem]:
     """Yield the voids, those inside the survey before those at its border, without small ones there."""
     found = list(_all_voids(run))
     yield from (void for void in found if void.what != AT_BORDER)
-    yield from (void for void in found if void.what == AT_BORDER and not _is_small(void))
+    yield from (void for void in found if void.what == AT_BORDER and not _is_minor(void))
 
 
-def _small_voids(run: Run) -> Iterator[Problem]:
-    yield from (void for void in _all_voids(run) if void.what == AT_BORDER and _is_small(void))
-
-
-def _is_small(problem: Problem) -> bool:
-    return problem.area_m2 is not None and problem.area_m2 < SMALL_M2
+def _is_minor(problem: Problem) -> bool:
+    """Return whether a problem is a small void at the border of the survey."""
+    is_small = problem.area_m2 is not None and problem.area_m2 < SMALL_M2
+    return is_small and problem.what == AT_BORDER
 
 
 def _all_voids(run: Run) -> Iterator[Problem]:
@@ -298,8 +289,7 @@ def _all_voids(run: Run) -> Iterator[Problem]:
             remedy = "use --edits with action ground if land behind a wall was classified as a building"
         remedy += ", or --edits with action void to accept it"
         where, area_m2, at = place_of(void["bounds"]), void["area_m2"], void.get("at")
-        rings = void.get("rings") or ()
-        yield Problem(what, where, why, remedy, area_m2, at, rings=rings)
+        yield Problem(what, where, why, remedy, area_m2, at, rings=void.get("rings") or ())
 
 
 def _without_returns(run: Run) -> Iterator[Problem]:
@@ -331,31 +321,23 @@ def _edits(run: Run) -> Iterator[Problem]:
             )
 
 
-def _water(run: Run) -> Iterator[Problem]:
-    for doubt in run.get("water_doubts", ()):
-        remedy = "check it; to change it, edit water.gpkg and give the file with --water"
-        yield Problem("doubtful water", place_of(doubt["place"]), doubt["text"], remedy)
-
-
-def _canopy(run: Run) -> Iterator[Problem]:
-    for doubt in run.get("canopy_doubts", ()):
-        remedy = "use --canopy void for nodata there, or --edits with the action ground"
-        yield Problem(
-            "ground hidden by canopy", place_of(doubt["place"]), doubt["text"], remedy
-        )
+def _doubts(run: Run) -> Iterator[Problem]:
+    of_water = "check it; to change it, edit water.gpkg and give the file with --water"
+    of_canopy = "use --canopy void for nodata there, or --edits with the action ground"
+    for name, what, remedy in (
+        ("water_doubts", "doubtful water", of_water),
+        ("canopy_doubts", "ground hidden by canopy", of_canopy),
+    ):
+        for doubt in run.get(name, ()):
+            yield Problem(what, place_of(doubt["place"]), doubt["text"], remedy)
 
 
 def _kept(run: Run) -> Iterator[Problem]:
     for code, count in run.get("classes", {}).get("no_part", {}).items():
-        if int(code) in NOISE:
-            continue
-        why = f"{count:,} points of class {code} were not filtered and keep their class"
-        yield Problem(
-            "class that is not filtered",
-            None,
-            why,
-            "use --keep-classes to choose the classes that are kept",
-        )
+        if int(code) not in NOISE:
+            why = f"{count:,} points of class {code} were not filtered and keep their class"
+            remedy = "use --keep-classes to choose the classes that are kept"
+            yield Problem("class that is not filtered", None, why, remedy)
 
 
 def _strays(run: Run) -> Iterator[Problem]:
@@ -382,13 +364,12 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _voids,
     _without_returns,
     _edits,
-    _water,
-    _canopy,
+    _doubts,
     _labels,
     _kept,
     _strays,
     _healed,
-    _small_voids,
+    lambda run: filter(_is_minor, _all_voids(run)),
 )
 """Sources of problems, the most serious first."""
 
@@ -415,8 +396,8 @@ def table_rows(run: Run) -> list[Problem]:
     shared: dict[str, list[Problem]] = {}
     own = Counter[str]()
     for problem in problems_of(run):
-        is_minor = problem.what == AT_BORDER and _is_small(problem)
-        if problem.area_m2 is not None and (is_minor or own[problem.what] >= MAX_OF_KIND):
+        is_further = _is_minor(problem) or own[problem.what] >= MAX_OF_KIND
+        if problem.area_m2 is not None and is_further:
             shared.setdefault(problem.what, []).append(problem)
         else:
             rows.append(problem)
@@ -425,7 +406,6 @@ def table_rows(run: Run) -> list[Problem]:
 
 
 def _joined(run: Run, places: Sequence[Problem]) -> Problem:
-    """Return one problem for places of the same kind."""
     if len(places) == 1:
         return places[0]
     area = _area(run, sum(place.area_m2 or 0.0 for place in places))
@@ -443,9 +423,8 @@ def problems(run: Run) -> Node:
             "The checks do not find every error, such as houses in the terrain: look at the map."
         )
         return section("problems", "Problems", el("p", none))
-    review = run.get("review")
     told = None
-    if review:
+    if review := run.get("review"):
         told = el(
             "p",
             f"The run's folder has the places in review.gpkg, where they get a status: {review_text(review)}.",
@@ -457,15 +436,13 @@ def problems(run: Run) -> Node:
     if len(found) > len(all_problems):
         kinds = kinds_text([problem.to_json() for problem in found])
         total = el("p", f"{kinds}. Places of one kind share a row after the worst.")
-    more = len(all_problems) - MAX_ROWS
-    rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
     return section(
         "problems",
         "Problems",
         total,
         told,
         table(("problem", "location", "cause", "remedy"), rows),
-        rest,
+        more(len(all_problems), MAX_ROWS),
     )
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from urllib.parse import quote
 
 from tiler.io.result_folder import REPORT, REVIEW, results_name, written_rasters
-from tiler.report.client_map import client_map
-from tiler.report.document import Content, Node, el, page, section, table
+from tiler.report.client import client_map
+from tiler.report.document import Content, el, link, page, section, table
 from tiler.report.pictures import reading_rasters
 from tiler.report.problems import Run, kinds_text
 from tiler.report.runfile import run_file_errors
@@ -84,14 +82,10 @@ def _cells(folder: str, run: Run | None) -> Iterator[Content]:
         yield from (NOT_FINISHED, "-", "-", "-", "-")
         return
     terrain, dtm = written_rasters(run).get("dtm"), run.get("dtm")
-    yield _link(f"{folder}/{terrain}") if terrain else "none"
+    yield link(f"{folder}/{terrain}") if terrain else "none"
     size = f"{dtm['width']:,} x {dtm['height']:,}" if dtm else "-"
     yield f"{size} of {length(run, run['plan']['resolution_m'])}"
     yield share_with_height(run["voids"]) if "voids" in run else "-"
     problems = run.get("problems") or ()
     yield kinds_text(problems) if problems else "none"
-    yield _link(f"{folder}/{REPORT}") if run.get("report") else "none"
-
-
-def _link(path: str) -> Node:
-    return el("a", path, href=quote(os.fsencode(path)))
+    yield link(f"{folder}/{REPORT}") if run.get("report") else "none"

@@ -23,10 +23,15 @@ def write_run_file(out: Path, content: Mapping[str, Any]) -> None:
     # ten times as fast.
     indent = None if content["state"] == "running" else 1
     text = json.dumps(content, indent=indent, sort_keys=True) + "\n"
+    write_whole(out / RUN, text.encode())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Replace a file, or raise ProcessingError if it cannot be written."""
     try:
-        write_atomic(out / RUN, text.encode())
+        write_atomic(path, content)
     except OSError as error:
-        raise write_error(str(out / RUN), error, out) from error
+        raise write_error(str(path), error, path.parent) from error
 
 
 def record_end(out: Path, state: str, exit_code: int) -> None:
@@ -62,6 +67,12 @@ def run_file_errors(out: Path) -> Iterator[None]:
         raise InputError(
             f"{out / RUN}: was not written by this version of tiler ({type(error).__name__}: {error}); {remedy}"
         ) from error
+
+
+def units_of(run: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the metres in a unit of the coordinates, and in one of the heights, of a run."""
+    metres = (run.get("plan") or {}).get("metres_per_unit") or {}
+    return metres.get("horizontal", 1.0), metres.get("vertical", 1.0)
 
 
 def title_of(run: Mapping[str, Any], stage: str) -> str:

@@ -9,9 +9,10 @@ from ptd.places import TABLES
 from tiler.core.units import area_text, length_text
 from tiler.core.words import counted, name_in_wkt
 from tiler.observe.progress import count_text, duration_text, size_text
-from tiler.report.document import Content, Node, el, section, swatch, table
+from tiler.report.document import Node, el, section, swatch, table
 from tiler.report.pictures import Pictures, css
 from tiler.report.problems import MAX_ROWS, Run, unmet
+from tiler.report.runfile import units_of
 
 STATES = {
     "done": "Finished",
@@ -93,7 +94,7 @@ def made_text(run: Run) -> str:
         area_m2 = run["voids"]["surveyed_pixels"] * dtm["resolution_m"] ** 2
     return (
         f"{subject} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
-        f"{area_text(area_m2, _unit(run))}, by the method {plan['method']}"
+        f"{area_text(area_m2, units_of(run)[0])}, by the method {plan['method']}"
     )
 
 
@@ -131,17 +132,12 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
 
 def length(run: Run, metres: float) -> str:
     """Return a length as text in the unit of the CRS."""
-    return length_text(metres, _unit(run))
+    return length_text(metres, units_of(run)[0])
 
 
 def area(run: Run, square_metres: float) -> str:
     """Return an area as text in units that suit the CRS."""
-    return area_text(square_metres, _unit(run))
-
-
-def _unit(run: Run) -> float:
-    """Return the metres per horizontal unit of the CRS."""
-    return float(run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0))
+    return area_text(square_metres, units_of(run)[0])
 
 
 def share_with_height(voids: Mapping[str, Any]) -> str:
@@ -217,12 +213,11 @@ def noted(run: Run) -> list[str]:
 def warned(run: Run) -> list[str]:
     """Return warnings about the settings and the data."""
     doubts = [*run.get("canopy_doubts", ()), *run.get("water_doubts", ())]
-    texts = [result["why"] for result in run.get("implausible", ())]
-    texts += [doubt["text"] for doubt in doubts]
     return [
         *run["plan"].get("warnings", ()),
         *run.get("doubts", ()),
-        *texts,
+        *(result["why"] for result in run.get("implausible", ())),
+        *(doubt["text"] for doubt in doubts),
         *run.get("advice", ()),
     ]
 
@@ -231,19 +226,16 @@ def decisions(run: Run) -> Node:
     """Return the section about automatic decisions and their reasons."""
     told = [el("li", text) for text in noted(run)[:MAX_ROWS]]
     rows = [found for found in settled(run) if found.setting not in OF_MACHINE]
-    content: list[Content] = [table(SETTINGS, rows)]
-    if told:
-        content += [el("h3", "Notes"), el("ul", *told)]
-    return section("decisions", "Decided automatically", *content)
+    notes = (el("h3", "Notes"), el("ul", *told)) if told else ()
+    return section("decisions", "Decided automatically", table(SETTINGS, rows), *notes)
 
 
 def measured(run: Run) -> Node | None:
     """Return the part about the figures that passes measured, or None without any."""
     rows = list(_measured(run))[:MAX_ROWS]
-    if not rows:
-        return None
-    figures_table = table(("pass", "figure", "value"), rows)
-    return section("measured", "Measured over the whole run", figures_table, heading="h3")
+    found = table(("pass", "figure", "value"), rows)
+    title = "Measured over the whole run"
+    return section("measured", title, found, heading="h3") if rows else None
 
 
 FIGURES_IN_WORDS = {

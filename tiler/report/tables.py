@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
-
-from pyproj import CRS
 
 from tiler.config import RunConfig, without_folders
-from tiler.core.crs import at_degrees, split, vertical_name
+from tiler.core.crs import at_degrees, split_wkt, vertical_name
 from tiler.core.dates import days_text
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.units import Sides, Units, in_unit_of_crs
 from tiler.core.words import GRID, counted
 from tiler.io.result_folder import CLASSIFIED, REVIEW, written_rasters
 from tiler.observe.progress import duration_text, rate_text, size_text
-from tiler.report.document import Content, Node, bar, el, facts, section, table
+from tiler.report.document import Content, Node, bar, el, facts, link, more, section, table
 from tiler.report.problems import MAX_ROWS, Run
-from tiler.report.runfile import title_of
+from tiler.report.runfile import title_of, units_of
 from tiler.report.sections import (
     OF_MACHINE,
     SETTINGS,
@@ -60,7 +56,7 @@ def specification(run: Run) -> Node:
 
 def _horizontal(run: Run) -> str:
     wkt = run["plan"]["crs"]
-    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    horizontal = split_wkt(wkt)[0]
     if horizontal is None:
         return "not given"
     west, south, east, north = run["plan"]["extent"]
@@ -101,7 +97,6 @@ def _sheets(run: Run) -> str:
 
 
 def _products(run: Run) -> Iterator[str]:
-    """Yield the products of each format."""
     configuration, outputs = run["configuration"], run.get("outputs", {})
     rasters = [f"{name} ({PRODUCTS[name].dtype})" for name in written_rasters(run)]
     if rasters:
@@ -122,8 +117,7 @@ def _products(run: Run) -> Iterator[str]:
 
 
 def _survey_dates(run: Run) -> str:
-    dates = run.get("dates")
-    if not dates:
+    if not (dates := run.get("dates")):
         return "unknown"
     return f"{days_text((dates['first'], dates['last']))} ({dates['by']})"
 
@@ -203,7 +197,7 @@ def inputs(run: Run) -> Node:
         "Input files",
         el("p", about),
         listed,
-        _more(len(files)),
+        more(len(files), MAX_ROWS),
         *_surveys(run),
         heading="h3",
     )
@@ -229,17 +223,8 @@ def _surveys(run: Run) -> list[Content]:
 
 def _step(run: Run, step: Mapping[str, Any]) -> str:
     """Return a step between surveys as text in the unit of the CRS, as in the log."""
-    metres = run["plan"].get("metres_per_unit", {})
-    units = Units(*(Fraction(metres.get(axis, 1)) for axis in ("horizontal", "vertical")))
     text = f"{step['median_m']:+.2f} m to {step['other']} (MAD {step['mad_m']:.2f} m)"
-    return in_unit_of_crs(text, units)
-
-
-def _more(number: int) -> Node | None:
-    """Return a line about the rows beyond `MAX_ROWS`, which a table does not show."""
-    return (
-        el("p", f"{number - MAX_ROWS:,} more are in run.json.") if number > MAX_ROWS else None
-    )
+    return in_unit_of_crs(text, Units(*map(Fraction, units_of(run))))
 
 
 def outputs(run: Run) -> Node:
@@ -251,16 +236,19 @@ def outputs(run: Run) -> Node:
     since |= dict.fromkeys(changes.get("added", ()), "new")
     order = sorted(sizes.items(), key=lambda file: (file[0] not in since, "/" in file[0]))
     rows: list[tuple[Content, ...]] = [
-        (el("a", name, href=quote(os.fsencode(name))), size_text(size), since.get(name, ""))
-        for name, size in order[:MAX_ROWS]
+        (link(name), size_text(size), since.get(name, "")) for name, size in order[:MAX_ROWS]
     ]
-    told = None
-    if changes:
-        number = counted(changes["unchanged"], "file")
-        told = el("p", f"{number} unchanged since the run before, with the times of then.")
+    unchanged = counted(changes.get("unchanged", 0), "file")
+    told = f"{unchanged} unchanged since the run before, with the times of then."
     columns = ("file", "size", "since the run before" if since else "")
     body = table(columns, rows, (1,)) if rows else el("p", "None yet.")
-    return section("outputs", "Results", told, body, _more(len(sizes)))
+    return section(
+        "outputs",
+        "Results",
+        el("p", told) if changes else None,
+        body,
+        more(len(sizes), MAX_ROWS),
+    )
 
 
 def timings(run: Run) -> Node:

@@ -59,7 +59,6 @@ class Plugin:
 
 
 def _save_command(path: str) -> None:
-    """Save the path of the command in the options of Processing."""
     ProcessingConfig.setSettingValue(COMMAND, path)
 
 

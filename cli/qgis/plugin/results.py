@@ -191,7 +191,6 @@ def _raster(
 
 
 def _tables(path: str) -> list[str]:
-    """Return the names of the layers of a GeoPackage."""
     if not path:
         return []
     layer = QgsVectorLayer(path, "", "ogr")

@@ -166,7 +166,6 @@ def water(layer: Any) -> None:
 
 
 def _fill(layer: Any, inside: str, line: str, width: str, **more: str) -> None:
-    """Draw polygons in two colours."""
     style = {"color": inside, "outline_color": line, "outline_width": width, **more}
     layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
 
@@ -223,7 +222,6 @@ def _list(layer: Any, name: str, values: dict[str, str]) -> None:
 
 
 def _label(layer: Any, column: str, filter: str, placement: Any) -> None:
-    """Label each feature with its height."""
     settings = QgsPalLayerSettings()
     written = (
         layer.fields().indexOf("label") >= 0

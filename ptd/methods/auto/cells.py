@@ -21,7 +21,7 @@ import numpy as np
 from ptd.cells import CellIndex, Int32, Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.labelling import LOW_NOISE, UNCLASSIFIED
-from ptd.ground.morphology import Bool, CellRaster, Float64, steepest_drops
+from ptd.ground.morphology import EMPTY, Bool, CellRaster, Float64, disk_minimum, steepest_drops
 from ptd.ground.slopes import Boxes
 from ptd.passes import Model, Points, Stats, UInt8
 
@@ -31,6 +31,9 @@ OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
 ABOVE_NOISE = 32
 """Bit of the codes of cells in which points below the elected one are low noise. It stays the
 same in all passes."""
+
+ANNEX_ROUNDS = 2
+"""Rounds in which `Lowest.annexes` searches, so that it finds two parts of a building one behind the other."""
 
 
 class CellCodes(Model):
@@ -248,25 +251,43 @@ class Lowest:
         is_object: Bool = steepest.reshape(-1)[keys] > allowed
         return is_object
 
-    def residual_objects(self, ground: Bool, present: Bool, limits: Residuals) -> Bool:
+    def residual_objects(
+        self, ground: Bool, present: Bool, limits: Residuals, level: Bool | None = None
+    ) -> Bool:
         """Return a mask of the points that rise like objects after subtracting the mean of the ground: bool [n].
 
         Once the mean is subtracted, slopes do not hide low objects, so small radii and
         thresholds suffice. Where there are no objects around, a rise is more likely a bump of
-        the terrain, so the threshold grows (`lack`).
+        the terrain, so the threshold grows (`lack`). The points in ``level`` count as if they were at the mean.
         """
         boxes, drop, keys = Boxes(self.heights(ground)), limits.drop, self.raster.keys
         means = boxes.means(limits.trend, keys)
         # Without ground, a point is its own trend.
         trend = np.where(np.isnan(means), self.z, np.rint(means))
-        residuals = self.raster.lowest((self.z - trend).astype(np.int32), present)
+        residuals = self.z - trend if level is None else np.where(level, 0.0, self.z - trend)
         steepest, _ = steepest_drops(
-            residuals, range(1, limits.radius + 1), self.scale.counts_z(drop.allowance_m)
+            self.raster.lowest(residuals.astype(np.int32), present),
+            range(1, limits.radius + 1),
+            self.scale.counts_z(drop.allowance_m),
         )
         allowed = drop.per_metre * self.unit + drop.per_slope * boxes.slopes(limits.slope, keys)
         allowed += limits.lack * self.unit * self.lack_of_objects(ground, limits)
         is_object: Bool = steepest.reshape(-1)[keys] > allowed
         return is_object
+
+    def annexes(self, ground: Bool, roofs: Bool, limits: Residuals, near: int) -> Bool:
+        """Return a mask of the ground that rises like an object within `near` cells of a roof or crown: bool [n].
+
+        The mean of the ground stands in for the roofs, because an opening does not cut a low part of a building that
+        ends at cells without ground. Once a part is found, the next round finds what it hid.
+        """
+        found, nothing = roofs, np.zeros_like(self.z)
+        for _ in range(ANNEX_ROUNDS):
+            left = ground & ~found
+            beside = disk_minimum(self.raster.lowest(nothing, found), near) != EMPTY
+            rises = self.residual_objects(left, left | found, limits, found)
+            found = found | left & rises & beside.reshape(-1)[self.raster.keys]
+        return found & ~roofs
 
     def lack_of_objects(self, ground: Bool, limits: Residuals) -> Float64:
         """Return 1 where all cells around are ground, falling to 0 where a share `enough` is not: float64 [n]."""

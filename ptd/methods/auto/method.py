@@ -31,11 +31,13 @@ refine
     ground.
 roofs
     Remove roofs: connected ground of at most 200 m width that lies above nearly all ground
-    around it (`ptd.ground.plateaus`). Do this four times, because lower roofs lean on higher
-    ones.
+    around it (`ptd.ground.plateaus`). Do this twice, because lower roofs lean on higher ones.
 treetops
     Remove crowns on slopes by the same rule, after subtracting the plane of the ground around
     (`ptd.ground.treetops`).
+annexes
+    Remove ground that rises from the mean of the ground beside roofs and such crowns: ramps for loading, low annexes,
+    remains of crowns. Roofs count as if they were at the mean.
 label
     Add cells within half the distance and half the angle of `densify` to the TIN of the
     remaining ground, once. Then classify each point by its height above the TIN, or above a
@@ -100,7 +102,6 @@ from ptd.ground.labelling import GROUND, Bands, LabelRule, TinLabels
 from ptd.ground.morphology import Bool
 from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise
-from ptd.ground.plateaus import ROOF_STEPS_M
 from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.evidence import DIM
@@ -125,6 +126,7 @@ from ptd.methods.auto.cells import (
 )
 from ptd.methods.auto.params import REGROWTH, RING_M, AutoParameters
 from ptd.methods.auto.raster_passes import (
+    AnnexPass,
     LidarPass,
     NoisePass,
     RefinePass,
@@ -136,8 +138,6 @@ from ptd.methods.auto.raster_passes import (
 from ptd.passes import Int32, Method, Pass, Points, State
 from ptd.places import PLACES, Figures, field, span
 from ptd.tin.mesh import Tin
-
-ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
 
 
 @dataclass(frozen=True)
@@ -155,24 +155,17 @@ class Auto(AutoParameters):
             SummitPass(self, influence_radius_m=(self.summit_reach + 1) * cell),
             DensifyPass(self),
             RefinePass(self, influence_radius_m=(self.refine_reach + 1) * cell),
-            *(
-                self._roof_pass(name, ROOF_STEPS_M[: n + 1])
-                for n, name in enumerate(ROOF_PASSES)
-            ),
+            self._roof_pass("roofs", "take out roofs", again=False),
+            self._roof_pass("roofs2", "take out roofs that lean on others", again=True),
             TreetopPass(self, influence_radius_m=(self.treetop_reach + 1) * cell),
+            AnnexPass(self, influence_radius_m=(self.annex_reach + 1) * cell),
             LabelPass(self, label_margin_m=REACH_M if self.fine_surface else 0.0),
             *matched.PASSES[:-1],
             matched.SurfacePass(refine=self.refine),
         )
 
-    def _roof_pass(self, name: str, steps_m: Sequence[float]) -> RoofPass:
-        """Return the pass for the last of some steps."""
-        step_m, n_round = steps_m[-1], steps_m.count(steps_m[-1])
-        title = f"take out roofs with edges of {step_m:g} m"
-        if n_round > 1:
-            title += f", round {n_round}"
-        reach_m = (self.roof_reach + 1) * self.thin_cell_m
-        return RoofPass(self, n_round > 1, step_m, name, title, reach_m)
+    def _roof_pass(self, name: str, title: str, *, again: bool) -> RoofPass:
+        return RoofPass(self, again, name, title, (self.roof_reach + 1) * self.thin_cell_m)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ptd.ground.criteria import FacetLimits
 from ptd.ground.cut_off_land import PIT_REACH_CELLS, STRIP_REACH_M
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
-from ptd.methods.auto.cells import Drop, Residuals, Shape
+from ptd.methods.auto.cells import ANNEX_ROUNDS, Drop, Residuals, Shape
 from ptd.methods.classic import Progressive
 from ptd.params import check, like, parameter
 
@@ -86,6 +86,10 @@ the last pass."""
 BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
 """Limits among the remaining cells of ground. Their mean no longer contains removed objects, so
 a smaller drop is allowed, but more per unit of slope."""
+
+ANNEX_REACH_M = 8.0
+"""Distance from a roof within which ground that rises like an object is a part of the building, such as a ramp for
+loading. Farther away it may be a terrace or a bank."""
 
 
 @dataclass(frozen=True)
@@ -220,6 +224,16 @@ class AutoParameters:
         return math.ceil(
             (Plateaus.of(Scale(), self.roof_size_m).reach + 1) * ROOF_CELL_M / self.thin_cell_m
         )
+
+    @property
+    def annex_width(self) -> int:
+        """Distance in cells from a roof within which annexes lie."""
+        return self._cells(ANNEX_REACH_M)
+
+    @property
+    def annex_reach(self) -> int:
+        """Distance in cells beyond which points do not change the code of a cell in the pass `annexes`."""
+        return ANNEX_ROUNDS * max(self.objects.reach, self.annex_width)
 
     @property
     def treetop_reach(self) -> int:

@@ -178,7 +178,6 @@ class RoofPass(LidarPass):
 
     params: AutoParameters
     again: bool
-    step_m: float
     name: str
     title: str
     influence_radius_m: float | None
@@ -190,7 +189,7 @@ class RoofPass(LidarPass):
         """Compare each connected surface with the ground around it."""
         p = self.params
         cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
-        roof_rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
+        roof_rule = Plateaus.of(scale, p.roof_size_m)
         x, y, z, codes = lowest_points(points, cells)
         ground, earlier_roofs = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):
@@ -239,3 +238,31 @@ class TreetopPass(LidarPass):
             "strips": int((lost & (codes == GROUND)).sum()),
         }
         return CellCodes(x, y, codes, cells, window.inside(cells, p.treetop_reach), stats)
+
+
+@dataclass(frozen=True)
+class AnnexPass(LidarPass):
+    """Pass that classifies ground that rises beside roofs as roofs, such as ramps and low annexes."""
+
+    params: AutoParameters
+    name: str = "annexes"
+    title = "take out low parts of buildings"
+    columns: tuple[str, ...] = ("labels",)
+    influence_radius_m: float | None = None
+
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> CellCodes:
+        """Subtract the ground's mean and find the cells near roofs that rise from it."""
+        p = self.params
+        cells = CellLattice.of(p.thin_cell_m, scale)
+        x, y, z, codes = lowest_points(points, cells)
+        ground, roofs = codes == GROUND, codes == ROOF
+        for index, inner in blocks(x, y, cells, p.annex_reach):
+            if not roofs[index].any():
+                continue
+            low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
+            annexes = low.annexes(ground[index], roofs[index], p.objects, p.annex_width)
+            codes[index[annexes & inner]] = ROOF
+        stats = {"annexes": int(ground.sum() - (codes == GROUND).sum())}
+        return CellCodes(x, y, codes, cells, window.inside(cells, p.annex_reach), stats)

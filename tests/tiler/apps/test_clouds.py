@@ -15,7 +15,7 @@ from tiler.apps.clouds import (
     UnreadableCloud,
     describe_many,
     is_many,
-    rows,
+    table_row,
 )
 
 
@@ -40,7 +40,7 @@ def test_each_cloud_has_a_row_and_a_broken_one_its_reason(folder: Path) -> None:
     assert (a.unit, b.unit) == ("m", "ft")
     assert isinstance(c, UnreadableCloud)
     assert c.error
-    assert all(len(row) == len(COLUMNS) for row in rows(found))
+    assert all(len(row) == len(COLUMNS) for row in map(table_row, found))
 
 
 def test_the_command_takes_folders_and_many_files(

@@ -15,11 +15,16 @@ from scipy.stats import chisquare
 
 from tests.tiler.apps.check.rasters import write_heights
 from tiler.apps.evaluate import rasters
-from tiler.apps.statement.answers import MAX_BYTES, SHARES, read_answers
-from tiler.apps.statement.rising import margin_pixels, rising
-from tiler.apps.statement.sample import Sample, draws_needed, sample_of
-from tiler.apps.statement.squares import Squares, Terrain
-from tiler.apps.statement.words import rounded_up, statement_text
+from tiler.apps.statement.sample import (
+    MAX_BYTES,
+    SHARES,
+    Sample,
+    draws_needed,
+    read_answers,
+    sample_of,
+)
+from tiler.apps.statement.squares import Squares, Terrain, margin_pixels, rising
+from tiler.apps.statement.writing import rounded_up, statement_text
 from tiler.core.betting import upper_bound
 from tiler.core.products import NODATA
 from tiler.errors import InputError

@@ -7,7 +7,7 @@ import warnings
 
 import pytest
 
-from tiler.observe.logs import set_up_logging
+from tiler.observe.json_lines import set_up_logging
 
 pytestmark = pytest.mark.usefixtures("logging_as_before")
 

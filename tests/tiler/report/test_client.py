@@ -10,8 +10,7 @@ import pytest
 
 from tests.tiler.report import results
 from tiler.core.products import FILLED, HOLE, MASK_VALUES, MEASURED, OUTSIDE
-from tiler.report.client import client_page
-from tiler.report.client_map import MAX_SHEETS
+from tiler.report.client import MAX_SHEETS, client_page
 from tiler.report.problems import MAX_ROWS
 
 WEST, NORTH = results.WEST, results.NORTH

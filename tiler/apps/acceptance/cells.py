@@ -7,24 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import find_objects, label, uniform_filter
 
 from tiler.apps.acceptance.counts import SIDE_BITS, Cells, Int64s, Keys, decoded
-from tiler.apps.acceptance.rasters import (
-    Area,
-    Mask,
-    areas,
-    closed,
-    convex_hull,
-    filled,
-    grown,
-    grown_once,
-    opened,
-    widened_boxes,
-)
 
 SPACINGS_PER_CELL = 2
 """Side of a cell in nominal pulse spacings (USGS Lidar Base Specification, spatial distribution and regularity)."""
@@ -66,6 +55,9 @@ _NO_SWATH = 2**32 - 1
 
 BYTES_PER_CELL, BYTES_PER_KEY = 48, 48
 """Memory that `examine_cells` needs per cell of the survey's extent, and per cell of a swath with points."""
+
+Mask = npt.NDArray[np.bool_]
+Labels = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -237,7 +229,9 @@ def outlined(occupied: Mask) -> tuple[Mask, Mask]:
     The second encloses gaps of up to 32 cells, and reaches a few cells too far in places.
     """
     near = closed(occupied, OUTLINE_STEPS)
-    inner = _inner(closed(_larger(occupied, np.logical_or), OUTLINE_STEPS), occupied.shape)
+    inner = _inner(
+        closed(_coarse(occupied, COARSE, np.logical_or), OUTLINE_STEPS), occupied.shape
+    )
     return filled(near), filled(near | inner)
 
 
@@ -274,15 +268,19 @@ def whole_cells(near: Mask, outline: Mask) -> Mask:
     whole = _without_edge(near & outline)
     # Cells beyond the raster are outside.
     padded = np.pad(outline, COARSE)
-    wide = _inner(_larger(padded, np.logical_and), padded.shape)
+    wide = _inner(_coarse(padded, COARSE, np.logical_and), padded.shape)
     whole |= wide[COARSE:-COARSE, COARSE:-COARSE]
     return whole
 
 
 def _inner(larger: Mask, shape: tuple[int, ...]) -> Mask:
     """Return the cells, in a raster of a shape, in those larger cells of a mask that lie inside it."""
-    inside = np.repeat(np.repeat(~grown_once(~larger), COARSE, 0), COARSE, 1)
-    return inside[: shape[0], : shape[1]]
+    return _fine(~grown_once(~larger), COARSE, shape)
+
+
+def _fine(raster: Mask, factor: int, shape: tuple[int, ...]) -> Mask:
+    """Return a mask of cells smaller by a factor, in a raster of a shape."""
+    return np.repeat(np.repeat(raster, factor, 0), factor, 1)[: shape[0], : shape[1]]
 
 
 def wide_voids(outline: Mask, occupied: Mask) -> Mask:
@@ -290,24 +288,14 @@ def wide_voids(outline: Mask, occupied: Mask) -> Mask:
 
     Narrower ones are gaps between scan lines, or chance.
     """
-    empty = _larger(outline & ~occupied, np.logical_and)
+    empty = _coarse(outline & ~occupied, COARSE, np.logical_and)
     squares = empty[:-1, :-1] & empty[1:, :-1] & empty[:-1, 1:] & empty[1:, 1:]
     core = np.zeros_like(empty)
     for row, column in ((0, 0), (1, 0), (0, 1), (1, 1)):
         core[row : row + squares.shape[0], column : column + squares.shape[1]] |= squares
-    rows, columns = occupied.shape
-    inner = np.repeat(np.repeat(core, COARSE, 0), COARSE, 1)[:rows, :columns]
+    inner = _fine(core, COARSE, occupied.shape)
     # Cells around the void that are empty by chance would leave only dense ones.
     return grown(inner, 2 * COARSE) & opened(outline & ~occupied)
-
-
-def _larger(mask: Mask, join: np.ufunc) -> Mask:
-    """Return a mask of larger cells. Those that reach beyond the raster are joined with empty cells."""
-    pads = [(0, -size % COARSE) for size in mask.shape]
-    padded = np.pad(mask, pads)
-    rows, columns = (size // COARSE for size in padded.shape)
-    joined: Mask = join.reduce(padded.reshape(rows, COARSE, columns, COARSE), axis=(1, 3))
-    return joined
 
 
 @dataclass(frozen=True)
@@ -416,15 +404,13 @@ class Coverage:
         found = np.zeros(self._n.shape, np.bool_)
         if self._added > 1:
             for factor in GAP_FACTORS:
-                fine = np.repeat(np.repeat(self._gaps_in(factor), factor, 0), factor, 1)
-                found |= fine[: found.shape[0], : found.shape[1]]
+                found |= _fine(self._gaps_in(factor), factor, found.shape)
         found &= (self._highest == 0) & (self._n == 0)
         return areas(found, VOID_CELLS)[2]
 
     def _gaps_in(self, factor: int) -> Mask:
-        """Return the gaps in cells that are larger by a factor."""
         lowest = _coarse(self._lowest, factor, np.minimum, _NO_SWATH)
-        highest = _coarse(self._highest, factor, np.maximum, 0)
+        highest = _coarse(self._highest, factor, np.maximum)
         covered = highest > 0
         labels, numbers, _ = areas(opened(closed(covered, GAP_STEPS) & ~covered), 1)
         for number, box in zip(numbers, widened_boxes(labels, numbers, 2), strict=True):
@@ -436,14 +422,128 @@ class Coverage:
         return gaps
 
 
-def _coarse(
-    raster: npt.NDArray[np.uint32], factor: int, join: np.ufunc, empty: int
-) -> npt.NDArray[np.uint32]:
-    """Return a raster of cells larger by a factor, whose values are joined."""
-    pads = [(0, -size % factor) for size in raster.shape]
-    padded = np.pad(raster, pads, constant_values=empty)
-    rows, columns = (size // factor for size in padded.shape)
-    joined: npt.NDArray[np.uint32] = join.reduce(
-        padded.reshape(rows, factor, columns, factor), axis=(1, 3)
+def _coarse(raster: npt.NDArray[Any], factor: int, join: np.ufunc, empty: int = 0) -> Any:
+    """Return a raster of cells larger by a factor, whose values are joined. Cells beyond the raster are empty."""
+    padded = np.pad(
+        raster, [(0, -size % factor) for size in raster.shape], constant_values=empty
     )
-    return joined
+    rows, columns = (size // factor for size in padded.shape)
+    return join.reduce(padded.reshape(rows, factor, columns, factor), axis=(1, 3))
+
+
+@dataclass(frozen=True)
+class Area:
+    """Connected cells: their number, and the mean column and row of their centres in the raster."""
+
+    cells: int
+    column: float
+    row: float
+
+
+def grown(mask: Mask, steps: int) -> Mask:
+    """Return the cells within some steps of a mask, in a shape near a circle.
+
+    Steps to the four and to the eight neighbours alternate, which makes an octagon.
+    """
+    for step in range(steps):
+        mask = grown_once(mask, diagonally=step % 2 > 0)
+    return mask
+
+
+def grown_once(mask: Mask, diagonally: bool = True) -> Mask:
+    """Return the cells of a mask and their eight neighbours, or only the four that share an edge."""
+    wider = mask.copy()
+    wider[1:] |= mask[:-1]
+    wider[:-1] |= mask[1:]
+    source = wider.copy() if diagonally else mask
+    wider[:, 1:] |= source[:, :-1]
+    wider[:, :-1] |= source[:, 1:]
+    return wider
+
+
+def shrunk(mask: Mask, steps: int) -> Mask:
+    """Return the cells of a mask that are more than some steps from its other cells. Cells beyond the raster count."""
+    return ~grown(~mask, steps)
+
+
+def closed(mask: Mask, steps: int) -> Mask:
+    """Return a mask with its gaps of at most two times ``steps`` cells closed."""
+    padded = np.pad(mask, steps)
+    inner = slice(steps, -steps)
+    return shrunk(grown(padded, steps), steps)[inner, inner] | mask
+
+
+def opened(mask: Mask) -> Mask:
+    """Return a mask without its parts that are narrower than three cells."""
+    return grown_once(~grown_once(~np.pad(mask, 1)))[1:-1, 1:-1]
+
+
+def filled(mask: Mask) -> Mask:
+    """Return a mask with its holes, which are the cells that it encloses."""
+    labels, _ = label(np.pad(~mask, 1, constant_values=True))
+    inside: Mask = labels[1:-1, 1:-1] != labels[0, 0]
+    return inside
+
+
+def areas(mask: Mask, min_cells: int) -> tuple[Labels, list[int], list[Area]]:
+    """Return connected cells: labels of all, and the labels and areas of those with at least ``min_cells``.
+
+    The largest area comes first, then the one with the lowest row and column.
+    """
+    labels = label(mask)[0].astype(np.int32, copy=False)
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    boxes = find_objects(labels)
+    found = []
+    for number in np.flatnonzero(sizes >= min_cells).tolist():
+        box = boxes[number - 1]
+        rows, columns = np.nonzero(labels[box] == number)
+        row, column = box[0].start + rows.mean(), box[1].start + columns.mean()
+        found.append((number, Area(int(sizes[number]), float(column), float(row))))
+    found.sort(key=lambda item: (-item[1].cells, item[1].row, item[1].column))
+    return labels, [number for number, _ in found], [area for _, area in found]
+
+
+def widened_boxes(labels: Labels, numbers: list[int], margin: int) -> list[tuple[slice, slice]]:
+    """Return the boxes around some labels with a margin inside the raster."""
+    boxes = find_objects(labels)
+    found = []
+    for number in numbers:
+        rows, columns = (
+            slice(max(side.start - margin, 0), side.stop + margin) for side in boxes[number - 1]
+        )
+        found.append((rows, columns))
+    return found
+
+
+def convex_hull(mask: Mask) -> Mask:
+    """Return the cells whose centres lie in the convex hull of the centres of a mask's cells."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    if not rows.size:
+        return mask
+    first = mask[rows].argmax(axis=1)
+    last = mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    inside = np.arange(rows[0], rows[-1] + 1)
+    left = _envelope(rows, first, inside)
+    right = -_envelope(rows, -last, inside)
+    columns = np.arange(mask.shape[1])
+    hull = np.zeros_like(mask)
+    # Rounding errors must not exclude cells on the edge.
+    hull[inside] = (columns >= left[:, None] - 1e-9) & (columns <= right[:, None] + 1e-9)
+    return hull
+
+
+def _envelope(
+    x: npt.NDArray[np.intp], y: npt.NDArray[np.intp], at: npt.NDArray[np.intp]
+) -> npt.NDArray[np.float64]:
+    """Return the lower convex envelope of points with ascending x at some positions (Andrew's monotone chain)."""
+    chain: list[tuple[int, int]] = []
+    for c in zip(x.tolist(), y.tolist(), strict=True):
+        while len(chain) > 1:
+            a, b = chain[-2:]
+            if (b[0] - a[0]) * (c[1] - a[1]) > (c[0] - a[0]) * (b[1] - a[1]):
+                break
+            chain.pop()
+        chain.append(c)
+    corners = np.array(chain, np.float64)
+    return np.interp(at, corners[:, 0], corners[:, 1])

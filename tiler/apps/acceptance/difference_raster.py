@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pyproj import CRS
 
 from tiler.apps.acceptance.separation import Separation
-from tiler.core.crs import split
+from tiler.core.crs import split_wkt
 from tiler.core.raster import NODATA
 from tiler.core.units import METRE, unit_label
 from tiler.errors import write_error
@@ -54,7 +53,7 @@ def write_differences(path: Path, found: Separation, wkt: str | None) -> str | N
     largest = np.full((height, width), NODATA, np.float32)
     largest[rows, columns] = np.abs(found.difference_m)
     transform = (found.side, 0.0, float(x0), 0.0, -found.side, float(y1))
-    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    horizontal = split_wkt(wkt)[0]
     crs = None if horizontal is None else horizontal.to_wkt()
     look = RasterMetadata(crs, unit_label(METRE), "largest difference of two swaths", {})
     with (

@@ -2,19 +2,37 @@
 
 Each point becomes a digest of 128 bits. The digests of a file are divided among temporary files by their highest bits,
 and compared file by file, so that memory does not grow with the points. Only the digests of points in the bounds of
-another input are kept until all inputs were read.
+another input are kept until all inputs were read. Their folder is a temporary one with a locked file, so that the next
+check knows if its process was killed.
 """
 
 from __future__ import annotations
 
+import platform
+import shutil
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import write_error
+from tiler.io.atomic_files import SCRATCH_PREFIX, replace_file
 
+try:
+    import fcntl
+except ImportError:  # Windows does not have this module.
+    _fcntl: Any = None
+else:
+    _fcntl = fcntl
+
+PREFIX = f"{SCRATCH_PREFIX}check-{platform.node()}-"
+"""Prefix of the folders of this machine, since locks of a shared disk may be those of one machine alone."""
+_LOCK = "lock"
+"""Name of the file that the process of a folder keeps locked. A folder without it is not removed."""
 COORDINATE_STEP = 1e-5
 """Largest difference, in units of the CRS, of coordinates that are equal. Files store the same position with different
 rounding errors if their offsets differ."""
@@ -128,3 +146,39 @@ def repeated(found: Digests) -> npt.NDArray[np.intp]:
     rows = np.flatnonzero(again[at] == found[:, 0])
     _, first = np.unique(found[rows], axis=0, return_index=True)
     return np.delete(rows, first)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Yield a temporary folder that is removed at the end, after those of checks that were killed."""
+    for folder in Path(gettempdir()).glob(f"{PREFIX}*"):
+        if _is_abandoned(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+    with TemporaryDirectory(prefix=PREFIX) as name, _locked(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep the file `_LOCK` of a folder locked. Windows does not remove a file that is open."""
+    # It has its name only once it is locked, so that no other check takes it for abandoned.
+    name = _LOCK if _fcntl is None else f"{_LOCK}.new"
+    with open(folder / name, "xb") as stream:
+        if _fcntl is not None:
+            with suppress(OSError):  # Some disks of a network have no locks.
+                _fcntl.flock(stream, _fcntl.LOCK_EX)
+                replace_file(folder / name, folder / _LOCK)
+        yield
+
+
+def _is_abandoned(folder: Path) -> bool:
+    lock = folder / _LOCK
+    try:
+        if _fcntl is None:
+            lock.unlink()
+        else:
+            with open(lock, "r+b") as stream:
+                _fcntl.flock(stream, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

@@ -25,30 +25,33 @@ from tiler.apps.acceptance.counts import (
     Cells,
     DigestPlan,
     FileCounts,
+    Survey,
     count_file,
     merged,
+    survey_of,
 )
 from tiler.apps.acceptance.duplicates import (
     DigestFiles,
     number_of_parts,
     read_digests,
     repeated,
+    scratch_folder,
 )
 from tiler.apps.acceptance.measurements import Found, Measurements, Row
 from tiler.apps.acceptance.page import MAKER, acceptance_page
-from tiler.apps.acceptance.repeatability import Precision, repeatability
 from tiler.apps.acceptance.rows import (
     MISSING_SHEETS,
     RANDOM_SOURCES,
     ROWS,
     WITHOUT_SOURCES,
 )
-from tiler.apps.acceptance.scratch import scratch_folder
 from tiler.apps.acceptance.separation import (
     MAX_NAMES,
     NO_OVERLAP,
+    Precision,
     Separation,
     find_surfaces,
+    repeatability,
     separate_swaths,
     share_cells,
     too_large,
@@ -61,10 +64,8 @@ from tiler.apps.acceptance.sheets import (
     validate_not_grid,
 )
 from tiler.apps.acceptance.specification import Specification
-from tiler.apps.acceptance.strays import Survey, survey_of
-from tiler.apps.page_file import validate_page, write_page
 from tiler.apps.results import AcceptanceRow, AcceptanceSummary
-from tiler.core.crs import crs_name, same_horizontal, split
+from tiler.core.crs import crs_name, same_horizontal, split_wkt
 from tiler.core.units import METRE
 from tiler.core.words import counted, listed
 from tiler.errors import InputError
@@ -77,6 +78,8 @@ from tiler.inputs import (
 )
 from tiler.io.las.headers import AGAIN, SALVAGE
 from tiler.io.overwrite_check import check_difference
+from tiler.report.document import validate_page
+from tiler.report.runfile import write_whole
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
 
 MAX_CHILDREN = 8
@@ -182,7 +185,7 @@ def check_clouds(
         "notes": notes,
     }
     if page is not None:
-        write_page(page, acceptance_page(summary))
+        write_whole(page, acceptance_page(summary))
     return summary
 
 
@@ -331,7 +334,7 @@ def _measure(
         [info.path for info in infos if info.georeference.kind == "missing"],
         crs_names,
         vertical_names,
-        [info.path for info in infos if not _has_vertical(info.georeference.wkt)],
+        [info.path for info in infos if split_wkt(info.georeference.wkt)[1] is None],
         findings,
         separation,
         precision,
@@ -358,15 +361,11 @@ def _different_crs(infos: Sequence[SourceInfo], part: int) -> list[str]:
     """Return the names of the different horizontal (0) or vertical (1) CRSs, sorted. A name may come twice."""
     found: list[CRS] = []
     for wkt in sorted({i.georeference.wkt for i in infos if i.georeference.wkt is not None}):
-        crs = split(CRS.from_wkt(wkt))[part]
+        crs = split_wkt(wkt)[part]
         is_same = same_horizontal if part == 0 else CRS.__eq__
         if crs is not None and not any(is_same(crs, other) for other in found):
             found.append(crs)
     return sorted(crs_name(crs.to_wkt()) for crs in found)
-
-
-def _has_vertical(wkt: str | None) -> bool:
-    return wkt is not None and split(CRS.from_wkt(wkt))[1] is not None
 
 
 def _spacing_by_headers(infos: Sequence[SourceInfo]) -> float:
@@ -375,8 +374,7 @@ def _spacing_by_headers(infos: Sequence[SourceInfo]) -> float:
     sides = boxes[:, 3:5] - boxes[:, :2]
     union = boxes[:, 3:5].max(axis=0) - boxes[:, :2].min(axis=0)
     area = min(float(union.prod()), float(sides.prod(axis=1).sum()))
-    points = sum(info.points for info in infos)
-    return math.sqrt(area / points) or 1.0
+    return math.sqrt(area / sum(info.points for info in infos)) or 1.0
 
 
 def _cells(infos: Sequence[SourceInfo], spacing: float) -> Cells:

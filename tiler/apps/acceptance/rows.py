@@ -6,6 +6,7 @@ Names of rows are the keys of a specification, and stay.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
@@ -15,8 +16,13 @@ import numpy as np
 
 from tiler.apps.acceptance.cells import CellFindings, Place, Swath
 from tiler.apps.acceptance.counts import GPS_KINDS, FileCounts
-from tiler.apps.acceptance.measurements import MAX_PLACES, Found, Measurements, Row
-from tiler.apps.acceptance.separation_rows import SEPARATION_ROWS
+from tiler.apps.acceptance.measurements import (
+    MAX_PLACES,
+    SEPARATION_ROWS,
+    Found,
+    Measurements,
+    Row,
+)
 from tiler.core.words import counted
 
 WITHOUT_SOURCES = "the points have no point source ids"
@@ -29,26 +35,19 @@ def _files(paths: Sequence[Path]) -> Found:
 
 def _points(count: Callable[[FileCounts], int]) -> Callable[[Measurements], Found]:
     """Return a function that finds a number of points, and the files that have them."""
-
-    def find(measured: Measurements) -> Found:
-        return Found(measured.total(count), [str(path) for path in measured.paths(count)])
-
-    return find
+    return lambda measured: Found(
+        measured.total(count), [str(path) for path in measured.paths(count)]
+    )
 
 
 def _values(value: Callable[[FileCounts], Any]) -> Callable[[Measurements], Found]:
     """Return a function that finds the different values of the files."""
 
     def find(measured: Measurements) -> Found:
-        by_value: dict[Any, int] = {}
-        for file in measured.files:
-            if file.points:
-                by_value[value(file)] = by_value.get(value(file), 0) + 1
+        by_value = Counter(value(file) for file in measured.files if file.points)
         found = sorted(by_value)
-        remark = ""
-        if len(found) > 1:
-            remark = ", ".join(f"{v}: {counted(by_value[v], 'file')}" for v in found)
-        return Found(found, remark=remark)
+        texts = [f"{v}: {counted(by_value[v], 'file')}" for v in found]
+        return Found(found, remark=", ".join(texts) if len(texts) > 1 else "")
 
     return find
 
@@ -57,13 +56,11 @@ def _of_cells(
     find: Callable[[CellFindings, Measurements], Found],
 ) -> Callable[[Measurements], Found]:
     """Return a function that finds a value in the cells, if they were examined."""
-
-    def found(measured: Measurements) -> Found:
-        if isinstance(measured.cells, str):
-            return Found(None, remark=measured.cells)
-        return find(measured.cells, measured)
-
-    return found
+    return lambda measured: (
+        Found(None, remark=measured.cells)
+        if isinstance(measured.cells, str)
+        else find(measured.cells, measured)
+    )
 
 
 def _of_swaths(
@@ -83,17 +80,11 @@ def _of_swaths(
                 f"point source {swath.source}: {value(swath):.4g}"
                 for swath in worst[:MAX_PLACES]
             ]
-            remark = counted(len(cells.swaths), "swath")
-            remark += (
-                f", {counted(cells.n_small, 'small one')} left out" if cells.n_small else ""
-            )
+            small = f", {counted(cells.n_small, 'small one')} left out" if cells.n_small else ""
+            remark = f"{counted(len(cells.swaths), 'swath')}{small}"
         return Found(join([value(swath) for swath in cells.swaths]), where, remark)
 
     return _of_cells(find)
-
-
-def _places(places: Sequence[Place]) -> list[str]:
-    return [f"{p.x:.1f} {p.y:.1f} ({p.area_m2:,.0f} m2)" for p in places[:MAX_PLACES]]
 
 
 def _number_of_places(
@@ -102,7 +93,8 @@ def _number_of_places(
     def find(cells: CellFindings, measured: Measurements) -> Found:
         found = places(cells)
         area = sum(place.area_m2 for place in found)
-        return Found(len(found), _places(found), f"{area:,.0f} m2" if found else "")
+        where = [f"{p.x:.1f} {p.y:.1f} ({p.area_m2:,.0f} m2)" for p in found[:MAX_PLACES]]
+        return Found(len(found), where, f"{area:,.0f} m2" if found else "")
 
     return _of_cells(find)
 
@@ -143,10 +135,6 @@ def _classes(measured: Measurements) -> Found:
     counts = np.sum([file.classes for file in measured.files], axis=0)
     found = np.flatnonzero(counts).tolist()
     return Found(found, remark=", ".join(f"{code}: {counts[code]:,}" for code in found))
-
-
-def _spacing(cells: CellFindings, measured: Measurements) -> Found:
-    return Found(1 / math.sqrt(cells.per_m2) if cells.per_m2 else None)
 
 
 def _duplicates(measured: Measurements) -> Found:
@@ -296,7 +284,7 @@ ROWS = (
         "pulse_spacing",
         "m",
         "at most",
-        _of_cells(_spacing),
+        _of_cells(lambda c, m: Found(1 / math.sqrt(c.per_m2) if c.per_m2 else None)),
         "nominal pulse spacing of all swaths, 1 / sqrt(pulse_density); its limit also gives the side of the cells",
     ),
     Row(

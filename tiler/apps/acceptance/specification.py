@@ -1,10 +1,15 @@
-"""Specifications of surveys: the limits of some rows, from a TOML file or one that comes with tiler."""
+"""Specifications of surveys: the limits of some rows, from a TOML file or one that comes with tiler.
+
+`are_clouds` says whether the arguments of ``tiler check`` are clouds, a DTM, or the results of a run.
+"""
 
 from __future__ import annotations
 
+import glob
 import math
+import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -14,11 +19,15 @@ from typing import Any
 
 from tiler.apps.acceptance.counts import GPS_KINDS
 from tiler.apps.acceptance.measurements import Row
-from tiler.apps.acceptance.repeatability import MAX_LIMIT_M
 from tiler.apps.acceptance.rows import ROWS
+from tiler.apps.acceptance.separation import MAX_LIMIT_M
 from tiler.config import load_config
 from tiler.core.units import parse_area, parse_length
 from tiler.errors import ConfigError
+from tiler.inputs import is_list
+from tiler.io.cloud_formats import FORMAT_NAMES, SUFFIXES
+from tiler.io.locations import is_url, without_query
+from tiler.io.result_folder import give_results, is_results, resolution_folders
 
 _FOLDER = files("tiler.config") / "specifications"
 
@@ -46,11 +55,6 @@ def specification_names() -> tuple[str, ...]:
     return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
 
 
-def specification_text(name: str) -> str:
-    """Return the text of a specification that comes with tiler. Its first line describes it."""
-    return _FOLDER.joinpath(f"{name}.toml").read_text("utf-8")
-
-
 def read_specification(name: str) -> Specification:
     """Return a specification by its name or from a TOML file.
 
@@ -60,7 +64,7 @@ def read_specification(name: str) -> Specification:
         There is no such specification, or a key or a value is not valid.
     """
     if name in specification_names():
-        values = tomllib.loads(specification_text(name))
+        values = tomllib.loads(_FOLDER.joinpath(f"{name}.toml").read_text("utf-8"))
     elif Path(name).suffix.lower() == ".toml":
         values = load_config(Path(name))
     else:
@@ -82,7 +86,6 @@ def read_specification(name: str) -> Specification:
 
 
 def _limit(where: str, row: Row, value: Any) -> Any:
-    """Return the limit of a row, or raise ConfigError."""
     if row.limit == "only":
         kind = str if row.name in ("las_version", "gps_time") else int
         is_list = isinstance(value, list) and value
@@ -112,3 +115,35 @@ def _limit(where: str, row: Row, value: Any) -> Any:
     if value == 0 and row.name in ("pulse_spacing", "pulse_density"):
         raise ConfigError(f"{where} = {value!r}: must be above 0")
     return value
+
+
+def are_clouds(paths: Sequence[str]) -> bool:
+    """Return whether all paths are clouds, lists, globs or folders of clouds.
+
+    Raise ConfigError if only some of them are, or if there are several that are none.
+    """
+    others = [path for path in paths if not _is_cloud(path)]
+    if not others:
+        return bool(paths)
+    if len(paths) > 1:
+        raise ConfigError(
+            f"{others[0]}: is not a cloud; give one DTM, one OUT folder, or only {FORMAT_NAMES} clouds"
+        )
+    return False
+
+
+def _is_cloud(text: str) -> bool:
+    if is_list(text) or Path(without_query(text)).suffix.lower() in SUFFIXES:
+        return True
+    if is_url(text):
+        return False
+    if os.path.isdir(text):
+        if is_results(text):
+            return False
+        if resolution_folders(text):
+            raise ConfigError(f"{text}: has no results of a run; {give_results(text)}")
+        names = (name for _, _, names in os.walk(text) for name in names)
+        return any(Path(name).suffix.lower() in SUFFIXES for name in names)
+    if glob.has_magic(text) and not os.path.lexists(text):
+        return any(_is_cloud(match) for match in glob.iglob(text, recursive=True))
+    return False

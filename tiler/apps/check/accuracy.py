@@ -312,13 +312,11 @@ def _figures(difference: Floats, own_rmse: float) -> AccuracyFigures:
     """Return the statistics of the differences that are not NaN, and the accuracy by the standard."""
     used = difference[np.isfinite(difference)]
     figures = spread(used)
-    accuracy = None
-    if figures["rmse"] is not None:
-        accuracy = math.hypot(figures["rmse"], own_rmse)
+    rmse = figures["rmse"]
     return {
         "points": int(used.size),
         **figures,
-        "rmse_v": accuracy,
+        "rmse_v": None if rmse is None else math.hypot(rmse, own_rmse),
         "outliers": int(outliers(used).sum()),
     }
 
@@ -353,15 +351,13 @@ def _offset_text(figures: AccuracyFigures, metres: Fraction) -> str | None:
 
 def _missing(points: Checkpoints, own_error: float, offset: str | None) -> list[str]:
     """Return what a statement lacks besides checkpoints, with remedies."""
-    missing = []
-    if offset is not None:
-        missing.append("the heights have a constant offset")
-    if not points.has_types:
-        missing.append("give the type of each checkpoint (NVA or VVA) in a column `type`")
-    # No survey is without error, so 0 means that the error is not known.
-    if not own_error:
-        missing.append("give the checkpoints' own RMSE with --points-rmse")
-    return missing
+    lacks = {
+        "the heights have a constant offset": offset is not None,
+        "give the type of each checkpoint (NVA or VVA) in a column `type`": not points.has_types,
+        # No survey is without error, so 0 means that the error is not known.
+        "give the checkpoints' own RMSE with --points-rmse": not own_error,
+    }
+    return [text for text, is_missing in lacks.items() if is_missing]
 
 
 def _statement(

@@ -26,6 +26,7 @@ from tiler.apps.evaluate.heights import (
 from tiler.apps.evaluate.rasters import (
     Float64s,
     blocks_with_files,
+    crs_parts,
     horizontal_unit,
     open_raster,
     raster_beside,
@@ -33,7 +34,7 @@ from tiler.apps.evaluate.rasters import (
     vertical_unit,
 )
 from tiler.apps.results import Against, ChangeFigures, ChangePlace
-from tiler.core.crs import same_horizontal, split
+from tiler.core.crs import same_horizontal
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError
@@ -178,16 +179,12 @@ def _mask_beside(dtm: Path, raster: Any, stack: ExitStack) -> Any | None:
 
 def _check_datums(dtm: Path, new: Any, old_path: Path, old: Any) -> None:
     """Raise ConfigError if both rasters state a vertical datum and these differ."""
-    one, other = (_vertical(raster) for raster in (new, old))
+    one, other = (crs_parts(raster)[1] for raster in (new, old))
     if one is not None and other is not None and _datum(one) != _datum(other):
         raise ConfigError(
             f"{dtm} has heights of {one.name}, {old_path} of {other.name}; convert one of them "
             "(gdalwarp with both vertical CRS)"
         )
-
-
-def _vertical(raster: Any) -> CRS | None:
-    return split(CRS.from_wkt(raster.crs.to_wkt()))[1] if raster.crs else None
 
 
 def _datum(crs: CRS) -> tuple[bool, str | None]:
@@ -198,15 +195,14 @@ def _datum(crs: CRS) -> tuple[bool, str | None]:
 def _notes(
     dtm: Path, new: Any, old_path: Path, old: Any, move: Transformer | None
 ) -> list[str]:
-    """Return what the comparison assumes."""
     notes = []
     without = [str(path) for path, raster in ((dtm, new), (old_path, old)) if not raster.crs]
     if without:
         notes.append(
             f"{' and '.join(without)} without a CRS: assumed to be the same as that of the other DTM"
         )
-    elif (_vertical(new) is None) != (_vertical(old) is None):
-        path = dtm if _vertical(new) is None else old_path
+    elif (crs_parts(new)[1] is None) != (crs_parts(old)[1] is None):
+        path = dtm if crs_parts(new)[1] is None else old_path
         notes.append(
             f"{path} has no vertical datum: assumed to be the same as that of the other DTM"
         )
@@ -219,9 +215,7 @@ def _notes(
 
 def _transformer(dtm: Path, new: Any, old_path: Path, old: Any) -> Transformer | None:
     """Return the transformation into the horizontal CRS of the earlier DTM, or None if it is the same or not known."""
-    if not new.crs or not old.crs:
-        return None
-    source, target = (split(CRS.from_wkt(raster.crs.to_wkt()))[0] for raster in (new, old))
+    source, target = (crs_parts(raster)[0] for raster in (new, old))
     if source is None or target is None or same_horizontal(source, target):
         return None
     try:
@@ -256,8 +250,8 @@ class _Tally:
         height, width = raster.shape
         self._transform = raster.transform
         self._pixel = float(abs(raster.transform.a) * horizontal_unit(raster))
-        self._step = self._pixel / float(vertical_unit(raster))
         self._to_m = float(vertical_unit(raster))
+        self._step = self._pixel / self._to_m
         self._change = change
         self._side = max(CELL_PIXELS, -(-max(height, width) // MAX_CELLS))
         cells = -(-height // self._side), -(-width // self._side)
@@ -316,8 +310,9 @@ class _Tally:
         labels, _ = scipy.ndimage.label(
             self._counts >= max(self._side**2 // LEAST_SHARE, 1), np.ones((3, 3))
         )
-        found = list(self._places(labels))
-        return sorted(found, key=lambda place: (-place["volume_m3"], place["bounds"]))
+        return sorted(
+            self._places(labels), key=lambda place: (-place["volume_m3"], place["bounds"])
+        )
 
     def _places(self, labels: Labels) -> Iterator[ChangePlace]:
         t, pixel_m2 = self._transform, self._pixel**2

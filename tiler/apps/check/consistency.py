@@ -111,9 +111,7 @@ class StepStatistics:
     @property
     def mean_and_largest(self) -> tuple[float | None, float | None]:
         """Mean and largest value, both None if there are no values."""
-        if not self.n:
-            return None, None
-        return self.total / self.n, self.largest
+        return (self.total / self.n, self.largest) if self.n else (None, None)
 
     @property
     def standard_error(self) -> float:
@@ -210,9 +208,7 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> Seams | None:
         metres = horizontal_unit(raster)
     if tile_m is None:
         edges = edges_of_run(as_path(dtm))
-        if edges is None:
-            return None
-        return seam_steps(dtm, edges)
+        return None if edges is None else seam_steps(dtm, edges)
     if tile_m <= 0:
         raise ConfigError(f"--tile-size {tile_m}: must be above 0")
     return seam_steps(dtm, TileEdges(float(tile_m / metres)))
@@ -416,15 +412,12 @@ def _compared(
     first, second = np.concatenate(firsts), np.concatenate(seconds)
     difference = mean[second] - mean[first]
     of_first, of_second = keys[0, first], keys[0, second]
-    pairs: list[StripPair] = []
-    for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True))):
-        pair_differences = difference[(of_first == a) & (of_second == b)]
-        pairs.append(
-            {
-                "first": a,
-                "second": b,
-                "cells": int(pair_differences.size),
-                **spread(pair_differences),
-            }
-        )
+    by_pair = {
+        (a, b): difference[(of_first == a) & (of_second == b)]
+        for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True)))
+    }
+    pairs: list[StripPair] = [
+        {"first": a, "second": b, "cells": int(found.size), **spread(found)}
+        for (a, b), found in by_pair.items()
+    ]
     return rough, difference, pairs

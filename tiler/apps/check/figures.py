@@ -55,12 +55,11 @@ def validate_figure_files(
     folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]
 ) -> None:
     """Raise ConfigError if `write_figures` would replace files that are not drawings of a check."""
-    reads: list[str | Path] = list(files_of_raster(dtm))
-    if points is not None:
-        reads.append(points)
-    reads += strips
-    check_targets([Target("--figures", folder / name) for name in FILES], reads)
-    for path in (folder / name for name in FILES):
+    given = [] if points is None else [points]
+    reads: list[str | Path] = [*files_of_raster(dtm), *given, *strips]
+    targets = [folder / name for name in FILES]
+    check_targets([Target("--figures", path) for path in targets], reads)
+    for path in targets:
         if os.path.lexists(path) and not _is_drawing(path):
             raise ConfigError(
                 f"{path}: already exists and is not a drawing of a check; give another folder with --figures"
@@ -190,21 +189,17 @@ def point_map(dtm: Path, accuracy: Accuracy) -> str:
     width, height = picture.size
     parts = [f'<image width="{width}" height="{height}" href="{picture.uri}"/>']
     points = accuracy["differences"]
-    x, y = (
-        np.array([point["x"] for point in points]),
-        np.array([point["y"] for point in points]),
-    )
+    x, y = np.array([(point["x"], point["y"]) for point in points]).T
     columns, rows = pixel_places(transform, x, y)
     largest = accuracy["all"]["p95_abs"] or 1.0
     for point, column, row in zip(
         points, columns * width / shape[1], rows * height / shape[0], strict=True
     ):
         difference = point["difference"]
-        caption, outline = "no height", ' stroke="#fff"'
+        outline = ' class="out"' if point["outlier"] else ' stroke="#fff"'
+        caption = "no height"
         if difference is not None:
             caption = f"{difference:+.3f} {accuracy['unit']}"
-        if point["outlier"]:
-            outline = ' class="out"'
         kind = " ".join(text for text in (point["kind"], point["cover"]) if text)
         parts.append(
             f'<circle cx="{column:.1f}" cy="{row:.1f}" r="6" fill="{_colour(difference, largest)}"{outline}>'
@@ -219,7 +214,5 @@ def _colour(difference: float | None, largest: float) -> str:
     if difference is None:
         return _NONE
     share = min(abs(difference) / largest, 1.0)
-    end = _BELOW
-    if difference > 0:
-        end = _ABOVE
+    end = _ABOVE if difference > 0 else _BELOW
     return "rgb({},{},{})".format(*(round(247 + (c - 247) * share) for c in end))

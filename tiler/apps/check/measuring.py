@@ -50,13 +50,7 @@ class Metric:
 
 
 def _nva(key: str) -> Callable[[Mapping[str, Any]], float | None]:
-    def value(accuracy: Mapping[str, Any]) -> float | None:
-        figure: float | None = accuracy["nva"][key]
-        if figure is None:
-            return None
-        return abs(figure)
-
-    return value
+    return lambda accuracy: None if accuracy["nva"][key] is None else abs(accuracy["nva"][key])
 
 
 METRICS: dict[str, Metric] = {
@@ -127,12 +121,7 @@ def judge(requirements: Sequence[Requirement], measured: Measured) -> list[Judge
         if value is not None and metric.is_length:
             value *= part["metres_per_unit"]
         limit = float(requirement.limit)
-        if value is None:
-            met = False
-        elif metric.at_least:
-            met = value >= limit
-        else:
-            met = value <= limit
+        met = value is not None and (value >= limit if metric.at_least else value <= limit)
         unit = "m" if metric.is_length else ""
         judged.append(
             {"name": requirement.name, "limit": limit, "value": value, "unit": unit, "met": met}
@@ -233,7 +222,5 @@ def measure(
 def _accuracy_and_seams(
     dtm: Path, points: Path | None, options: PointOptions, tile_m: Fraction | None
 ) -> tuple[Accuracy | None, Seams | None]:
-    accuracy = None
-    if points is not None:
-        accuracy = check_dtm(dtm, read_checkpoints(points), options)
+    accuracy = None if points is None else check_dtm(dtm, read_checkpoints(points), options)
     return accuracy, seams_of(dtm, tile_m)

@@ -218,10 +218,10 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
                 f"{place}: {axis} {excerpt(text)} is beyond {FARTHEST:g}, the largest coordinate; check it"
             )
         numbers.append(number)
-    texts = []
-    for name in ("kind", "cover", "name"):
-        text = row_values[name]
-        texts.append("" if text is None else str(text).strip())
+    texts = (
+        "" if row_values[name] is None else str(row_values[name]).strip()
+        for name in ("kind", "cover", "name")
+    )
     x, y, z = numbers
     return Row(x, y, z, *texts)
 

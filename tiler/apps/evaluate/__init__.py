@@ -7,7 +7,6 @@ the results.
 
 from tiler.apps.evaluate.clouds import (
     IGNORED,
-    confusion,
     evaluate_files,
     evaluate_labels,
     scores,
@@ -26,7 +25,6 @@ __all__ = [
     "IGNORED",
     "MapRequest",
     "Scene",
-    "confusion",
     "evaluate_dtm",
     "evaluate_files",
     "evaluate_labels",

@@ -63,31 +63,13 @@ def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
     """
     left_out = np.zeros(256, np.bool_)
     left_out[list(ignore)] = True
-    ground = np.zeros(2, np.int64)
-    objects = table[~left_out].sum(axis=0)
-    if not left_out[GROUND]:
-        ground = table[GROUND]
-        objects = objects - ground
-    return np.array(
-        [ground[1], ground[0], objects[1], objects[0], table[left_out].sum()], np.int64
-    )
-
-
-def confusion(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> Int64s:
-    """Return `counts_of` the `class_table` of labels and reference classes.
-
-    Parameters
-    ----------
-    labels, reference : uint8, shape (n,)
-        ASPRS classes of the same points: the labels to judge, and the reference classes.
-    ignore : sequence of int
-        Reference classes that are left out.
-    """
-    return counts_of(class_table(labels, reference), ignore)
+    ground = table[GROUND] * (not left_out[GROUND])
+    objects = table[~left_out].sum(axis=0) - ground
+    return np.array([*ground[::-1], *objects[::-1], table[left_out].sum()], np.int64)
 
 
 def scores(counts: Int64s) -> Scores:
-    """Return errors and agreement from the five counts of `confusion`."""
+    """Return errors and agreement from the five counts of `counts_of`."""
     a, b, c, d, ignored = (int(n) for n in counts)
     n = a + b + c + d
     chance = (a + b) * (a + c) + (c + d) * (b + d)
@@ -111,16 +93,22 @@ def scores(counts: Int64s) -> Scores:
 
 def ratio(part: float, whole: float) -> float | None:
     """Return a quotient, or None for a division by zero."""
-    if not whole:
-        return None
-    return part / whole
+    return part / whole if whole else None
 
 
 def evaluate_labels(
     labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED
 ) -> Scores:
-    """Return the `scores` of labels and reference classes, with the arguments of `confusion`."""
-    return scores(confusion(labels, reference, ignore))
+    """Return the `scores` of labels and reference classes.
+
+    Parameters
+    ----------
+    labels, reference : uint8, shape (n,)
+        ASPRS classes of the same points: the labels to judge, and the reference classes.
+    ignore : sequence of int
+        Reference classes that are left out.
+    """
+    return scores(counts_of(class_table(labels, reference), ignore))
 
 
 def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, ClassScores]:
@@ -128,11 +116,7 @@ def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, Cl
     scores_by_class: dict[str, ClassScores] = {}
     for code in np.flatnonzero(table.sum(axis=1)).tolist():
         other, ground = (int(n) for n in table[code])
-        wrong: int | None = ground
-        if code == GROUND:
-            wrong = other
-        if code in ignore:
-            wrong = None
+        wrong = None if code in ignore else other if code == GROUND else ground
         scores_by_class[str(code)] = {
             "points": other + ground,
             "labelled_ground": ground,
@@ -145,11 +129,10 @@ def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, Cl
 def mean_scores(scenes: Iterable[Mapping[str, Any]]) -> dict[str, float | None]:
     """Return the mean of each of `ERRORS` over scenes of equal weight, or None if all lack it."""
     scenes = list(scenes)
-    means: dict[str, float | None] = {}
-    for name in ERRORS:
-        values = [scene[name] for scene in scenes if scene[name] is not None]
-        means[name] = ratio(sum(values), len(values))
-    return means
+    values = {
+        name: [scene[name] for scene in scenes if scene[name] is not None] for name in ERRORS
+    }
+    return {name: ratio(sum(known), len(known)) for name, known in values.items()}
 
 
 _STEP = 1_000_000

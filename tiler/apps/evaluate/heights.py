@@ -115,9 +115,9 @@ def evaluate_dtm(
                 write(dtm_heights - true, row, col)
             if judge is not None:
                 judge.add(row, col, dtm_heights, true)
-    judged: SigmaScores = {}
-    if judge is not None:
-        judged = {"sigma": judge.tally.summary(), "sigma_file": str(sigma)}
+    judged: SigmaScores = (
+        {} if judge is None else {"sigma": judge.tally.summary(), "sigma_file": str(sigma)}
+    )
     return {
         "unit": unit,
         "pixels": both,
@@ -150,16 +150,12 @@ def validate_targets(
     clouds, rasters : iterable of path
         Files that the command reads.
     """
-    targets, reads = [], list(clouds)
-    if maps is not None:
-        for name in names:
-            targets += [Target("--maps", maps / f"{name}.{kind}") for kind in ("tif", "png")]
-    for raster in rasters:
-        reads += files_of_raster(raster)
+    reads = [*clouds, *(file for raster in rasters for file in files_of_raster(raster))]
     if difference is not None:
         check_difference(difference, reads)
-    check_targets(targets, reads)
     if maps is not None:
+        files = (maps / f"{name}.{kind}" for name in names for kind in ("tif", "png"))
+        check_targets([Target("--maps", file) for file in files], reads)
         validate_map_files(maps, names)
 
 

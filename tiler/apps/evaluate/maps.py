@@ -191,9 +191,7 @@ def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -
         tif.parent.mkdir(parents=True, exist_ok=True)
     _write_geotiff(grid, tif, crs)
     factor = math.ceil(max(width, height) / MAX_PICTURE)
-    small = grid
-    if factor > 1:
-        small = grid.coarser(factor)
+    small = grid.coarser(factor) if factor > 1 else grid
     table = np.zeros((256, 4), np.uint8)
     for code, colour in _COLOURS.items():
         table[code] = colour

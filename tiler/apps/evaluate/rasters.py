@@ -13,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import rasterio
 from fsspec.core import url_to_fs
+from pyproj import CRS
 from pyproj.exceptions import ProjError
 from rasterio.errors import CRSError, RasterioError
 
+from tiler.core.crs import split_wkt
 from tiler.core.units import METRE, exact_unit, unit_named
 from tiler.errors import InputError
 from tiler.io.locations import is_url, reading_remedy, state_at
@@ -168,11 +170,14 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
     return heights
 
 
+def crs_parts(raster: Any) -> tuple[CRS | None, CRS | None]:
+    """Return the horizontal CRS and that of the heights of an open raster. Each may be None."""
+    return split_wkt(raster.crs.to_wkt() if raster.crs else None)
+
+
 def vertical_unit(raster: Any) -> Fraction:
     """Return the metres in one unit of an open raster's heights: that of the band, else of the CRS."""
-    if raster.units[0]:
-        return unit_named(raster.units[0])
-    return horizontal_unit(raster)
+    return unit_named(raster.units[0]) if raster.units[0] else horizontal_unit(raster)
 
 
 def horizontal_unit(raster: Any) -> Fraction:

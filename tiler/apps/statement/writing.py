@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import subprocess
@@ -12,23 +13,22 @@ from typing import Any
 
 from tiler.apps.check import terrain_in
 from tiler.apps.evaluate.rasters import BLOCK, open_raster, raster_named
-from tiler.apps.page_file import validate_page, write_page
 from tiler.apps.review import SECONDS, SECONDS_PER_PLACE, run_in
-from tiler.apps.statement.answers import SHARES, read_answers
-from tiler.apps.statement.sample import Sample, sample_of
-from tiler.apps.statement.squares import Squares, Terrain
-from tiler.apps.statement.words import statement_text
+from tiler.apps.statement.sample import SHARES, Sample, draws_needed, read_answers, sample_of
+from tiler.apps.statement.squares import OPENING_M, Squares, Terrain
 from tiler.core.betting import DOUBT
 from tiler.core.records import new_digest
-from tiler.core.units import length_text
+from tiler.core.units import area_text, length_text, small_area_text
+from tiler.core.words import counted
 from tiler.errors import ConfigError, InputError
 from tiler.io.cloud_reading import BLOCK_BYTES
 from tiler.io.locations import is_url
 from tiler.io.result_folder import STATEMENT_PAGE, store_of
 from tiler.io.vector import Feature
 from tiler.report.cards import Card, views
-from tiler.report.document import el, page, section
-from tiler.report.places import Detail, open_survey, place_card, units_of
+from tiler.report.document import el, page, section, validate_page
+from tiler.report.places import Detail, open_survey, place_card
+from tiler.report.runfile import units_of, write_whole
 from tiler.schedule import call_isolated, half_of_memory
 
 MAKER = "tiler review --statement"
@@ -38,6 +38,10 @@ MIN_PIXEL_M, MAX_PIXEL_M = 0.1, 5.0
 """Sides of pixels for which a statement is made."""
 AROUND_M = 10.0
 """Land around a square, to which the picture adds more."""
+
+
+OBJECT_M = 1.0
+"""Least height of the objects of a statement."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +144,7 @@ def write_statement(
     # A page without squares replaces an earlier one, whose statement is out of date.
     if statement.page or (found.sample is not None and target.exists()):
         again = _command(out, page_path, store_url)
-        write_page(target, _page(Path(out), run, found, statement.text, again))
+        write_whole(target, _page(Path(out), run, found, statement.text, again))
     return statement
 
 
@@ -299,3 +303,63 @@ def _card(draw: int, place: Card, run: Mapping[str, Any]) -> Any:
         id=f"square-{draw}",
         tabindex=-1,
     )
+
+
+def rounded_up(number: float) -> int:
+    """Return a number rounded up to two digits."""
+    step = 10 ** max(math.floor(math.log10(number)) - 1, 0) if number > 0 else 1
+    return math.ceil(number / step) * step
+
+
+def statement_text(
+    sample: Sample | None, pixels: int, rising: int, pixel_m2: float, units: tuple[float, float]
+) -> str:
+    """Return the sentence on the objects left in a terrain.
+
+    Parameters
+    ----------
+    sample : Sample or None
+        None if no pixel rises.
+    pixels, rising : int
+        Numbers of pixels with a height, and of those that rise.
+    pixel_m2 : float
+        Area of a pixel in square metres.
+    units : (float, float)
+        Metres in a unit of the coordinates, and in one of the heights.
+    """
+    wide, high = units
+    objects = (
+        f"objects that rise by {length_text(OBJECT_M, high)} or more, "
+        f"up to {length_text(OPENING_M, wide)} wide, are left"
+    )
+    land = f"{area_text(pixels * pixel_m2, wide)} of terrain"
+    if sample is None:
+        return f"no square to look at: none of {land} rises above the land around"
+    rises = f"{small_area_text(rising * pixel_m2, wide)} rises above the land around"
+    later = f"; {counted(sample.waiting, 'later answer')} will count once all squares before are answered"
+    if not sample.shares:
+        begin = f"no answer counts yet: of {land}, {rises}; "
+        return begin + _needed(sample, rising * pixel_m2, wide) + later * bool(sample.waiting)
+    bound = small_area_text(rounded_up(sample.max_pixels * pixel_m2 / wide**2) * wide**2, wide)
+    if sample.seen == sample.squares:
+        basis = f"as every square that rises was looked at ({sample.squares:,})"
+    else:
+        with_objects = sum(share > 0 for share in sample.shares)
+        number = counted(len(sample.shares), "random draw")
+        basis = f"95 % sure ({number}, {with_objects:,} with objects)"
+    text = f"at most {bound} of {objects} in {land}, of which {rises}, {basis}"
+    return text + later * bool(sample.waiting)
+
+
+def _needed(sample: Sample, rising_m2: float, wide: float) -> str:
+    """Return how many squares without an object give round bounds."""
+    rising = rising_m2 / wide**2
+    power = math.ceil(math.log10(rising)) - 1
+    bounds = []
+    for bound in (10**power, 10 ** (power - 1)):
+        needed = draws_needed(bound / rising)
+        if bound >= 1 and needed < sample.squares:
+            bounds.append(f"{needed:,} for at most {small_area_text(bound * wide**2, wide)}")
+    if not bounds:
+        return f"look at {'the square' if sample.squares == 1 else f'all {sample.squares:,} squares'}"
+    return f"draws without an object that are needed, 95 % sure: {', '.join(bounds)}"

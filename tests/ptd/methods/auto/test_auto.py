@@ -73,9 +73,8 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     unsearched = ptd.classify(xyz, "auto", Auto(low_group=0))
     assert unsearched.stats["noise"]["low_noise"] == 0
     assert 7 not in unsearched.classification
-    roofs = [f"roofs{n}" for n in ("", 2, 3, 4)]
     before = ["survey", "noise", "seeds", "summits", "densify", "refine"]
-    assert list(result.stats) == [*before, *roofs, "treetops", "label"]
+    assert list(result.stats) == [*before, "roofs", "roofs2", "treetops", "annexes", "label"]
 
 
 @pytest.mark.parametrize(
@@ -232,6 +231,26 @@ def test_two_flat_roofs_that_differ_by_little_are_no_ground(parapet_m: float) ->
     assert found[~(roof | annexe)].mean() > 0.99
 
 
+@pytest.mark.parametrize("side_m", [60.0, 24.0])
+def test_a_ramp_beside_a_hall_is_no_ground_but_a_terrace_is(side_m: float) -> None:
+    """The ramp ends at the wall, where there is no ground; the terrace is as high, but wider than an object."""
+    rng = np.random.default_rng(8)
+    x, y = rng.uniform(0, 200, (2, 160_000))
+    z = 0.02 * x + rng.normal(0, 0.02, x.size)
+    hall = (abs(x - 100) < side_m) & (abs(y - 120) < 25)
+    ramp = (abs(x - 100) < 0.4 * side_m) & (y > 87) & (y <= 95)
+    terrace = y >= 145
+    z[hall], z[ramp | terrace] = 10.0, z[ramp | terrace] + 1.4
+    xyz = np.stack([x, y, z], axis=1)
+    result = ptd.classify(xyz, "auto", kind="lidar")
+    is_ground = result.classification == 2
+    assert is_ground[hall].mean() == 0
+    assert is_ground[ramp].mean() < 0.02
+    assert is_ground[terrace].mean() > 0.97
+    assert is_ground[~(hall | ramp | terrace)].mean() > 0.99
+    assert result.stats["annexes"]["annexes"] > 100
+
+
 def test_the_decision_reaches_the_result() -> None:
     xyz, _ = scene(4000)
     result = ptd.classify(xyz, "auto", sigma=0.2, kind="dim")
@@ -254,6 +273,7 @@ def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().summit_reach == 18 + 3 + 8 + 2
     assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
+    assert Auto().annex_reach == 2 * (20 + 2 * 6)
     assert {step.name: step.influence_radius_m for step in Auto().passes} == {
         "survey": 24.0,
         "noise": 20.0,
@@ -263,9 +283,8 @@ def test_reaches_are_those_of_the_rules() -> None:
         "refine": 60.0,
         "roofs": 229.0,
         "roofs2": 229.0,
-        "roofs3": 229.0,
-        "roofs4": 229.0,
         "treetops": 181.0,
+        "annexes": 65.0,
         "label": None,
         "cells": 4.0,
         "objects": 324.0,
@@ -310,7 +329,7 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
     assert tiled == state
 
     class Refine(Until):
-        passes = (*params.passes[:4], *params.passes[5:7], params.passes[10])
+        passes = (*params.passes[:4], *params.passes[5:10])
 
     truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None, kind="lidar")
     labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m, kind="lidar")

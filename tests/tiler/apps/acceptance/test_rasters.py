@@ -10,10 +10,9 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.ndimage import binary_fill_holes, binary_opening
 from scipy.spatial import ConvexHull
 
-from tiler.apps.acceptance.cells import Coverage
+from tiler.apps.acceptance.cells import Coverage, areas, closed, convex_hull, filled, opened
 from tiler.apps.acceptance.counts import CellCounter, Cells, decoded
 from tiler.apps.acceptance.duplicates import DigestFiles, digests, number_of_parts, repeated
-from tiler.apps.acceptance.rasters import areas, closed, convex_hull, filled, opened
 
 masks = arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=14))
 

@@ -12,7 +12,7 @@ from tests.tiler.apps.acceptance.pulses import Pulses, lattice
 from tests.tiler.apps.acceptance.test_measuring import ASKED, FEET, rows
 from tiler.apps.acceptance import Specification, read_specification
 from tiler.apps.acceptance.counts import Cells
-from tiler.apps.acceptance.repeatability import repeatability
+from tiler.apps.acceptance.separation import repeatability
 from tiler.errors import ConfigError
 
 

@@ -14,7 +14,7 @@ from tiler.apps.acceptance import check_clouds
 
 HOLD = """
 import sys
-from tiler.apps.acceptance.scratch import scratch_folder
+from tiler.apps.acceptance.duplicates import scratch_folder
 with scratch_folder() as folder:
     (folder / "own-0-0").write_bytes(bytes(100))
     print(folder, flush=True)

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 from tests.tiler.apps.evaluate.clouds import write_cloud
-from tiler.apps.evaluate import IGNORED, confusion, evaluate_files, evaluate_labels, scores
-from tiler.apps.evaluate.clouds import ERRORS, class_scores, class_table, mean_scores
+from tiler.apps.evaluate import IGNORED, evaluate_files, evaluate_labels, scores
+from tiler.apps.evaluate.clouds import (
+    ERRORS,
+    class_scores,
+    class_table,
+    counts_of,
+    mean_scores,
+)
 from tiler.errors import InputError
 
 
@@ -32,14 +38,14 @@ def test_counts_and_errors_of_a_small_table():
 
 def test_ignored_classes_are_left_out_and_counted():
     truth = np.array([2, 1, *IGNORED], np.uint8)
-    assert confusion(np.full(truth.size, 2, np.uint8), truth).tolist() == [
+    assert counts_of(class_table(np.full(truth.size, 2, np.uint8), truth)).tolist() == [
         1,
         0,
         1,
         0,
         len(IGNORED),
     ]
-    assert confusion(np.full(truth.size, 2, np.uint8), truth, ()).tolist() == [
+    assert counts_of(class_table(np.full(truth.size, 2, np.uint8), truth), ()).tolist() == [
         1,
         0,
         1 + len(IGNORED),
@@ -57,7 +63,7 @@ def test_a_division_by_zero_gives_none():
 
 def test_labels_of_other_points_are_refused():
     with pytest.raises(InputError, match="3 labels against 2 true ones"):
-        confusion(np.zeros(3, np.uint8), np.zeros(2, np.uint8))
+        class_table(np.zeros(3, np.uint8), np.zeros(2, np.uint8))
 
 
 def test_each_true_class_has_figures_of_its_own():
