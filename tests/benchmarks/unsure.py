@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,14 +37,14 @@ from tiler.grid.unsure_terrain import (
     LEAST_CHANCE,
     LEAST_SUM,
     RIM_CELLS,
-    SQUARE_CELLS,
+    SQUARE_M,
     Weights,
     measured,
     shape_of,
 )
 
 RIDGE = 2.0
-CORNERS = tuple(itertools.product((0, SQUARE_CELLS // 2), repeat=2))
+CORNERS = tuple(itertools.product((0, int(SQUARE_M / 2)), repeat=2))
 """Positions of the squares that cut places. Each counts as a scene, since scenes are small."""
 GROUPS = {
     "forest": "woods", "mountain": "woods", "bluff": "woods", "terraces": "slopes", "village": "slopes",
@@ -95,7 +94,9 @@ def family_of(name: str) -> str:
 
 def group_of(family: str) -> str:
     """The group of scenes in the table."""
-    return GROUPS.get(family, "ISPRS" if family == "ISPRS" else "towns, quarries, rivers")
+    return GROUPS.get(
+        family, "ISPRS" if family == "ISPRS" else "towns, halls, quarries, rivers, parks"
+    )
 
 
 def fitted(samples: Iterable[Sample]) -> Weights:
@@ -134,7 +135,7 @@ class Score(NamedTuple):
 
 def scored(sample: Sample, weights: Weights) -> Score:
     """The places of a scene against the truth."""
-    by = np.array(astuple(weights))
+    by = np.array(weights)
     chance = 1 / (1 + np.exp(-(by[0] + sample.measures @ by[1:])))
     is_listed = (chance >= LEAST_CHANCE) & (sample.squared >= LEAST_SUM)
     taken = np.append(False, is_listed)[sample.labels]
@@ -178,7 +179,13 @@ def row_of(name: str, scores: Sequence[Score]) -> list[str]:
     share = 100 * total.in_places / max(total.squared, 1e-9)
     counts = (total.judged, total.wrong, total.objects, total.found)
     per_km2 = total.places / total.km2
-    return [name, str(len(scores)), f"{per_km2:.0f}", *map(str, counts), f"{share:.0f}"]
+    return [
+        name,
+        str(len(scores) // len(CORNERS)),
+        f"{per_km2:.0f}",
+        *map(str, counts),
+        f"{share:.0f}",
+    ]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

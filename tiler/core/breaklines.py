@@ -305,6 +305,14 @@ def rings_of_areas(areas: Sequence[Area]) -> list[Rings | None]:
     return [drawn([np.vstack((ring, ring[:1])) for ring in rings]) for rings in rings_by_area]
 
 
+def area_within(rings: Sequence[Sequence[float]]) -> Any:
+    """Return the shapely area within closed rings, each x, y, x, y, ... A ring inside another one is a hole."""
+    import shapely
+
+    lines = [np.reshape(ring, (-1, 2)) for ring in rings]
+    return shapely.build_area(shapely.MultiLineString(lines))
+
+
 def rings_of(parts: npt.NDArray[Any], size: float) -> Rings:
     """Return rings of polygons, simplified with the tolerance ``size``, which doubles until the vertices are few."""
     import shapely

@@ -6,6 +6,7 @@ does both, as the points take most of its time.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from tiler.core.raster import Block
 from tiler.grid.block_surroundings import PixelCells, PointsNear
 from tiler.grid.ground import classed
 from tiler.grid.object_candidates import (
+    MOST_CHANCE,
     RING_CELLS,
     TOUCHING,
     Bools,
@@ -35,10 +37,8 @@ from tiler.grid.object_candidates import (
 )
 from tiler.grid.steps import Counts
 from tiler.grid.unsure_terrain import (
-    Shape,
     may_be_unsure,
     shape_of,
-    squares_around,
     unsure_places,
 )
 
@@ -46,8 +46,6 @@ CELL_M, MAX_CELL_M = 1.0, 2.0
 """Approximate and largest side of the cells in which the terrain is examined. In coarser pixels nothing is found."""
 LEAST_PIXEL_M = 0.2
 """Side of the smallest pixels that are examined. The land around a block has too many smaller ones."""
-MOST_CHANCE = 0.9
-"""Largest chance that is told, as the constants of `Weights` are of simulated scenes."""
 WIDER_CELLS = 2
 """Number of cells by which the outline is wider. Points beside the place would span the object again after an edit."""
 
@@ -81,7 +79,8 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     counts : dict
         ``objects``: for each its ``chance``, ``height_m``, ``steep`` and number of ``pixels``. Of its outline, which is
         `WIDER_CELLS` wider, the number of ``ground`` points, and ``rectangles``: first row, first column, last row and
-        last column of pixels of runs of its cells. ``unsure``: see `_unsure`.
+        last column of pixels of runs of its cells.
+        ``unsure``: for each what `unsure_places` tells, its number of ``pixels`` and ``rectangles``.
     """
     spec, block, frame = points.spec, points.block, points.frame
     pixel_m = float(spec.lattice.size * frame.metres_xy)
@@ -94,131 +93,51 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     pixels = terrain[top : top + wide.window.height, left : left + wide.window.width]
     heights = wide.means(pixels, ~np.isnan(pixels)) * float(frame.units.vertical)
     found, levels = candidates(heights, cell_m, reach_cells(cell_m) - near_cells(cell_m))
-    near = PixelCells(spec, block, side, near_cells(cell_m))
-    is_here = _is_here(near, block, found.row, found.column)
-    is_judged = _nested_with(found, levels, is_here & found.shaped(Limits()))
-    squares = _squares(wide, PixelCells(spec, block, side, 0))
-    shape = shape_of(heights[squares], cell_m)
-    boxes = [squares] if may_be_unsure(shape.rise, cell_m).any() else []
-    if is_judged.any():
-        boxes.append(_shifted(_hull(found, levels, is_judged), _part(wide, near)))
-    if not boxes:
-        return None, {"objects": [], "unsure": []}
-    counts = _counts(points, wide, _around(boxes))
-    unsure = _unsure(wide, squares, block, shape, counts, cell_m)
-    ground, objects = (n[_part(wide, near)] for n in counts)
+    cells = PixelCells(spec, block, side, near_cells(cell_m))
+    is_here = partial(_is_here, cells, block)
+    is_judged = _nested_with(
+        found, levels, is_here(found.row, found.column) & found.shaped(Limits())
+    )
+    row, column = cells.north - wide.north, cells.west - wide.west
+    shape = shape_of(heights[row:-row, column:-column], cell_m)
+    box: Box = tuple(slice(0, n) for n in shape.rise.shape)
+    if not may_be_unsure(shape.rise, cell_m).any():
+        if not is_judged.any():
+            return None, {"objects": [], "unsure": []}
+        box = _hull(found, levels, is_judged)
+    ground, objects = _counts(points, cells, box)
     measures = measures_of(found, levels, ground, objects, cell_m)
     chance = np.where(is_judged, chances(measures), 0.0)
-    places = _objects(found, levels, chance, is_here, ground, near)
+    places = [
+        {
+            "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
+            "height_m": round(float(found.height_m[i]), 2),
+            "steep": round(float(found.steep[i]), 3),
+            "ground": int(ground[wider][outline].sum()),
+            "pixels": int(inside.sum()) * side**2,
+            "rectangles": _rectangles(outline, wider, cells.window, side),
+        }
+        for i, inside, own in chosen(found, levels, chance)
+        if is_here(found.row[i], found.column[i])
+        for outline, wider in [_widened(inside, own)]
+    ]
+    unsure = [
+        {
+            **place.told,
+            "pixels": int(place.cells.sum()) * side**2,
+            "rectangles": _rectangles(place.cells, place.box, cells.window, side),
+        }
+        for place in unsure_places(shape, ground, objects, cell_m, (cells.north, cells.west))
+        if is_here(place.row, place.column)
+    ]
     return None, {"objects": places, "unsure": unsure}
 
 
-def _objects(
-    found: Candidates,
-    levels: list[Level],
-    chance: Float64,
-    is_here: Bools,
-    ground: Int64,
-    near: PixelCells,
-) -> list[dict[str, Any]]:
-    """Return the objects whose first cell begins in a block, with their outlines."""
-    places = []
-    for i, inside, box in chosen(found, levels, chance):
-        if is_here[i]:
-            outline, wider = _widened(inside, box)
-            places.append(
-                {
-                    "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
-                    "height_m": round(float(found.height_m[i]), 2),
-                    "steep": round(float(found.steep[i]), 3),
-                    "ground": int(ground[wider][outline].sum()),
-                    "pixels": int(inside.sum()) * near.side**2,
-                    "rectangles": _rectangles(outline, wider, near.window, near.side),
-                }
-            )
-    return places
-
-
-def _unsure(
-    wide: PixelCells,
-    part: Box,
-    block: Block,
-    shape: Shape,
-    counts: tuple[Int64, Int64],
-    cell_m: float,
-) -> list[dict[str, Any]]:
-    """Return the unsure places in a part of the cells whose first cell begins in a block.
-
-    Each has its ``chance``, mean ``rise_m``, ``gap_m`` and ``tilt``, share of ``objects``, number of ``pixels``, and
-    ``rectangles`` as objects have.
-    """
-    ground, objects = (n[part] for n in counts)
-    rows, columns = part
-    corner = wide.north + rows.start, wide.west + columns.start
-    found = unsure_places(shape, ground, objects, cell_m, corner)
-    first = np.array([(p.row + rows.start, p.column + columns.start) for p in found])
-    is_here = _is_here(wide, block, *first.reshape(-1, 2).T)
-    return [
-        {
-            "chance": round(min(place.chance, MOST_CHANCE), 3),
-            "rise_m": round(place.rise_m, 2),
-            "gap_m": round(place.gap_m, 1),
-            "tilt": round(place.tilt, 2),
-            "objects": round(place.objects, 2),
-            "pixels": int(place.cells.sum()) * wide.side**2,
-            "rectangles": _rectangles(
-                place.cells, _shifted(place.box, part), wide.window, wide.side
-            ),
-        }
-        for place, here in zip(found, is_here, strict=True)
-        if here
-    ]
-
-
-def _is_here(cells: PixelCells, block: Block, row: Int64, column: Int64) -> Bools:
-    """Return a mask of the cells that begin in a block."""
+def _is_here(cells: PixelCells, block: Block, row: Any, column: Any) -> Any:
+    """Return whether cells begin in a block. Those that begin before the raster count as its first."""
     row = np.maximum(cells.window.row + row * cells.side, 0) - block.row
     column = np.maximum(cells.window.col + column * cells.side, 0) - block.col
-    is_here: Bools = (row >= 0) & (row < block.height) & (column >= 0) & (column < block.width)
-    return is_here
-
-
-def _part(wide: PixelCells, cells: PixelCells) -> Box:
-    """Return the rows and columns of some cells among those of a wider margin."""
-    top, left = cells.north - wide.north, cells.west - wide.west
-    rows, columns = (n // cells.side for n in (cells.window.height, cells.window.width))
-    return slice(top, top + rows), slice(left, left + columns)
-
-
-def _shifted(box: Box, part: Box) -> Box:
-    """Return a box of the cells of a part as one of all cells."""
-    return tuple(
-        slice(own.start + whole.start, own.stop + whole.start)
-        for own, whole in zip(box, part, strict=True)
-    )
-
-
-def _squares(wide: PixelCells, own: PixelCells) -> Box:
-    """Return the cells that decide on the unsure places that may begin in those of a block."""
-    ends = (
-        squares_around(first, pixels // own.side)
-        for first, pixels in (
-            (own.north, own.window.height),
-            (own.west, own.window.width),
-        )
-    )
-    return tuple(
-        slice(first - corner, stop - corner)
-        for (first, stop), corner in zip(ends, (wide.north, wide.west), strict=True)
-    )
-
-
-def _around(boxes: list[Box]) -> Box:
-    """Return the box around some."""
-    return tuple(
-        slice(min(part.start for part in parts), max(part.stop for part in parts))
-        for parts in zip(*boxes, strict=True)
-    )
+    return (row >= 0) & (row < block.height) & (column >= 0) & (column < block.width)
 
 
 def _nested_with(found: Candidates, levels: list[Level], some: Bools) -> Bools:

@@ -42,6 +42,8 @@ FALL_CELLS, GAP_CELLS, RING_CELLS = 2, 2, 6
 """Distance in cells within which a border falls, and at which the land around begins and ends."""
 LEAST_CHANCE = 0.5
 """Least chance of a place that is listed."""
+MOST_CHANCE = 0.9
+"""Largest chance that is told, as the constants of `Weights` are of simulated scenes."""
 TOUCHING = np.ones((3, 3), np.bool_)
 
 

@@ -4,15 +4,14 @@ Under plants and on steep land, no return may have reached the ground. The TIN t
 places do not stand up from the land around, as objects do (`tiler.grid.object_candidates`).
 
 The measure is the height above the lowest cell nearby, without the trend of the land, times the root of the distance to
-the nearest ground. Places are connected cells with a large measure within a square of `SQUARE_CELLS`, so that none is
+the nearest ground. Places are connected cells with a large measure within a square of `SQUARE_M`, so that none is
 longer. Each gets a chance from six means. All that decides on a place lies within `RIM_CELLS` of its square, and
 sums are of whole numbers. So blocks do not change the result.
 """
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +19,10 @@ import scipy
 
 from ptd.gridding.ground_cells import box_sums
 from tiler.grid.coarse import distances
-from tiler.grid.object_candidates import TOUCHING, Bools, Box, Float64, Int64
+from tiler.grid.object_candidates import MOST_CHANCE, TOUCHING, Bools, Box, Float64, Int64
 
-SQUARE_CELLS = 48
-"""Side of the squares that cut places."""
+SQUARE_M = 48.0
+"""Side of the squares that cut places, which have whole cells."""
 TREND_M, NEARBY_M, AROUND_M = 9.0, 5.0, 21.0
 """Sides of the windows of the trend, of the lowest cell and of the returns around."""
 FARTHEST_CELLS = 8
@@ -42,8 +41,7 @@ MM = 1000.0
 """Sums are of whole millimetres."""
 
 
-@dataclass(frozen=True)
-class Weights:
+class Weights(NamedTuple):
     """Logarithm of the odds that a place is wrong, as a sum.
 
     The constants were fitted by ``python -m tests.benchmarks.unsure``. Rises, distances, slopes and areas count with
@@ -84,17 +82,13 @@ class Shape(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Place with its cells, their box, first cell, chance, mean rise and gap in metres, tilt, and share of objects."""
+    """Place with its cells, their box, its first cell, and what is told of it: see `unsure_places`."""
 
     cells: Bools
     box: Box
     row: int
     column: int
-    chance: float
-    rise_m: float
-    gap_m: float
-    tilt: float
-    objects: float
+    told: dict[str, Any]
 
 
 def shape_of(heights: Float64, cell_m: float) -> Shape:
@@ -136,19 +130,31 @@ def unsure_places(
         Side of a cell in metres.
     corner : tuple of int
         Row and column of the first cell, which say where the squares begin.
+
+    Returns
+    -------
+    list of Place
+        Each tells its ``chance``, its mean ``rise_m`` and ``gap_m``, the ``tilt`` of the land, and the share of
+        ``objects``.
     """
     labels, squared, measures = measured(shape, ground, objects, cell_m, corner)
-    always, *by = astuple(Weights())
+    always, *by = Weights()
     # A matrix product may depend on the number of rows in its last bit.
     chance = scipy.special.expit(always + (measures * by).sum(axis=1))
     boxes = scipy.ndimage.find_objects(labels)
     places = []
     for i in np.flatnonzero((chance >= LEAST_CHANCE) & (squared >= LEAST_SUM)):
-        box, cells = boxes[i], labels[boxes[i]] == i + 1
-        row, column = box[0].start, box[1].start + int(np.argmax(cells[0]))
+        cells = labels[boxes[i]] == i + 1
+        row, column = boxes[i][0].start, boxes[i][1].start + int(np.argmax(cells[0]))
         rise, gap, share, tilt = measures[i, :4]
-        means = np.exp(rise), np.exp(gap) ** 2, np.exp(tilt), share
-        places.append(Place(cells, box, row, column, float(chance[i]), *map(float, means)))
+        told = {
+            "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
+            "rise_m": round(float(np.exp(rise)), 2),
+            "gap_m": round(float(np.exp(gap)) ** 2, 1),
+            "tilt": round(float(np.exp(tilt)), 2),
+            "objects": round(float(share), 2),
+        }
+        places.append(Place(cells, boxes[i], row, column, told))
     return places
 
 
@@ -161,13 +167,11 @@ def measured(
     measure = _smooth(shape.rise * gap)
     # At the border of the window, cells have no neighbours. They belong to no place of a block.
     measure[[0, -1]] = measure[:, [0, -1]] = 0.0
-    at = np.flatnonzero(measure >= LEAST_MEASURE)
     half = _half(AROUND_M, cell_m)
-    n_objects, n_ground = (_around(n, half).ravel() for n in (objects, ground))
-    is_dense = (n_objects + n_ground)[at] >= LEAST_RETURNS_M2 * (2 * half + 1) ** 2 * cell_m**2
-    cells = np.zeros(measure.shape, np.bool_)
-    cells.flat[at[is_dense]] = True
-    labels = _labels_in_squares(cells, corner)
+    n_objects, returns = (_around(n, half) for n in (objects, objects + ground))
+    is_dense = returns >= LEAST_RETURNS_M2 * (2 * half + 1) ** 2 * cell_m**2
+    cells = (measure >= LEAST_MEASURE) & is_dense
+    labels = _labels_in_squares(cells, corner, square_cells(cell_m))
     sizes = np.bincount(labels.ravel())
     is_kept = sizes * cell_m**2 >= LEAST_AREA_M2
     is_kept[0] = False
@@ -182,7 +186,7 @@ def measured(
     columns = (
         np.log(mean(shape.rise.ravel()[at]) + 0.05),
         np.log(mean(gap.ravel()[at]) + 0.1),
-        mean(n_objects[at] / (n_objects + n_ground)[at]),
+        mean(n_objects.ravel()[at] / returns.ravel()[at]),
         np.log(mean(_slope(shape.trend, at, cell_m)) + 0.05),
         np.log(mean(_slope(shape.heights, at, cell_m)) + 0.05),
         np.log(area * cell_m**2),
@@ -191,19 +195,19 @@ def measured(
     return labels, squared, np.column_stack(columns)
 
 
-def squares_around(first: int, size: int) -> tuple[int, int]:
-    """Return the first cell, and the one after the last, that decide on the places of squares that touch some cells."""
-    top, bottom = first // SQUARE_CELLS, -(-(first + size) // SQUARE_CELLS)
-    return top * SQUARE_CELLS - RIM_CELLS, bottom * SQUARE_CELLS + RIM_CELLS
+def square_cells(cell_m: float) -> int:
+    """Return the side of the squares that cut places."""
+    return int(SQUARE_M / cell_m)
 
 
-def _labels_in_squares(cells: Bools, corner: tuple[int, int]) -> npt.NDArray[np.int32]:
+def _labels_in_squares(
+    cells: Bools, corner: tuple[int, int], side: int
+) -> npt.NDArray[np.int32]:
     """Label connected cells within each square, by labelling the squares with gaps between them."""
-    at = [
-        first % SQUARE_CELLS + np.arange(size)
-        for first, size in zip(corner, cells.shape, strict=True)
-    ]
-    rows, columns = (i + i // SQUARE_CELLS for i in at)
+    at = (
+        first % side + np.arange(size) for first, size in zip(corner, cells.shape, strict=True)
+    )
+    rows, columns = (i + i // side for i in at)
     apart = np.zeros((rows[-1] + 1, columns[-1] + 1), np.bool_)
     place = np.ix_(rows, columns)
     apart[place] = cells

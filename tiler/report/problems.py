@@ -241,7 +241,7 @@ def _left(run: Run) -> Iterator[Problem]:
 
 def _unsure(run: Run) -> Iterator[Problem]:
     """Yield the places where ground points are few and the terrain is rough, the worst first."""
-    unit = _unit(run, "vertical")
+    unit = units_of(run)[1]
     for place in run.get("unsure", ()):
         share, causes = place["objects"], []
         if share >= PLANTS:

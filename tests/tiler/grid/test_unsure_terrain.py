@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.tiler.grid.conftest import Scene
 from tests.tiler.grid.test_left_objects import blocks_of
-from tiler.grid.unsure_terrain import LEAST_CHANCE, SQUARE_CELLS, shape_of, unsure_places
+from tiler.core.raster import Block
+from tiler.core.units import METRE, Units
+from tiler.grid.object_candidates import MOST_CHANCE, near_cells
+from tiler.grid.tasks.left_objects import report_left_objects, report_unsure
+from tiler.grid.unsure_terrain import (
+    LEAST_CHANCE,
+    RIM_CELLS,
+    shape_of,
+    square_cells,
+    unsure_places,
+)
 
 SIDE = 200
 ROWS, COLUMNS = np.indices((SIDE, SIDE)).astype(float)
@@ -50,8 +61,8 @@ def test_rough_land_far_from_ground_is_found_there(cell_m: float) -> None:
     cells = np.zeros(rough_land.shape, np.bool_)
     for place in places:
         cells[place.box] |= place.cells
-        assert max(place.cells.shape) <= SQUARE_CELLS
-        assert LEAST_CHANCE <= place.chance <= 1
+        assert max(place.cells.shape) <= square_cells(cell_m)
+        assert LEAST_CHANCE <= place.told["chance"] <= MOST_CHANCE
     assert np.count_nonzero(cells & rough_land) >= 0.3 * np.count_nonzero(rough_land)
     assert not (cells & ~patch(100, 100, 17)).any()
 
@@ -77,6 +88,48 @@ def test_sparse_scans_are_not_judged() -> None:
 def found(heights: np.ndarray, seen: np.ndarray, cell_m: float) -> list:
     """Return the places in cells with six ground points each where the ground is seen, else with six objects."""
     return unsure_places(shape_of(heights, cell_m), 6 * seen, 6 * ~seen, cell_m)
+
+
+def test_a_place_is_not_listed_where_an_object_is(make_scene) -> None:
+    """Objects cover half of the first place, less of the second one, and none of the third one."""
+    spec = make_scene(np.zeros((1, 3), np.int64), np.array([2], np.uint8)).grid_into_store(
+        "dtm", Fraction(1000)
+    )
+    told = {"chance": 0.8, "rise_m": 1.0, "gap_m": 2.0, "tilt": 0.1, "objects": 0.5}
+    places = [
+        {**told, "pixels": 60, "rectangles": [[row, 10, row + 5, 19]]} for row in (10, 30, 50)
+    ]
+    objects = [
+        {
+            "chance": 0.7,
+            "height_m": 2.0,
+            "steep": 0.8,
+            "ground": 1,
+            "pixels": 1,
+            "rectangles": r,
+        }
+        for r in ([[10, 0, 15, 11]], [[8, 12, 17, 14]], [[30, 16, 39, 30]])
+    ]
+    blocks = {
+        Block(0, 0, 64, 64): {"objects": objects[1:], "unsure": places[:1]},
+        Block(0, 64, 64, 64): {"objects": objects[:1], "unsure": places[1:]},
+    }
+    plan = SimpleNamespace(
+        grid=SimpleNamespace(resolution=Fraction(1)),
+        frame=SimpleNamespace(units=Units(METRE, METRE)),
+    )
+    notes: list[str] = []
+    job = SimpleNamespace(plan=plan, results=SimpleNamespace(), note=notes.append)
+    report_left_objects(job, spec, blocks)
+    report_unsure(job, spec, blocks)
+    norths = [place.bounds[3] for place in job.results.unsure]
+    assert norths == [float(spec.north - row) for row in (50, 30)]
+    assert notes[1] == "the terrain is unsure in 2 places, see review.gpkg"
+
+
+@pytest.mark.parametrize("cell_m", np.linspace(0.65, 2.0, 28))
+def test_the_cells_near_a_block_decide_on_all_squares_that_touch_it(cell_m: float) -> None:
+    assert near_cells(cell_m) >= square_cells(cell_m) - 1 + RIM_CELLS
 
 
 @pytest.mark.parametrize("resolution", [500, 700, 1000])

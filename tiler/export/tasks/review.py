@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import shapely
 
+from tiler.core.breaklines import area_within
 from tiler.core.results import ReviewResult
 from tiler.core.review import (
     BARE,
@@ -81,8 +81,7 @@ def _row(problem: Problem, gridding: Gridded, sheet: str) -> ReviewRow:
     unit = float(gridding.plan.frame.units.horizontal)
     side, area_m2 = LEAST_SIDE_M / unit, problem.area_m2
     if problem.rings:
-        rings = [np.reshape(ring, (-1, 2)) for ring in problem.rings]
-        shape = shapely.build_area(shapely.MultiLineString(rings))
+        shape = area_within(problem.rings)
     else:
         west, south, east, north = problem.where or (0.0, 0.0, 0.0, 0.0)
         if area_m2 is None and west < east:

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import shapely
 
+from tiler.core.breaklines import area_within
 from tiler.core.chances import LEFT, expected_loss
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.results import LeftObject, UnsurePlace
@@ -18,6 +20,9 @@ from tiler.runs.job import Job
 
 ERROR_PER_RISE = 1.5
 """Typical error of an unsure place by its mean rise, the median of scenes whose terrain is known."""
+
+LISTED = 0.5
+"""Share of an unsure place in objects from which it is not listed again."""
 
 
 def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
@@ -40,12 +45,18 @@ def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Co
 
 
 def report_unsure(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
-    """Add to run.json the places where the terrain is unsure, and note their number."""
+    """Add to run.json the places where the terrain is unsure, and note their number.
+
+    Those are left out of which listed objects cover `LISTED` or more.
+    """
     pixel_m2 = float(job.plan.grid.resolution**2)
+    objects = shapely.union_all([area_within(o.rings) for o in job.results.left_objects])
     found = [
-        _unsure(spec, values, pixel_m2)
+        place
         for counts in of_blocks.values()
-        for values in counts["unsure"]
+        for place in (_unsure(spec, values, pixel_m2) for values in counts["unsure"])
+        for area in [area_within(place.rings)]
+        if area.intersection(objects).area < LISTED * area.area
     ]
     found.sort(
         key=lambda place: (-place.chance * place.error_m**2 * place.area_m2, place.bounds)
