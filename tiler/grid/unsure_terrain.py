@@ -134,8 +134,8 @@ def unsure_places(
     Returns
     -------
     list of Place
-        Each tells its ``chance``, its mean ``rise_m`` and ``gap_m``, the ``tilt`` of the land, and the share of
-        ``objects``.
+        Each tells its ``chance``, a typical ``error_m``, its mean ``gap_m``, the ``tilt`` of the land, and the
+        share of ``objects``.
     """
     labels, squared, measures = measured(shape, ground, objects, cell_m, corner)
     always, *by = Weights()
@@ -149,7 +149,8 @@ def unsure_places(
         rise, gap, share, tilt = measures[i, :4]
         told = {
             "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
-            "rise_m": round(float(np.exp(rise)), 2),
+            # The root mean square of true errors is about the rise times the root of the gap.
+            "error_m": round(float(np.exp(rise + gap)), 2),
             "gap_m": round(float(np.exp(gap)) ** 2, 1),
             "tilt": round(float(np.exp(tilt)), 2),
             "objects": round(float(share), 2),

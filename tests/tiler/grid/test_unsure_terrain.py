@@ -95,7 +95,7 @@ def test_a_place_is_not_listed_where_an_object_is(make_scene) -> None:
     spec = make_scene(np.zeros((1, 3), np.int64), np.array([2], np.uint8)).grid_into_store(
         "dtm", Fraction(1000)
     )
-    told = {"chance": 0.8, "rise_m": 1.0, "gap_m": 2.0, "tilt": 0.1, "objects": 0.5}
+    told = {"chance": 0.8, "error_m": 1.0, "gap_m": 2.0, "tilt": 0.1, "objects": 0.5}
     places = [
         {**told, "pixels": 60, "rectangles": [[row, 10, row + 5, 19]]} for row in (10, 30, 50)
     ]

@@ -18,9 +18,6 @@ from tiler.grid.steps import Counts
 from tiler.grid.tasks.findings import MAX_LISTED, bounds_of, rings_around
 from tiler.runs.job import Job
 
-ERROR_PER_RISE = 1.5
-"""Typical error of an unsure place by its mean rise, the median of scenes whose terrain is known."""
-
 LISTED = 0.5
 """Share of an unsure place in objects from which it is not listed again."""
 
@@ -88,7 +85,7 @@ def _unsure(spec: RasterSpec, values: Mapping[str, Any], pixel_m2: float) -> Uns
     return UnsurePlace(
         bounds=bounds_of(spec, (top.min(), left.min()), (bottom.max(), right.max())),
         area_m2=values["pixels"] * pixel_m2,
-        error_m=round(ERROR_PER_RISE * values["rise_m"], 2),
+        error_m=values["error_m"],
         gap_m=values["gap_m"],
         slope=values["tilt"],
         objects=values["objects"],
