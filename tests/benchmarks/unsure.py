@@ -3,7 +3,8 @@
 ``python -m tests.benchmarks.unsure FOLDER [--seeds 960,990] [--fresh 1300,1400,1500]``
 
 The scenes and the runs in FOLDER are those of `tests.benchmarks.left_objects`. Scenes of the seeds of ``--fresh`` are
-scored with the constants of all others. Squares have four positions. A place is wrong as in `tests.benchmarks.places`.
+scored with the constants of all others, and with those of the program. Squares have four positions. A place is wrong
+as in `tests.benchmarks.places`.
 Markdown goes to the standard output.
 """
 
@@ -157,14 +158,19 @@ def scored(sample: Sample, weights: Weights) -> Score:
 
 
 def report(samples: Sequence[Sample], fresh: Sequence[Sample]) -> str:
-    """Each group with the weights of the other families, the fresh scenes, and the weights of all, as Markdown."""
+    """Each group with the weights of the other families, the fresh scenes, and the weights of all."""
     weights = fitted(samples)
     rows = []
-    for kind, scenes in (("", samples), ("fresh: ", fresh)):
+    kinds = (
+        ("", samples, None),
+        ("fresh, fitted: ", fresh, weights),
+        ("fresh: ", fresh, Weights()),
+    )
+    for kind, scenes, given in kinds:
         groups: dict[str, list[Score]] = {}
         for sample in scenes:
             others = [s for s in samples if s.family != sample.family]
-            by = weights if kind else fitted(others)
+            by = given or fitted(others)
             groups.setdefault(kind + group_of(sample.family), []).append(scored(sample, by))
         rows += [row_of(name, scores) for name, scores in groups.items()]
     head = [
