@@ -33,7 +33,7 @@ LEAST_MEASURE = 0.3
 """Least measure of a cell of a place, in m^1.5."""
 LEAST_AREA_M2, LEAST_SUM = 4.0, 16.0
 """Least area of a place, and least sum of the squares of its measures times the area of a cell, in m^5."""
-LEAST_CHANCE = 0.55
+LEAST_CHANCE = 0.7
 """Least chance of a place that is listed."""
 LEAST_RETURNS_M2 = 2.0
 """Least number of returns around per square metre. In sparser scans, ground is far everywhere."""
