@@ -28,7 +28,7 @@ densify
 refine
     Subtract the mean of the ground and remove cells that rise from it: walls, cars, shrubs on
     slopes, and roofs onto which densification climbed. Do this again among the remaining
-    ground.
+    ground. At the end remove single cells that stayed where most cells around at their height did not.
 roofs
     Remove roofs: connected ground of at most 200 m width that lies above nearly all ground
     around it (`ptd.ground.plateaus`). Do this twice, because lower roofs lean on higher ones.

@@ -166,10 +166,10 @@ class RefinePass(LidarPass):
 
 def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
     """Return a mask of the cells that stay ground: bool [n]."""
-    ground = (codes == SEED) | (codes == DENSIFIED)
-    ground &= ~low.residual_objects(ground, codes != OUTLIER, p.objects)
+    before = (codes == SEED) | (codes == DENSIFIED)
+    ground = before & ~low.residual_objects(before, codes != OUTLIER, p.objects)
     stays: Bool = ground & ~low.residual_objects(ground, ground, p.bumps)
-    return stays
+    return stays & ~low.outvoted(before, stays, p.vote_width)
 
 
 @dataclass(frozen=True)

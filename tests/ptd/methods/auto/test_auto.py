@@ -271,7 +271,7 @@ def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().noise_reach == 4 * 3 + 5 + 2
     assert Auto().seed_reach == 2 * 18 + 2 * 9 + 5
     assert Auto().summit_reach == 18 + 3 + 8 + 2
-    assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6
+    assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6 + 2
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert Auto().annex_reach == 2 * (20 + 2 * 6)
     assert {step.name: step.influence_radius_m for step in Auto().passes} == {
@@ -280,7 +280,7 @@ def test_reaches_are_those_of_the_rules() -> None:
         "seeds": 60.0,
         "summits": 32.0,
         "densify": None,
-        "refine": 60.0,
+        "refine": 62.0,
         "roofs": 229.0,
         "roofs2": 229.0,
         "treetops": 181.0,
