@@ -80,7 +80,7 @@ def print_report(report: Mapping[str, Any]) -> None:
 
 
 def _print_accuracy(accuracy: Mapping[str, Any]) -> None:
-    rows = [(name, *_figures(found)) for name, found in groups_at(accuracy).items()]
+    rows = [(name, *_figures(found)) for name, found in groups_at(accuracy)]
     print_table(f"DTM minus checkpoint, {accuracy['unit']}", ("", *FIGURES.values()), rows)
     outside, none = accuracy["outside"], accuracy["no_height"]
     if outside or none:

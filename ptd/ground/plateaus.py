@@ -56,13 +56,13 @@ ROOF_CELL_M = 2.0
 clouds."""
 ROOF_FALL_M = 1.5
 """Height difference above which ground is below a roof."""
-ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, 1.0)
-"""Largest height difference of neighbours on a surface, for each search of `remaining_roofs`.
+ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
+"""Largest height difference of neighbours on a surface, for each search.
 
-The first search finds a hall, and the second one roofs that lean on it. Their steps join a roof to
-terrain next to it. The last and smaller step separates them. If all steps were smaller than the
-fall, two flat roofs whose height difference lies between step and fall would each count as ground
-that is not below the other, so both could remain.
+The first searches find a hall, roofs that lean on it, and roofs that lean on those. If all
+steps were smaller than the fall, two flat roofs whose height difference lies between step and
+fall would each count as ground that is not below the other, so both could remain ground. Larger
+steps join a roof to terrain next to it. The last and smaller step separates them.
 """
 ROOF_GAP_M = 8.0
 """Largest distance of neighbours on a surface. Higher parts of a building may separate the

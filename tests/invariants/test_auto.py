@@ -52,7 +52,7 @@ def test_what_was_decided_is_told_and_a_narrow_halo_too(
     result = do(city_file, tmp_path / "out", "filter", method="auto", halo="5", tile_size=96)
     notes = [*result.summary["statistics"]["survey"]["notes"], *result.summary["plan"]["notes"]]
     assert any(note.startswith("decided: laser scanning") for note in notes)
-    assert any("summits 32 m, refine 60 m, roofs 229 m, roofs2 229 m" in note for note in notes)
+    assert any("summits 32 m, refine 62 m, roofs 229 m, roofs2 229 m" in note for note in notes)
 
 
 def test_lengths_are_printed_in_feet_for_a_cloud_in_feet(city: Cloud, tmp_path: Path) -> None:

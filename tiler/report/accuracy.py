@@ -197,11 +197,11 @@ def places_of(against: Mapping[str, Any], number: int) -> list[tuple[str, ...]]:
     ]
 
 
-def groups_at(accuracy: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the figures of the checkpoints by type, of all, and by land cover."""
+def groups_at(accuracy: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Return the figures of the checkpoints by type, of all, and by land cover, which may have the name of a type."""
     kinds = ("nva", "vva", "all")
-    found = {kind.upper(): accuracy[kind] for kind in kinds if accuracy[kind]["points"]}
-    return {**found, **accuracy["land_cover"]}
+    found = [(kind.upper(), accuracy[kind]) for kind in kinds if accuracy[kind]["points"]]
+    return [*found, *accuracy["land_cover"].items()]
 
 
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
@@ -243,8 +243,7 @@ def _percent(share: float | None) -> str:
 
 def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
     rows = [
-        (name, *(_number(values[key]) for key in FIGURES))
-        for name, values in groups_at(found).items()
+        (name, *(_number(values[key]) for key in FIGURES)) for name, values in groups_at(found)
     ]
     offset = found["constant_offset"]
     return [

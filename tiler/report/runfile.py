@@ -71,8 +71,8 @@ def run_file_errors(out: Path) -> Iterator[None]:
 
 def units_of(run: Mapping[str, Any]) -> tuple[float, float]:
     """Return the metres in a unit of the coordinates, and in one of the heights, of a run."""
-    metres = (run.get("plan") or {}).get("metres_per_unit") or {}
-    return metres.get("horizontal", 1.0), metres.get("vertical", 1.0)
+    metres = run["plan"].get("metres_per_unit", {})
+    return float(metres.get("horizontal", 1.0)), float(metres.get("vertical", 1.0))
 
 
 def title_of(run: Mapping[str, Any], stage: str) -> str:

@@ -238,14 +238,16 @@ def outputs(run: Run) -> Node:
     rows: list[tuple[Content, ...]] = [
         (link(name), size_text(size), since.get(name, "")) for name, size in order[:MAX_ROWS]
     ]
-    unchanged = counted(changes.get("unchanged", 0), "file")
-    told = f"{unchanged} unchanged since the run before, with the times of then."
+    told = None
+    if changes:
+        unchanged = counted(changes["unchanged"], "file")
+        told = el("p", f"{unchanged} unchanged since the run before, with the times of then.")
     columns = ("file", "size", "since the run before" if since else "")
     body = table(columns, rows, (1,)) if rows else el("p", "None yet.")
     return section(
         "outputs",
         "Results",
-        el("p", told) if changes else None,
+        told,
         body,
         more(len(sizes), MAX_ROWS),
     )

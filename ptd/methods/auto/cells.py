@@ -23,6 +23,7 @@ from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.labelling import LOW_NOISE, UNCLASSIFIED
 from ptd.ground.morphology import EMPTY, Bool, CellRaster, Float64, disk_minimum, steepest_drops
 from ptd.ground.slopes import Boxes
+from ptd.kernel import kernel
 from ptd.passes import Model, Points, Stats, UInt8
 
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
@@ -32,6 +33,10 @@ ABOVE_NOISE = 32
 """Bit of the codes of cells in which points below the elected one are low noise. It stays the
 same in all passes."""
 
+LEVEL_M = 0.3
+"""Largest height difference of cells that vote on one another (`Lowest.outvoted`)."""
+VOTERS, LOST_SHARE = 3, 0.75
+"""Least number of votes, and the least share of them against a cell."""
 ANNEX_ROUNDS = 2
 """Rounds in which `Lowest.annexes` searches, so that it finds two parts of a building one behind the other."""
 
@@ -275,6 +280,17 @@ class Lowest:
         is_object: Bool = steepest.reshape(-1)[keys] > allowed
         return is_object
 
+    def outvoted(self, before: Bool, stays: Bool, reach: int) -> Bool:
+        """Return a mask of the cells that stay ground although most cells around them at their height do not: bool [n].
+
+        ``before`` are the cells that were ground before, and ``reach`` is the half width of the square around a cell.
+        """
+        raster, heights = np.zeros(self.raster.shape, np.bool_), self.heights(before)
+        raster.reshape(-1)[self.raster.keys] = stays
+        lost = _outvoted(heights, raster, reach, self.scale.counts_z(LEVEL_M))
+        is_outvoted: Bool = lost.reshape(-1)[self.raster.keys]
+        return is_outvoted
+
     def annexes(self, ground: Bool, roofs: Bool, limits: Residuals, near: int) -> Bool:
         """Return a mask of the ground that rises like an object within `near` cells of a roof or crown: bool [n].
 
@@ -296,3 +312,24 @@ class Lowest:
             limits.around, self.raster.keys
         )  # A mean is never NaN: the cell is filled.
         return 1.0 - np.minimum(share / limits.enough, 1.0)
+
+
+@kernel
+def _outvoted(heights: Int32, stays: Bool, reach: int, level: float) -> Bool:
+    rows, columns = heights.shape
+    lost = np.zeros((rows, columns), np.bool_)
+    for row in range(rows):
+        for column in range(columns):
+            if not stays[row, column]:
+                continue
+            n, n_lost = -1, 0  # The cell itself is not counted.
+            for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
+                    if heights[r, c] == EMPTY:
+                        continue
+                    rise = np.int64(heights[r, c]) - np.int64(heights[row, column])
+                    if abs(rise) <= level:
+                        n += 1
+                        n_lost += not stays[r, c]
+            lost[row, column] = n >= VOTERS and n_lost >= LOST_SHARE * n
+    return lost

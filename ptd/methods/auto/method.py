@@ -28,10 +28,11 @@ densify
 refine
     Subtract the mean of the ground and remove cells that rise from it: walls, cars, shrubs on
     slopes, and roofs onto which densification climbed. Do this again among the remaining
-    ground.
+    ground. At the end remove single cells that stayed where most cells around at their height did not.
 roofs
     Remove roofs: connected ground of at most 200 m width that lies above nearly all ground
-    around it (`ptd.ground.plateaus`). Do this twice, because lower roofs lean on higher ones.
+    around it (`ptd.ground.plateaus`). Do this four times, because lower roofs lean on higher
+    ones.
 treetops
     Remove crowns on slopes by the same rule, after subtracting the plane of the ground around
     (`ptd.ground.treetops`).
@@ -102,6 +103,7 @@ from ptd.ground.labelling import GROUND, Bands, LabelRule, TinLabels
 from ptd.ground.morphology import Bool
 from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise
+from ptd.ground.plateaus import ROOF_STEPS_M
 from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.evidence import DIM
@@ -139,6 +141,8 @@ from ptd.passes import Int32, Method, Pass, Points, State
 from ptd.places import PLACES, Figures, field, span
 from ptd.tin.mesh import Tin
 
+ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
+
 
 @dataclass(frozen=True)
 class Auto(AutoParameters):
@@ -155,8 +159,10 @@ class Auto(AutoParameters):
             SummitPass(self, influence_radius_m=(self.summit_reach + 1) * cell),
             DensifyPass(self),
             RefinePass(self, influence_radius_m=(self.refine_reach + 1) * cell),
-            self._roof_pass("roofs", "take out roofs", again=False),
-            self._roof_pass("roofs2", "take out roofs that lean on others", again=True),
+            *(
+                self._roof_pass(name, ROOF_STEPS_M[: n + 1])
+                for n, name in enumerate(ROOF_PASSES)
+            ),
             TreetopPass(self, influence_radius_m=(self.treetop_reach + 1) * cell),
             AnnexPass(self, influence_radius_m=(self.annex_reach + 1) * cell),
             LabelPass(self, label_margin_m=REACH_M if self.fine_surface else 0.0),
@@ -164,8 +170,14 @@ class Auto(AutoParameters):
             matched.SurfacePass(refine=self.refine),
         )
 
-    def _roof_pass(self, name: str, title: str, *, again: bool) -> RoofPass:
-        return RoofPass(self, again, name, title, (self.roof_reach + 1) * self.thin_cell_m)
+    def _roof_pass(self, name: str, steps_m: Sequence[float]) -> RoofPass:
+        """Return the pass for the last of some steps."""
+        step_m, n_round = steps_m[-1], steps_m.count(steps_m[-1])
+        title = f"take out roofs with edges of {step_m:g} m"
+        if n_round > 1:
+            title += f", round {n_round}"
+        reach_m = (self.roof_reach + 1) * self.thin_cell_m
+        return RoofPass(self, n_round > 1, step_m, name, title, reach_m)
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,9 @@ BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
 """Limits among the remaining cells of ground. Their mean no longer contains removed objects, so
 a smaller drop is allowed, but more per unit of slope."""
 
+VOTE_REACH_M = 2.0
+"""Distance within which the cells around a remaining cell of ground vote on it: a cell or two that the limits left on
+a ramp would bring the whole ramp back in the last TIN."""
 ANNEX_REACH_M = 8.0
 """Distance from a roof within which ground that rises like an object is a part of the building, such as a ramp for
 loading. Farther away it may be a terrace or a bank."""
@@ -216,7 +219,12 @@ class AutoParameters:
     @property
     def refine_reach(self) -> int:
         """Distance in cells beyond which points do not change the code of a cell in the pass `refine`."""
-        return self.objects.reach + self.bumps.reach
+        return self.objects.reach + self.bumps.reach + self.vote_width
+
+    @property
+    def vote_width(self) -> int:
+        """Half width in cells of the square whose cells vote on the cell in the middle."""
+        return self._cells(VOTE_REACH_M)
 
     @property
     def roof_reach(self) -> int:

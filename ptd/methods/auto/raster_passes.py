@@ -166,10 +166,10 @@ class RefinePass(LidarPass):
 
 def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
     """Return a mask of the cells that stay ground: bool [n]."""
-    ground = (codes == SEED) | (codes == DENSIFIED)
-    ground &= ~low.residual_objects(ground, codes != OUTLIER, p.objects)
+    before = (codes == SEED) | (codes == DENSIFIED)
+    ground = before & ~low.residual_objects(before, codes != OUTLIER, p.objects)
     stays: Bool = ground & ~low.residual_objects(ground, ground, p.bumps)
-    return stays
+    return stays & ~low.outvoted(before, stays, p.vote_width)
 
 
 @dataclass(frozen=True)
@@ -178,6 +178,7 @@ class RoofPass(LidarPass):
 
     params: AutoParameters
     again: bool
+    step_m: float
     name: str
     title: str
     influence_radius_m: float | None
@@ -189,7 +190,7 @@ class RoofPass(LidarPass):
         """Compare each connected surface with the ground around it."""
         p = self.params
         cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
-        roof_rule = Plateaus.of(scale, p.roof_size_m)
+        roof_rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
         x, y, z, codes = lowest_points(points, cells)
         ground, earlier_roofs = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):

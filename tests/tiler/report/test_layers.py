@@ -14,6 +14,7 @@ RING = [0.0, 0.0, 9.0, 0.0, 9.0, 9.0, 0.0, 0.0]
 def test_each_layer_has_its_lines() -> None:
     bridge = {"length_m": 20.0, "width_m": 7.5, "clearance_m": 4.0, "below": 3, "rings": [RING]}
     run = {
+        "plan": {},
         "outline": {"gap_m": 20.0, "rings": [RING, RING]},
         "bridges": [bridge],
         "edits": [],
@@ -26,7 +27,7 @@ def test_each_layer_has_its_lines() -> None:
     (section,) = drawn(run)
     assert "1 bridge left out of the terrain" in "".join(section.itertext())
     assert not shapes({})
-    assert not drawn({})
+    assert not drawn({"plan": {}})
 
 
 def test_an_outline_of_many_steps_fits_the_page_and_stays_where_it_is() -> None:

@@ -189,7 +189,7 @@ def point_map(dtm: Path, accuracy: Accuracy) -> str:
     width, height = picture.size
     parts = [f'<image width="{width}" height="{height}" href="{picture.uri}"/>']
     points = accuracy["differences"]
-    x, y = np.array([(point["x"], point["y"]) for point in points]).T
+    x, y = np.array([(point["x"], point["y"]) for point in points]).reshape(-1, 2).T
     columns, rows = pixel_places(transform, x, y)
     largest = accuracy["all"]["p95_abs"] or 1.0
     for point, column, row in zip(

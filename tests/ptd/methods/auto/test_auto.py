@@ -73,8 +73,9 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     unsearched = ptd.classify(xyz, "auto", Auto(low_group=0))
     assert unsearched.stats["noise"]["low_noise"] == 0
     assert 7 not in unsearched.classification
+    roofs = [f"roofs{n}" for n in ("", 2, 3, 4)]
     before = ["survey", "noise", "seeds", "summits", "densify", "refine"]
-    assert list(result.stats) == [*before, "roofs", "roofs2", "treetops", "annexes", "label"]
+    assert list(result.stats) == [*before, *roofs, "treetops", "annexes", "label"]
 
 
 @pytest.mark.parametrize(
@@ -231,6 +232,20 @@ def test_two_flat_roofs_that_differ_by_little_are_no_ground(parapet_m: float) ->
     assert found[~(roof | annexe)].mean() > 0.99
 
 
+@pytest.mark.parametrize("tiers_m", [(12.0, 8.0, 4.0), (4.0, 8.0, 12.0, 8.0, 4.0)])
+def test_tiers_of_roofs_are_no_ground(tiers_m: tuple[float, ...]) -> None:
+    """Each is 100 m x 45 m and leans on a higher one, so that each search takes out one more."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, 220, 160_000), rng.uniform(0, 120 + 45 * len(tiers_m), 160_000)
+    tier = np.floor((y - 60) / 45).astype(int)
+    roof = (abs(x - 110) < 50) & (tier >= 0) & (tier < len(tiers_m))
+    z = rng.normal(0, 0.02, x.size)
+    z[roof] += np.array(tiers_m)[tier[roof]]
+    found = ptd.classify(np.stack([x, y, z], axis=1), "auto", kind="lidar").classification == 2
+    assert found[roof].mean() < 0.01
+    assert found[~roof].mean() > 0.99
+
+
 @pytest.mark.parametrize("side_m", [60.0, 24.0])
 def test_a_ramp_beside_a_hall_is_no_ground_but_a_terrace_is(side_m: float) -> None:
     """The ramp ends at the wall, where there is no ground; the terrace is as high, but wider than an object."""
@@ -271,7 +286,7 @@ def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().noise_reach == 4 * 3 + 5 + 2
     assert Auto().seed_reach == 2 * 18 + 2 * 9 + 5
     assert Auto().summit_reach == 18 + 3 + 8 + 2
-    assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6
+    assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6 + 2
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert Auto().annex_reach == 2 * (20 + 2 * 6)
     assert {step.name: step.influence_radius_m for step in Auto().passes} == {
@@ -280,9 +295,11 @@ def test_reaches_are_those_of_the_rules() -> None:
         "seeds": 60.0,
         "summits": 32.0,
         "densify": None,
-        "refine": 60.0,
+        "refine": 62.0,
         "roofs": 229.0,
         "roofs2": 229.0,
+        "roofs3": 229.0,
+        "roofs4": 229.0,
         "treetops": 181.0,
         "annexes": 65.0,
         "label": None,
@@ -329,7 +346,7 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(
     assert tiled == state
 
     class Refine(Until):
-        passes = (*params.passes[:4], *params.passes[5:10])
+        passes = (*params.passes[:4], *params.passes[5:7], *params.passes[10:12])
 
     truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None, kind="lidar")
     labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m, kind="lidar")

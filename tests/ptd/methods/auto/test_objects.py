@@ -142,3 +142,42 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
         by_trend = cut.residual_objects(chosen, np.ones(chosen.size, bool), rule)
         found = (by_slope if reach == shape.reach else by_trend).reshape(heights[part].shape)
         assert np.array_equal(found[inner], expected[25:36, 20:31])
+
+
+def test_a_cell_is_outvoted_by_the_cells_at_its_height() -> None:
+    """Against the definition, cell by cell, on ground with steps and gaps."""
+    rng = np.random.default_rng(6)
+    heights = np.where(COLUMNS[:40, :50] > 24, 1.3, 0.0) + rng.normal(0, 0.2, (40, 50))
+    before, stays = rng.random((2, *heights.shape)) < [[[0.8]], [[0.5]]]
+    stays &= before
+    found = lowest(heights).outvoted(before.ravel(), stays.ravel(), 2).reshape(heights.shape)
+    millimetres = np.rint(1000 * heights)
+    for row, column in np.ndindex(heights.shape):
+        square = np.s_[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
+        level = abs(millimetres[square] - millimetres[row, column]) <= 300
+        votes = int((level & before[square]).sum()) - 1
+        against = int((level & before[square] & ~stays[square]).sum())
+        outvoted = stays[row, column] and votes >= 3 and against >= 0.75 * votes
+        assert found[row, column] == outvoted
+    assert 0 < found.sum() < stays.sum() / 2
+
+
+@pytest.mark.parametrize("height", [1.2, 2.6])
+def test_annexes_are_found_beside_roofs_only(height: float) -> None:
+    """A part of 7 cells beside a hall without ground; a bank as high, and wider than an object, at its other side."""
+    heights = box(slice(10, 35), slice(20, 50), 8.0)
+    annex, bank = np.s_[35:42, 25:45], np.s_[:10, :]
+    heights[annex] = heights[bank] = height
+    roofs = (heights == 8.0).ravel()
+    rule = Residuals(Drop(0.2, 0.1, 0.2), 20, 6, 3, 15, 2.0, 0.3)
+    found = lowest(heights).annexes(~roofs, roofs, rule, 8).reshape(heights.shape)
+    assert found[annex].all()
+    found[annex] = False
+    assert not found.any()
+
+
+def test_without_roofs_there_are_no_annexes() -> None:
+    heights = box(slice(20, 25), slice(30, 35), 2.0)
+    ground = np.ones(heights.size, bool)
+    rule = Residuals(Drop(0.2, 0.1, 0.2), 20, 6, 3, 15, 2.0, 0.3)
+    assert not lowest(heights).annexes(ground, ~ground, rule, 8).any()
