@@ -37,6 +37,8 @@ LEAST_CHANCE = 0.7
 """Least chance of a place that is listed."""
 LEAST_RETURNS_M2 = 2.0
 """Least number of returns around per square metre. In sparser scans, ground is far everywhere."""
+LEAST_RISE, LEAST_ROOT = 0.05, 0.1
+"""Added to rises and slopes, and to roots of distances, so that they have a logarithm."""
 MM = 1000.0
 """Sums are of whole millimetres."""
 
@@ -151,8 +153,8 @@ def unsure_places(
             "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
             # The root mean square of true errors is about the rise times the root of the gap.
             "error_m": round(float(np.exp(rise + gap)), 2),
-            "gap_m": round(float(np.exp(gap)) ** 2, 1),
-            "tilt": round(float(np.exp(tilt)), 2),
+            "gap_m": round((float(np.exp(gap)) - LEAST_ROOT) ** 2 + cell_m / 2, 1),
+            "tilt": round(float(np.exp(tilt)) - LEAST_RISE, 2),
             "objects": round(float(share), 2),
         }
         places.append(Place(cells, boxes[i], row, column, told))
@@ -171,7 +173,7 @@ def measured(
     half = _half(AROUND_M, cell_m)
     n_objects, returns = (_around(n, half) for n in (objects, objects + ground))
     is_dense = returns >= LEAST_RETURNS_M2 * (2 * half + 1) ** 2 * cell_m**2
-    cells = (measure >= LEAST_MEASURE) & is_dense
+    cells = (measure >= LEAST_MEASURE) & is_dense & ~np.isnan(shape.heights)
     labels = _labels_in_squares(cells, corner, square_cells(cell_m))
     sizes = np.bincount(labels.ravel())
     is_kept = sizes * cell_m**2 >= LEAST_AREA_M2
@@ -185,11 +187,11 @@ def measured(
         return means
 
     columns = (
-        np.log(mean(shape.rise.ravel()[at]) + 0.05),
-        np.log(mean(gap.ravel()[at]) + 0.1),
+        np.log(mean(shape.rise.ravel()[at]) + LEAST_RISE),
+        np.log(mean(gap.ravel()[at]) + LEAST_ROOT),
         mean(n_objects.ravel()[at] / returns.ravel()[at]),
-        np.log(mean(_slope(shape.trend, at, cell_m)) + 0.05),
-        np.log(mean(_slope(shape.heights, at, cell_m)) + 0.05),
+        np.log(mean(_slope(shape.trend, at, cell_m)) + LEAST_RISE),
+        np.log(mean(_slope(shape.heights, at, cell_m)) + LEAST_RISE),
         np.log(area * cell_m**2),
     )
     squared = mean(measure.ravel()[at] ** 2) * area * cell_m**2

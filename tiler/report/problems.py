@@ -241,15 +241,16 @@ def _left(run: Run) -> Iterator[Problem]:
 
 def _unsure(run: Run) -> Iterator[Problem]:
     """Yield the places where ground points are few and the terrain is rough, the worst first."""
-    unit = units_of(run)[1]
+    units = units_of(run)
     for place in run.get("unsure", ()):
         share, causes = place["objects"], []
         if share >= PLANTS:
-            causes.append(f"plants ({share:.0%} of the returns are not ground)")
+            causes.append(f"plants or buildings ({share:.0%} of the returns are not ground)")
         if place["slope"] >= STEEP:
             causes.append(f"a slope of {place['slope']:.0%}")
         reason = f", with {' and '.join(causes)}" if causes else ""
-        gap, error = (length_text(round(place[m], 1), unit) for m in ("gap_m", "error_m"))
+        lengths = zip(("gap_m", "error_m"), units, strict=True)
+        gap, error = (length_text(round(place[name], 1), unit) for name, unit in lengths)
         why = (
             f"{_area(run, place['area_m2'])} of rough terrain are about {gap} from the nearest ground point{reason}; "
             f"a typical error is {error}"

@@ -270,9 +270,18 @@ def test_unsure_terrain_names_its_causes() -> None:
     (place,) = EVERY_PROBLEM["unsure"]
     open_land = {**place, "slope": 0.1, "objects": 0.2}
     both, neither = found(unsure=[place, open_land])
-    assert "plants (90% of the returns are not ground) and a slope of 40%" in both.why
+    assert (
+        "plants or buildings (90% of the returns are not ground) and a slope of 40%" in both.why
+    )
     assert ("plants" in neither.why, "slope" in neither.why) == (False, False)
     assert (both.action, both.stake_m, both.chance) == ("", 0.8, 0.6)
+
+
+def test_distances_of_unsure_terrain_are_in_the_unit_of_x_and_errors_in_that_of_heights() -> None:
+    plan = {"metres_per_unit": {"horizontal": 1.0, "vertical": 0.3048}}
+    (place,) = found(plan=plan, unsure=EVERY_PROBLEM["unsure"])
+    assert "about 2.5 m from the nearest ground point" in place.why
+    assert "a typical error is 2.62 ft (0.8 m)" in place.why
 
 
 def test_the_table_of_chances_has_every_reason_with_a_position() -> None:

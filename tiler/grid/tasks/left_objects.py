@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -48,19 +49,18 @@ def report_unsure(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts])
     """
     pixel_m2 = float(job.plan.grid.resolution**2)
     objects = shapely.union_all([area_within(o.rings) for o in job.results.left_objects])
-    found = [
-        place
-        for counts in of_blocks.values()
-        for place in (_unsure(spec, values, pixel_m2) for values in counts["unsure"])
-        for area in [area_within(place.rings)]
-        if area.intersection(objects).area < LISTED * area.area
-    ]
-    found.sort(
-        key=lambda place: (-place.chance * place.error_m**2 * place.area_m2, place.bounds)
-    )
-    job.results.unsure = found[:MAX_LISTED]
-    if found:
-        job.note(f"the terrain is unsure in {counted(len(found), 'place')}, see review.gpkg")
+    every = [values for counts in of_blocks.values() for values in counts["unsure"]]
+    every.sort(key=lambda v: (-v["chance"] * v["error_m"] ** 2 * v["pixels"], v["rectangles"]))
+    places = (_unsure(spec, values, pixel_m2) for values in every)
+    others = (p for p in places if not _is_covered(area_within(p.rings), objects))
+    job.results.unsure = list(itertools.islice(others, MAX_LISTED))
+    if job.results.unsure:
+        listed = counted(len(job.results.unsure), "place")
+        job.note(f"the terrain is unsure in {listed}, see review.gpkg")
+
+
+def _is_covered(area: Any, objects: Any) -> bool:
+    return bool(area.intersection(objects).area >= LISTED * area.area)
 
 
 def _loss(place: LeftObject) -> float:
