@@ -277,7 +277,9 @@ def test_unsure_terrain_names_its_causes() -> None:
     assert (both.action, both.stake_m, both.chance) == ("", 0.8, 0.6)
 
 
-def test_distances_of_unsure_terrain_are_in_the_unit_of_x_and_errors_in_that_of_heights() -> None:
+def test_distances_of_unsure_terrain_are_in_the_unit_of_x_and_errors_in_that_of_heights() -> (
+    None
+):
     plan = {"metres_per_unit": {"horizontal": 1.0, "vertical": 0.3048}}
     (place,) = found(plan=plan, unsure=EVERY_PROBLEM["unsure"])
     assert "about 2.5 m from the nearest ground point" in place.why
