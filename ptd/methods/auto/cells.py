@@ -37,6 +37,8 @@ LEVEL_M = 0.3
 """Largest height difference of cells that vote on one another (`Lowest.outvoted`)."""
 VOTERS, LOST_SHARE = 3, 0.75
 """Least number of votes, and the least share of them against a cell."""
+ROUNDED_M = 1e-4
+"""Unit of the heights beside a level (`Lowest.residual_objects`), so that the unit of the counts has no effect."""
 ANNEX_ROUNDS = 2
 """Rounds in which `Lowest.annexes` searches, so that it finds two parts of a building one behind the other."""
 
@@ -267,17 +269,22 @@ class Lowest:
         """
         boxes, drop, keys = Boxes(self.heights(ground)), limits.drop, self.raster.keys
         means = boxes.means(limits.trend, keys)
-        # Without ground, a point is its own trend.
-        trend = np.where(np.isnan(means), self.z, np.rint(means))
-        residuals = self.z - trend if level is None else np.where(level, 0.0, self.z - trend)
+        trend = np.where(
+            np.isnan(means), self.z, means
+        )  # Without ground, a point is its own trend.
+        residuals, parts = self.z - np.rint(trend), 1.0
+        if level is not None:
+            # Beside a level, the rounding of neighbours does not cancel.
+            parts = float(self.scale.metres_z) / ROUNDED_M
+            residuals = np.where(level, 0.0, np.rint((self.z - trend) * parts))
         steepest, _ = steepest_drops(
             self.raster.lowest(residuals.astype(np.int32), present),
             range(1, limits.radius + 1),
-            self.scale.counts_z(drop.allowance_m),
+            self.scale.counts_z(drop.allowance_m) * parts,
         )
         allowed = drop.per_metre * self.unit + drop.per_slope * boxes.slopes(limits.slope, keys)
         allowed += limits.lack * self.unit * self.lack_of_objects(ground, limits)
-        is_object: Bool = steepest.reshape(-1)[keys] > allowed
+        is_object: Bool = steepest.reshape(-1)[keys] > allowed * parts
         return is_object
 
     def outvoted(self, before: Bool, stays: Bool, reach: int) -> Bool:
