@@ -11,7 +11,9 @@ right if the terrain is `WRONG_M` too high in `RIGHT` of it. Markdown goes to th
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -28,6 +30,7 @@ from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.points import LABELS, STRAY_FLAG, WITHHELD_FLAG
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.block_surroundings import PointsNear
+from tiler.grid.left_objects import CELL_M
 from tiler.grid.object_candidates import (
     Candidates,
     Level,
@@ -39,6 +42,7 @@ from tiler.grid.object_candidates import (
     measures_of,
 )
 from tiler.grid.records import GroundSelection
+from tiler.grid.stage import MATCHED_EROSION
 from tiler.simulate.catalogue import SceneSpec
 from tiler.simulate.points import survey
 from tiler.store import open_store
@@ -106,7 +110,7 @@ def sampled(known: Known, folder: Path) -> Sample:
 
 
 def pixels_of(known: Known, folder: Path) -> Pixels:
-    """The pixels of a run of a scene, and some around, which are not known."""
+    """The pixels of a run of a scene, or cells of about 1 m, and some around, which are not known."""
     store = open_store(str(ran(known, folder) / "store.zarr"))
     spec = RasterSpec.from_json(store.get_state("raster-dtm-outlined"))
     block = Block(0, 0, spec.height, spec.width)
@@ -116,6 +120,10 @@ def pixels_of(known: Known, folder: Path) -> Pixels:
     points = PointsNear(store, rule, spec, block)
     ground = points.ground_per_pixel()
     objects = points.surface_per_pixel()[0] - ground
+    if known.kind == "dim":
+        erode = store.meta.frame.counts(MATCHED_EROSION)
+        eroded = replace(rule, erode=erode, erode_rise=COUNTS_PER_UNIT)
+        ground = PointsNear(store, eroded, spec, block).ground_per_pixel()
     x, y = (
         centres / COUNTS_PER_UNIT - corner
         for centres, corner in zip(spec.centres(block), CORNER, strict=True)
@@ -123,11 +131,27 @@ def pixels_of(known: Known, folder: Path) -> Pixels:
     truth = placed(known.scene).truth
     assert truth is not None
     error = heights - truth(x, y)
-    cell_m = float(spec.lattice.size * store.meta.frame.metres_xy)
+    pixel_m = float(spec.lattice.size * store.meta.frame.metres_xy)
+    side = max(round(CELL_M / pixel_m), 1)
+    heights, error = (_in_cells(a, side, np.nan, np.nanmean) for a in (heights, error))
+    ground, objects = (_in_cells(a, side, 0, np.sum) for a in (ground, objects))
     # As in a run, there is no terrain beyond the raster.
     heights, error = (np.pad(cells, PAD, constant_values=np.nan) for cells in (heights, error))
     ground, objects = (np.pad(cells, PAD) for cells in (ground, objects))
-    return Pixels(heights, ground, objects, error, cell_m)
+    return Pixels(heights, ground, objects, error, side * pixel_m)
+
+
+def _in_cells(
+    values: np.ndarray, side: int, beyond: float, reduced: Callable[..., np.ndarray]
+) -> np.ndarray:
+    """Values of cells of some pixels on a side."""
+    rows, columns = (-(-size // side) * side for size in values.shape)
+    whole = np.full((rows, columns), beyond, values.dtype)
+    whole[: values.shape[0], : values.shape[1]] = values
+    parts = whole.reshape(rows // side, side, columns // side, side)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # A cell may have no height.
+        return reduced(parts, axis=(1, 3))
 
 
 def sample_of(

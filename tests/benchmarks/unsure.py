@@ -1,10 +1,11 @@
 """Fits the constants of `tiler.grid.unsure_terrain`, and scores each family of scenes with those of the others.
 
-``python -m tests.benchmarks.unsure FOLDER [--seeds 960,990] [--fresh 1300,1400,1500]``
+``python -m tests.benchmarks.unsure FOLDER [--kind als] [--seeds 960,990] [--fresh 1300,1400,1500]``
 
-The scenes and the runs in FOLDER are those of `tests.benchmarks.left_objects`. Scenes of the seeds of ``--fresh`` are
-scored with the constants of all others, and with those of the program. Squares have four positions. A place is wrong
-as in `tests.benchmarks.places`.
+Laser scans and their runs in FOLDER are those of `tests.benchmarks.left_objects`. With ``--kind dim``, the scenes are
+all photogrammetric ones whose terrain is known, and seeds are added to those of the simulator's. Scenes of the seeds of
+``--fresh`` are scored with the constants of all others, and with those of the program. Squares have four positions. A
+place is wrong as in `tests.benchmarks.places`.
 Markdown goes to the standard output.
 """
 
@@ -12,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,20 +32,31 @@ from tests.benchmarks.left_objects import (
     other_scenes,
     pixels_of,
 )
-from tests.benchmarks.places import KNOWN_SHARE, WRONG_M, WRONG_M2, WRONG_SHARE, ranges
+from tests.benchmarks.places import (
+    KNOWN_SHARE,
+    WRONG_M,
+    WRONG_M2,
+    WRONG_SHARE,
+    ranges,
+    simulated,
+)
 from tests.benchmarks.places import WRONG_SHARE_OF_SMALL as OF_SMALL
+from tests.benchmarks.scan_scenes import scan_scenes
 from tests.benchmarks.scorecard import DATA
+from tests.benchmarks.scorecard_scenes import BenchScene
 from tests.benchmarks.scorecard_text import table
-from tests.benchmarks.sigma_scenes import known_scenes
+from tests.benchmarks.sigma_scenes import Known, known_scenes
 from tiler.grid.unsure_terrain import (
-    LEAST_CHANCE,
     LEAST_SUM,
     RIM_CELLS,
+    SEARCHES,
     SQUARE_M,
+    Search,
     Weights,
     measured,
     shape_of,
 )
+from tiler.simulate import SCENES
 
 RIDGE = 2.0
 CORNERS = tuple(itertools.product((0, int(SQUARE_M / 2)), repeat=2))
@@ -64,16 +78,20 @@ class Sample(NamedTuple):
     is_wrong: np.ndarray
     error: np.ndarray
     cell_m: float
+    search: Search
 
 
-def sample_of(name: str, pixels: Pixels, corner: tuple[int, int] = (0, 0)) -> Sample:
+def sample_of(
+    name: str, pixels: Pixels, search: Search, corner: tuple[int, int] = (0, 0)
+) -> Sample:
     """The candidates of the pixels of a scene whose first cell has this row and column."""
     heights, ground, objects, error, cell_m = pixels
     # As in a run, there is no terrain beyond the raster.
     heights, error = (np.pad(a, RIM_CELLS, constant_values=np.nan) for a in (heights, error))
     ground, objects = (np.pad(a.astype(np.int64), RIM_CELLS) for a in (ground, objects))
     shape = shape_of(heights, cell_m)
-    labels, squared, measures = measured(shape, ground, objects, cell_m, corner)
+    least = search.least_measure
+    labels, squared, measures = measured(shape, ground, objects, cell_m, least, corner)
     low, high = ranges(heights - error)
     known = ~np.isnan(error)
     off = known & (np.maximum(heights - high, low - heights) > WRONG_M)
@@ -84,17 +102,23 @@ def sample_of(name: str, pixels: Pixels, corner: tuple[int, int] = (0, 0)) -> Sa
     least = np.minimum(np.maximum(WRONG_M2, WRONG_SHARE * known_m2), OF_SMALL * known_m2)
     is_wrong = (off_m2 > 0) & (off_m2 >= least)
     is_known = known_m2 >= KNOWN_SHARE * sizes
-    return Sample(family_of(name), labels, squared, measures, is_known, is_wrong, error, cell_m)
+    return Sample(
+        family_of(name), labels, squared, measures, is_known, is_wrong, error, cell_m, search
+    )
 
 
 def family_of(name: str) -> str:
     """The site of a scene; all samples of a producer are one family."""
-    words = name.removeprefix("als_").split("_")
+    if name.startswith("scan_"):
+        return name
+    words = name.removeprefix("als_").removeprefix("dim_").removeprefix("area_").split("_")
     return "ISPRS" if words[0].startswith("samp") else words[0]
 
 
 def group_of(family: str) -> str:
     """The group of scenes in the table."""
+    if family.startswith("scan_"):
+        return "made of laser scans"
     return GROUPS.get(
         family, "ISPRS" if family == "ISPRS" else "towns, halls, quarries, rivers, parks"
     )
@@ -138,7 +162,7 @@ def scored(sample: Sample, weights: Weights) -> Score:
     """The places of a scene against the truth."""
     by = np.array(weights)
     chance = 1 / (1 + np.exp(-(by[0] + sample.measures @ by[1:])))
-    is_listed = (chance >= LEAST_CHANCE) & (sample.squared >= LEAST_SUM)
+    is_listed = (chance >= sample.search.least_chance) & (sample.squared >= LEAST_SUM)
     taken = np.append(False, is_listed)[sample.labels]
     error, m2 = np.nan_to_num(sample.error), sample.cell_m**2
     numbers, n = ndimage.label(error > HIGH_M, TOUCHING)
@@ -164,7 +188,7 @@ def report(samples: Sequence[Sample], fresh: Sequence[Sample]) -> str:
     kinds = (
         ("", samples, None),
         ("fresh, fitted: ", fresh, weights),
-        ("fresh: ", fresh, Weights()),
+        ("fresh: ", fresh, samples[0].search.weights),
     )
     for kind, scenes, given in kinds:
         groups: dict[str, list[Score]] = {}
@@ -194,6 +218,29 @@ def row_of(name: str, scores: Sequence[Score]) -> list[str]:
     ]
 
 
+def made_of_scans() -> Iterator[Known]:
+    """The photogrammetric clouds made of laser scans."""
+    for scene in scan_scenes(DATA):
+        name = "scan_" + "_".join(scene.name.replace(",", "").split())
+        yield Known(name, "dim", "real", scene)
+
+
+def other_matched(step: int) -> Iterator[Known]:
+    """The photogrammetric scenes of the simulator with ``step`` added to their seeds."""
+    for name, spec in SCENES.items():
+        if spec.kind == "dim":
+            load = partial(simulated, replace(spec, seed=spec.seed + step), False)
+            scene = BenchScene(name, "", "", load)
+            yield Known(f"{name}_f{step}", "dim", "simulated", scene)
+
+
+KINDS = {
+    "als": (SEARCHES["lidar"], other_scenes),
+    "dim": (SEARCHES["dim"], other_matched),
+}
+"""For each kind, the search, and the function of other scenes."""
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run, fit, print."""
     parser = argparse.ArgumentParser(description="Fit and score the finder of unsure terrain.")
@@ -202,15 +249,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--fresh", default="1300,1400,1500", help="seeds of scenes to score only"
     )
+    parser.add_argument("--kind", choices=tuple(KINDS), default="als")
     given = parser.parse_args(arguments)
-    known = [scene for scene in known_scenes(DATA) if scene.kind == "als"]
+    search, others = KINDS[given.kind]
+    known = [scene for scene in known_scenes(DATA) if scene.kind == given.kind]
+    if given.kind == "dim":
+        known += made_of_scans()
     sets = [known, []]
     for scenes, seeds in zip(sets, (given.seeds, given.fresh), strict=True):
         for seed in filter(None, seeds.split(",")):
-            scenes += other_scenes(int(seed))
+            scenes += others(int(seed))
     samples, fresh = (
         [
-            sample_of(k.name, pixels, corner)
+            sample_of(k.name, pixels, search, corner)
             for k in scenes
             for pixels in [pixels_of(k, given.folder)]
             for corner in CORNERS

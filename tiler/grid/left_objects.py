@@ -6,8 +6,7 @@ does both, as the points take most of its time.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -35,12 +34,9 @@ from tiler.grid.object_candidates import (
     near_cells,
     reach_cells,
 )
+from tiler.grid.sigma import LASER
 from tiler.grid.steps import Counts
-from tiler.grid.unsure_terrain import (
-    may_be_unsure,
-    shape_of,
-    unsure_places,
-)
+from tiler.grid.unsure_terrain import SEARCHES, may_be_unsure, shape_of, unsure_places
 
 CELL_M, MAX_CELL_M = 1.0, 2.0
 """Approximate and largest side of the cells in which the terrain is examined. In coarser pixels nothing is found."""
@@ -62,14 +58,20 @@ def _side(pixel_m: float) -> int | None:
     return side if pixel_m >= LEAST_PIXEL_M and side * pixel_m <= MAX_CELL_M else None
 
 
-def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[None, Counts]:
+def left_objects(
+    points: PointsNear, terrain: Float64, kind: str, *, margin: int
+) -> tuple[None, Counts]:
     """Find the objects left in the terrain, and the unsure places, whose first cell begins in a block.
+
+    In photogrammetric clouds, the search for objects finds too much that is right, so it is left out.
 
     Parameters
     ----------
     points : PointsNear
     terrain : float64 (height + 2 * margin, width + 2 * margin)
         Terrain of the block and of pixels around it.
+    kind : str
+        Kind of the clouds, one of `SEARCHES`.
     margin : int
         See `left_margin`.
 
@@ -92,45 +94,73 @@ def left_objects(points: PointsNear, terrain: Float64, *, margin: int) -> tuple[
     top, left = wide.window.row - block.row + margin, wide.window.col - block.col + margin
     pixels = terrain[top : top + wide.window.height, left : left + wide.window.width]
     heights = wide.means(pixels, ~np.isnan(pixels)) * float(frame.units.vertical)
-    found, levels = candidates(heights, cell_m, reach_cells(cell_m) - near_cells(cell_m))
     cells = PixelCells(spec, block, side, near_cells(cell_m))
-    is_here = partial(_is_here, cells, block)
-    is_judged = _nested_with(
-        found, levels, is_here(found.row, found.column) & found.shaped(Limits())
-    )
+    judged = _judged(heights, cell_m, cells, block) if kind == LASER else None
     row, column = cells.north - wide.north, cells.west - wide.west
     shape = shape_of(heights[row:-row, column:-column], cell_m)
     box: Box = tuple(slice(0, n) for n in shape.rise.shape)
-    if not may_be_unsure(shape.rise, cell_m).any():
-        if not is_judged.any():
+    if not may_be_unsure(shape.rise, cell_m, SEARCHES[kind]).any():
+        if judged is None or not judged.mask.any():
             return None, {"objects": [], "unsure": []}
-        box = _hull(found, levels, is_judged)
+        box = _hull(judged)
     ground, objects = _counts(points, cells, box)
-    measures = measures_of(found, levels, ground, objects, cell_m)
-    chance = np.where(is_judged, chances(measures), 0.0)
-    places = [
-        {
-            "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
-            "height_m": round(float(found.height_m[i]), 2),
-            "steep": round(float(found.steep[i]), 3),
-            "ground": int(ground[wider][outline].sum()),
-            "pixels": int(inside.sum()) * side**2,
-            "rectangles": _rectangles(outline, wider, cells.window, side),
-        }
-        for i, inside, own in chosen(found, levels, chance)
-        if is_here(found.row[i], found.column[i])
-        for outline, wider in [_widened(inside, own)]
-    ]
+    places = []
+    if judged is not None:
+        places = _objects(judged, ground, objects, cells, block, cell_m)
+    corner = cells.north, cells.west
     unsure = [
         {
             **place.told,
             "pixels": int(place.cells.sum()) * side**2,
             "rectangles": _rectangles(place.cells, place.box, cells.window, side),
         }
-        for place in unsure_places(shape, ground, objects, cell_m, (cells.north, cells.west))
-        if is_here(place.row, place.column)
+        for place in unsure_places(shape, ground, objects, cell_m, SEARCHES[kind], corner)
+        if _is_here(cells, block, place.row, place.column)
     ]
     return None, {"objects": places, "unsure": unsure}
+
+
+class _Judged(NamedTuple):
+    """Candidates of a block, with a mask of those that begin in it or decide on one that does."""
+
+    found: Candidates
+    levels: list[Level]
+    mask: Bools
+
+
+def _judged(heights: Float64, cell_m: float, cells: PixelCells, block: Block) -> _Judged:
+    """Return the candidates for objects among the cells near a block."""
+    found, levels = candidates(heights, cell_m, reach_cells(cell_m) - near_cells(cell_m))
+    begin_here = _is_here(cells, block, found.row, found.column)
+    mask = _nested_with(found, levels, begin_here & found.shaped(Limits()))
+    return _Judged(found, levels, mask)
+
+
+def _objects(
+    judged: _Judged,
+    ground: Int64,
+    objects: Int64,
+    cells: PixelCells,
+    block: Block,
+    cell_m: float,
+) -> list[Counts]:
+    """Return what `left_objects` tells of the objects that begin in a block."""
+    found, levels, mask = judged
+    measures = measures_of(found, levels, ground, objects, cell_m)
+    chance = np.where(mask, chances(measures), 0.0)
+    return [
+        {
+            "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
+            "height_m": round(float(found.height_m[i]), 2),
+            "steep": round(float(found.steep[i]), 3),
+            "ground": int(ground[wider][outline].sum()),
+            "pixels": int(inside.sum()) * cells.side**2,
+            "rectangles": _rectangles(outline, wider, cells.window, cells.side),
+        }
+        for i, inside, own in chosen(found, levels, chance)
+        if _is_here(cells, block, found.row[i], found.column[i])
+        for outline, wider in [_widened(inside, own)]
+    ]
 
 
 def _is_here(cells: PixelCells, block: Block, row: Any, column: Any) -> Any:
@@ -151,8 +181,9 @@ def _nested_with(found: Candidates, levels: list[Level], some: Bools) -> Bools:
     return is_among
 
 
-def _hull(found: Candidates, levels: list[Level], some: Bools) -> Box:
-    """Return the rows and columns of some candidates and of the land around them."""
+def _hull(judged: _Judged) -> Box:
+    """Return the rows and columns of the judged candidates and of the land around them."""
+    found, levels, some = judged
     boxes = [scipy.ndimage.find_objects(level.labels) for level in levels]
     rows, columns = zip(
         *(boxes[found.level[i]][found.label[i] - 1] for i in np.flatnonzero(some)), strict=True

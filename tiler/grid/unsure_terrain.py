@@ -1,7 +1,8 @@
-"""Places where the terrain of a laser scan is unsure: it is rough, and ground points are far.
+"""Places where the terrain is unsure: it is rough, and ground points are far.
 
 Under plants and on steep land, no return may have reached the ground. The TIN then spans plants or a valley. Such
-places do not stand up from the land around, as objects do (`tiler.grid.object_candidates`).
+places do not stand up from the land around, as objects do (`tiler.grid.object_candidates`). Matching sees no ground
+under plants, in shadow and beside walls.
 
 The measure is the height above the lowest cell nearby, without the trend of the land, times the root of the distance to
 the nearest ground. Places are connected cells with a large measure within a square of `SQUARE_M`, so that none is
@@ -20,6 +21,7 @@ import scipy
 from ptd.gridding.ground_cells import box_sums
 from tiler.grid.coarse import distances
 from tiler.grid.object_candidates import MOST_CHANCE, TOUCHING, Bools, Box, Float64, Int64
+from tiler.grid.sigma import LASER, MATCHED
 
 SQUARE_M = 48.0
 """Side of the squares that cut places, which have whole cells."""
@@ -29,12 +31,8 @@ FARTHEST_CELLS = 8
 """Distance from which ground is as good as none."""
 RIM_CELLS = 17
 """Distance from a cell within which all lies that decides on its measures, in cells of at least 0.65 m."""
-LEAST_MEASURE = 0.3
-"""Least measure of a cell of a place, in m^1.5."""
 LEAST_AREA_M2, LEAST_SUM = 4.0, 16.0
 """Least area of a place, and least sum of the squares of its measures times the area of a cell, in m^5."""
-LEAST_CHANCE = 0.7
-"""Least chance of a place that is listed."""
 LEAST_RETURNS_M2 = 2.0
 """Least number of returns around per square metre. In sparser scans, ground is far everywhere."""
 LEAST_RISE, LEAST_ROOT = 0.05, 0.1
@@ -66,13 +64,40 @@ class Weights(NamedTuple):
         For the area.
     """
 
-    always: float = -3.15
-    rise: float = 3.93
-    gap: float = 5.07
-    objects: float = -3.81
-    tilt: float = -3.2
-    steep: float = 1.99
-    area: float = 1.11
+    always: float
+    rise: float
+    gap: float
+    objects: float
+    tilt: float
+    steep: float
+    area: float
+
+
+class Search(NamedTuple):
+    """Constants of the search in laser scans or in photogrammetric clouds.
+
+    Attributes
+    ----------
+    least_measure : float
+        Least measure of a cell of a place, in m^1.5.
+    least_chance : float
+        Least chance of a place that is listed.
+    error : float
+        Median of the root mean square error of places, as a multiple of the rise times the root of the gap.
+    weights : Weights
+    """
+
+    least_measure: float
+    least_chance: float
+    error: float
+    weights: Weights
+
+
+SEARCHES = {
+    LASER: Search(0.3, 0.7, 1.0, Weights(-3.15, 3.93, 5.07, -3.81, -3.2, 1.99, 1.11)),
+    MATCHED: Search(0.2, 0.5, 1.25, Weights(-2.1, 3.02, 2.87, 1.21, -0.16, 0.42, 0.59)),
+}
+"""Searches by kind of the cloud. Other clouds are not searched."""
 
 
 class Shape(NamedTuple):
@@ -109,9 +134,9 @@ def shape_of(heights: Float64, cell_m: float) -> Shape:
     return Shape(rise, trend, heights)
 
 
-def may_be_unsure(rise: Float64, cell_m: float) -> Bools:
+def may_be_unsure(rise: Float64, cell_m: float, search: Search) -> Bools:
     """Return a mask of the cells that can belong to a place, whatever the ground points are."""
-    return _smooth(rise * (FARTHEST_CELLS * cell_m) ** 0.5) >= LEAST_MEASURE
+    return _smooth(rise * (FARTHEST_CELLS * cell_m) ** 0.5) >= search.least_measure
 
 
 def unsure_places(
@@ -119,6 +144,7 @@ def unsure_places(
     ground: Int64,
     objects: Int64,
     cell_m: float,
+    search: Search,
     corner: tuple[int, int] = (0, 0),
 ) -> list[Place]:
     """Find the places of cells.
@@ -130,6 +156,7 @@ def unsure_places(
         Number of ground points and of others in each cell.
     cell_m : float
         Side of a cell in metres.
+    search : Search
     corner : tuple of int
         Row and column of the first cell, which say where the squares begin.
 
@@ -139,20 +166,21 @@ def unsure_places(
         Each tells its ``chance``, a typical ``error_m``, its mean ``gap_m``, the ``tilt`` of the land, and the
         share of ``objects``.
     """
-    labels, squared, measures = measured(shape, ground, objects, cell_m, corner)
-    always, *by = Weights()
+    labels, squared, measures = measured(
+        shape, ground, objects, cell_m, search.least_measure, corner
+    )
+    always, *by = search.weights
     # A matrix product may depend on the number of rows in its last bit.
     chance = scipy.special.expit(always + (measures * by).sum(axis=1))
     boxes = scipy.ndimage.find_objects(labels)
     places = []
-    for i in np.flatnonzero((chance >= LEAST_CHANCE) & (squared >= LEAST_SUM)):
+    for i in np.flatnonzero((chance >= search.least_chance) & (squared >= LEAST_SUM)):
         cells = labels[boxes[i]] == i + 1
         row, column = boxes[i][0].start, boxes[i][1].start + int(np.argmax(cells[0]))
         rise, gap, share, tilt = measures[i, :4]
         told = {
             "chance": round(min(float(chance[i]), MOST_CHANCE), 3),
-            # The root mean square of true errors is about the rise times the root of the gap.
-            "error_m": round(float(np.exp(rise + gap)), 2),
+            "error_m": round(search.error * float(np.exp(rise + gap)), 2),
             "gap_m": round((float(np.exp(gap)) - LEAST_ROOT) ** 2 + cell_m / 2, 1),
             "tilt": round(float(np.exp(tilt)) - LEAST_RISE, 2),
             "objects": round(float(share), 2),
@@ -162,7 +190,12 @@ def unsure_places(
 
 
 def measured(
-    shape: Shape, ground: Int64, objects: Int64, cell_m: float, corner: tuple[int, int]
+    shape: Shape,
+    ground: Int64,
+    objects: Int64,
+    cell_m: float,
+    least_measure: float,
+    corner: tuple[int, int],
 ) -> tuple[npt.NDArray[np.int32], Float64, Float64]:
     """Return labels of candidates, the sum of the squares of each, and its six measures in the order of `Weights`."""
     gap = distances(ground > 0, FARTHEST_CELLS)
@@ -173,7 +206,7 @@ def measured(
     half = _half(AROUND_M, cell_m)
     n_objects, returns = (_around(n, half) for n in (objects, objects + ground))
     is_dense = returns >= LEAST_RETURNS_M2 * (2 * half + 1) ** 2 * cell_m**2
-    cells = (measure >= LEAST_MEASURE) & is_dense & ~np.isnan(shape.heights)
+    cells = (measure >= least_measure) & is_dense & ~np.isnan(shape.heights)
     labels = _labels_in_squares(cells, corner, square_cells(cell_m))
     sizes = np.bincount(labels.ravel())
     is_kept = sizes * cell_m**2 >= LEAST_AREA_M2

@@ -245,7 +245,7 @@ def _unsure(run: Run) -> Iterator[Problem]:
     for place in run.get("unsure", ()):
         share, causes = place["objects"], []
         if share >= PLANTS:
-            causes.append(f"plants or buildings ({share:.0%} of the returns are not ground)")
+            causes.append(f"plants or buildings ({share:.0%} of the points are not ground)")
         if place["slope"] >= STEEP:
             causes.append(f"a slope of {place['slope']:.0%}")
         reason = f", with {' and '.join(causes)}" if causes else ""

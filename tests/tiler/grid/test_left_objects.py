@@ -15,6 +15,7 @@ from tiler.core.products import Read
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.left_objects import left_margin, left_objects
 from tiler.grid.object_candidates import candidates, chances, chosen, measures_of
+from tiler.grid.sigma import LASER, MATCHED
 
 SIDE = 160
 ROWS, COLUMNS = np.indices((SIDE, SIDE)).astype(float)
@@ -127,6 +128,7 @@ def test_places_do_not_depend_on_blocks(make_scene, resolution: int, size: int) 
     whole, parts = places(scene, spec, 10_000), places(scene, spec, size)
     assert whole
     assert parts == whole
+    assert not blocks_of(scene, spec, 10_000, "objects", MATCHED)
 
 
 def places(scene: Scene, spec: RasterSpec, size: int) -> list[dict]:
@@ -134,8 +136,10 @@ def places(scene: Scene, spec: RasterSpec, size: int) -> list[dict]:
     return blocks_of(scene, spec, size, "objects")
 
 
-def blocks_of(scene: Scene, spec: RasterSpec, size: int, kind: str) -> list[dict]:
-    """Return the places of a kind in all blocks of a size."""
+def blocks_of(
+    scene: Scene, spec: RasterSpec, size: int, places: str, kind: str = LASER
+) -> list[dict]:
+    """Return the places in all blocks of a size, ``objects`` or ``unsure``. ``kind`` is that of the cloud."""
     margin = left_margin(float(spec.lattice.size * scene.store.meta.frame.metres_xy))
     reads = {
         "points": Read("points"),
@@ -144,7 +148,15 @@ def blocks_of(scene: Scene, spec: RasterSpec, size: int, kind: str) -> list[dict
     found = []
     for block in spec.blocks(size):
         counts = make_block(
-            scene.store, "dtm-left", left_objects, reads, spec, block, NODATA, margin=margin
+            scene.store,
+            "dtm-left",
+            left_objects,
+            reads,
+            spec,
+            block,
+            NODATA,
+            margin=margin,
+            kind=kind,
         )
-        found += counts[kind]
+        found += counts[places]
     return sorted(found, key=lambda place: place["rectangles"])

@@ -15,8 +15,9 @@ from tiler.core.units import METRE, Units
 from tiler.grid.object_candidates import MOST_CHANCE, near_cells
 from tiler.grid.tasks.left_objects import report_left_objects, report_unsure
 from tiler.grid.unsure_terrain import (
-    LEAST_CHANCE,
     RIM_CELLS,
+    SEARCHES,
+    Place,
     shape_of,
     square_cells,
     unsure_places,
@@ -54,40 +55,45 @@ def land(where: np.ndarray, height_m: float) -> np.ndarray:
     return np.where(where, rough(np.random.default_rng(3), height_m), 100 + 0.1 * ROWS)
 
 
+@pytest.mark.parametrize("kind", SEARCHES)
 @pytest.mark.parametrize("cell_m", [0.8, 1.0, 1.4])
-def test_rough_land_far_from_ground_is_found_there(cell_m: float) -> None:
+def test_rough_land_far_from_ground_is_found_there(kind: str, cell_m: float) -> None:
     rough_land = patch(100, 100, 14)
-    places = found(land(rough_land, 5.0), seen_at(rough_land), cell_m)
+    places = found(land(rough_land, 5.0), seen_at(rough_land), cell_m, kind)
     cells = np.zeros(rough_land.shape, np.bool_)
     for place in places:
         cells[place.box] |= place.cells
         assert max(place.cells.shape) <= square_cells(cell_m)
-        assert LEAST_CHANCE <= place.told["chance"] <= MOST_CHANCE
+        assert SEARCHES[kind].least_chance <= place.told["chance"] <= MOST_CHANCE
     assert np.count_nonzero(cells & rough_land) >= 0.3 * np.count_nonzero(rough_land)
     assert not (cells & ~patch(100, 100, 17)).any()
 
 
-def test_rough_land_with_ground_points_is_not_unsure() -> None:
+@pytest.mark.parametrize("kind", SEARCHES)
+def test_rough_land_with_ground_points_is_not_unsure(kind: str) -> None:
     everywhere = np.ones(ROWS.shape, np.bool_)
-    assert not found(land(everywhere, 5.0), everywhere, 1.0)
+    assert not found(land(everywhere, 5.0), everywhere, 1.0, kind)
 
 
-def test_smooth_land_without_ground_points_is_not_unsure() -> None:
+@pytest.mark.parametrize("kind", SEARCHES)
+def test_smooth_land_without_ground_points_is_not_unsure(kind: str) -> None:
     hidden = patch(100, 100, 30)
-    assert not found(100 + 0.4 * ROWS + 0.2 * COLUMNS, ~hidden, 1.0)
+    assert not found(100 + 0.4 * ROWS + 0.2 * COLUMNS, ~hidden, 1.0, kind)
 
 
-def test_sparse_scans_are_not_judged() -> None:
+@pytest.mark.parametrize("kind", SEARCHES)
+def test_sparse_clouds_are_not_judged(kind: str) -> None:
     rough_land = patch(100, 100, 14)
     heights, seen = land(rough_land, 5.0), seen_at(rough_land)
-    shape = shape_of(heights, 1.0)
-    assert unsure_places(shape, 3 * seen, 3 * ~seen, 1.0)
-    assert not unsure_places(shape, 1 * seen, 1 * ~seen, 1.0)
+    assert found(heights, seen, 1.0, kind, 3)
+    assert not found(heights, seen, 1.0, kind, 1)
 
 
-def found(heights: np.ndarray, seen: np.ndarray, cell_m: float) -> list:
-    """Return the places in cells with six ground points each where the ground is seen, else with six objects."""
-    return unsure_places(shape_of(heights, cell_m), 6 * seen, 6 * ~seen, cell_m)
+def found(
+    heights: np.ndarray, seen: np.ndarray, cell_m: float, kind: str, n: int = 6
+) -> list[Place]:
+    """Return the places in cells with ``n`` ground points each where the ground is seen, else with ``n`` objects."""
+    return unsure_places(shape_of(heights, cell_m), n * seen, n * ~seen, cell_m, SEARCHES[kind])
 
 
 def test_a_place_is_not_listed_where_an_object_is(make_scene) -> None:
@@ -132,14 +138,17 @@ def test_the_cells_near_a_block_decide_on_all_squares_that_touch_it(cell_m: floa
     assert near_cells(cell_m) >= square_cells(cell_m) - 1 + RIM_CELLS
 
 
+@pytest.mark.parametrize("kind", SEARCHES)
 @pytest.mark.parametrize("resolution", [500, 700, 1000])
 @pytest.mark.parametrize("size", [37, 64])
-def test_places_do_not_depend_on_blocks(make_scene, resolution: int, size: int) -> None:
+def test_places_do_not_depend_on_blocks(
+    make_scene, resolution: int, size: int, kind: str
+) -> None:
     rough_land = patch(60, 70, 20) | patch(130, 120, 30)
     heights, seen = land(rough_land, 6.0), seen_at(rough_land)
     scene = scanned(make_scene, heights, seen)
     spec = scene.grid_into_store("dtm", Fraction(resolution))
-    whole, parts = (blocks_of(scene, spec, n, "unsure") for n in (10_000, size))
+    whole, parts = (blocks_of(scene, spec, n, "unsure", kind) for n in (10_000, size))
     assert whole
     assert parts == whole
 

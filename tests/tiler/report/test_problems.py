@@ -271,7 +271,7 @@ def test_unsure_terrain_names_its_causes() -> None:
     open_land = {**place, "slope": 0.1, "objects": 0.2}
     both, neither = found(unsure=[place, open_land])
     assert (
-        "plants or buildings (90% of the returns are not ground) and a slope of 40%" in both.why
+        "plants or buildings (90% of the points are not ground) and a slope of 40%" in both.why
     )
     assert ("plants" in neither.why, "slope" in neither.why) == (False, False)
     assert (both.action, both.stake_m, both.chance) == ("", 0.8, 0.6)

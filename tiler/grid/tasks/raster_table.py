@@ -53,7 +53,7 @@ from tiler.grid.derived import (
 )
 from tiler.grid.flaws import ABOVE_M, above, min_pixels
 from tiler.grid.left_objects import left_margin, left_objects
-from tiler.grid.sigma import LASER, land_margin, reach_of, sigma, sigma_result
+from tiler.grid.sigma import land_margin, reach_of, sigma, sigma_result
 from tiler.grid.steps import Counts
 from tiler.grid.tasks.findings import report_above, report_implausible
 from tiler.grid.tasks.gridding import (
@@ -84,6 +84,7 @@ from tiler.grid.tasks.steps import (
 )
 from tiler.grid.tasks.terrain import TERRAIN, TERRAIN_OF_CANOPIES, TERRAIN_OF_WATER, OnTin
 from tiler.grid.tasks.water_search import water_steps
+from tiler.grid.unsure_terrain import SEARCHES
 from tiler.grid.voids import Void, fill_voids, find_voids
 from tiler.plan import Plan
 from tiler.runs.found import filled_raster, final_raster, outlined_models
@@ -196,8 +197,9 @@ def _product_steps(plan: Plan) -> list[Step]:
             {
                 "points": Read("points", math.ceil(left * size)),
                 "terrain": Read(f"raster:{dtm}", left),
+                "kind": Read("kind"),
             },
-            _of_laser_scans,
+            _of_searched_kinds,
             {"margin": left},
             _left_found,
             # Of small pixels, the land around is wider than a block.
@@ -250,9 +252,9 @@ def _above_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
     report_implausible(job, context.spec, of_blocks.values())
 
 
-def _of_laser_scans(step: Step, context: GridContext, near: Near) -> Mapping[Block, Values]:
-    """Return the blocks with a terrain of a laser scan. In other clouds, the search finds too much that is right."""
-    return all_of("terrain")(step, context, near) if context.kind == LASER else {}
+def _of_searched_kinds(step: Step, context: GridContext, near: Near) -> Mapping[Block, Values]:
+    """Return the blocks with a terrain if the kind of the cloud is known."""
+    return all_of("terrain")(step, context, near) if context.kind in SEARCHES else {}
 
 
 def _left_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
