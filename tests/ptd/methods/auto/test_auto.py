@@ -43,6 +43,10 @@ SMALL = Near(
 )
 
 
+RASTERS = ("survey", "noise", "seeds", "summits", "refine", "roofs", "treetops", "annexes")
+"""Passes on rasters that find a hall and what is built beside it."""
+
+
 def scene(n: int = 30_000) -> tuple[np.ndarray, np.ndarray]:
     """A slope with two roofs, a bush, a wall and low noise: metres, and the true classes."""
     rng = np.random.default_rng(4)
@@ -246,24 +250,64 @@ def test_tiers_of_roofs_are_no_ground(tiers_m: tuple[float, ...]) -> None:
     assert found[~roof].mean() > 0.99
 
 
-@pytest.mark.parametrize("side_m", [60.0, 24.0])
-def test_a_ramp_beside_a_hall_is_no_ground_but_a_terrace_is(side_m: float) -> None:
-    """The ramp ends at the wall, where there is no ground; the terrace is as high, but wider than an object."""
+def hall_with_ramp(side_m: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """A hall of twice this length, a ramp that ends at its wall, where there is no ground, and a terrace as high."""
     rng = np.random.default_rng(8)
     x, y = rng.uniform(0, 200, (2, 160_000))
     z = 0.02 * x + rng.normal(0, 0.02, x.size)
-    hall = (abs(x - 100) < side_m) & (abs(y - 120) < 25)
-    ramp = (abs(x - 100) < 0.4 * side_m) & (y > 87) & (y <= 95)
-    terrace = y >= 145
-    z[hall], z[ramp | terrace] = 10.0, z[ramp | terrace] + 1.4
-    xyz = np.stack([x, y, z], axis=1)
+    parts = {
+        "hall": (abs(x - 100) < side_m) & (abs(y - 120) < 25),
+        "ramp": (abs(x - 100) < 0.4 * side_m) & (y > 87) & (y <= 95),
+        "terrace": y >= 145,
+    }
+    z[parts["hall"]] = 10.0
+    z[parts["ramp"] | parts["terrace"]] += 1.4
+    return np.stack([x, y, z], axis=1), parts
+
+
+@pytest.mark.parametrize("side_m", [60.0, 24.0])
+def test_a_ramp_beside_a_hall_is_no_ground_but_a_terrace_is(side_m: float) -> None:
+    """The terrace is wider than an object."""
+    xyz, parts = hall_with_ramp(side_m)
     result = ptd.classify(xyz, "auto", kind="lidar")
     is_ground = result.classification == 2
-    assert is_ground[hall].mean() == 0
-    assert is_ground[ramp].mean() < 0.02
-    assert is_ground[terrace].mean() > 0.97
-    assert is_ground[~(hall | ramp | terrace)].mean() > 0.99
+    assert is_ground[parts["hall"]].mean() == 0
+    assert is_ground[parts["ramp"]].mean() < 0.02
+    assert is_ground[parts["terrace"]].mean() > 0.97
+    assert is_ground[~np.any(list(parts.values()), axis=0)].mean() > 0.99
     assert result.stats["annexes"]["annexes"] > 100
+
+
+def halls_with_parts() -> np.ndarray:
+    """Four halls on rolling land, and 60 low blocks of any height, some of which lean on a hall: metres."""
+    rng = np.random.default_rng(8)
+    x, y = rng.uniform(0, 240, (2, 200_000))
+    z = 1.5 * np.sin(x / 15) * np.cos(y / 19) + rng.normal(0, 0.03, x.size)
+    halls = (abs(abs(x - 120) - 55) < 25) & (abs(abs(y - 120) - 55) < 25)
+    for _ in range(60):
+        east, north = rng.uniform(20, 220, 2)
+        block = (abs(x - east) < rng.uniform(1, 8)) & (abs(y - north) < rng.uniform(1, 8))
+        z[block] += rng.uniform(0.2, 1.6)
+    z[halls] = 12
+    return np.stack([x, y, z], axis=1)
+
+
+def test_annexes_do_not_depend_on_tiles() -> None:
+    """The pass sees exactly its reach around each tile. With a third of it, some points would differ."""
+    cloud = Points(np.rint(halls_with_parts().T / float(SCALE.metres_xy)).astype(np.int32))
+
+    class Before(Auto):
+        passes = tuple(step for step in Auto().passes if step.name in RASTERS[:-1])
+
+    class Annexes(Before):
+        passes = tuple(step for step in Auto().passes if step.name in RASTERS)
+
+    before, _, _ = classify_tiled(cloud, SCALE, Before(), None, kind="lidar")
+    whole, _, _ = classify_tiled(cloud, SCALE, Annexes(), None, kind="lidar")
+    tiled, marks, _ = classify_tiled(cloud, SCALE, Annexes(), 40.0, kind="lidar")
+    assert np.count_nonzero((whole == ROOF) & (before != ROOF)) > 500
+    assert not marks.any()
+    assert np.array_equal(tiled, whole)
 
 
 def test_the_decision_reaches_the_result() -> None:
