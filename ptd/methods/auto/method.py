@@ -80,7 +80,7 @@ fine_surface          ours                        yes       the TIN of each metr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
@@ -131,6 +131,7 @@ from ptd.methods.auto.raster_passes import (
     AnnexPass,
     LidarPass,
     NoisePass,
+    RasterPass,
     RefinePass,
     RoofPass,
     SeedPass,
@@ -151,33 +152,38 @@ class Auto(AutoParameters):
     @property
     def passes(self) -> tuple[Pass, ...]:
         """Passes on rasters (with a fixed radius) and on TINs in turn, so that uncertified regions do not add up."""
-        cell = self.thin_cell_m
         return (
             SurveyPass(params=self),
-            NoisePass(self, influence_radius_m=(self.noise_reach + 1) * cell),
-            SeedPass(self, influence_radius_m=(self.seed_reach + 1) * cell),
-            SummitPass(self, influence_radius_m=(self.summit_reach + 1) * cell),
+            NoisePass(self, influence_radius_m=(self.noise_reach + 1) * self.thin_cell_m),
+            self._raster_pass(SeedPass, self.seed_reach),
+            self._raster_pass(SummitPass, self.summit_reach),
             DensifyPass(self),
-            RefinePass(self, influence_radius_m=(self.refine_reach + 1) * cell),
+            self._raster_pass(RefinePass, self.refine_reach),
             *(
                 self._roof_pass(name, ROOF_STEPS_M[: n + 1])
                 for n, name in enumerate(ROOF_PASSES)
             ),
-            TreetopPass(self, influence_radius_m=(self.treetop_reach + 1) * cell),
-            AnnexPass(self, influence_radius_m=(self.annex_reach + 1) * cell),
+            self._raster_pass(TreetopPass, self.treetop_reach),
+            self._raster_pass(AnnexPass, self.annex_reach),
             LabelPass(self, label_margin_m=REACH_M if self.fine_surface else 0.0),
             *matched.PASSES[:-1],
             matched.SurfacePass(refine=self.refine),
         )
 
-    def _roof_pass(self, name: str, steps_m: Sequence[float]) -> RoofPass:
+    def _raster_pass(
+        self, kind: Callable[..., RasterPass], reach: int, **rest: Any
+    ) -> RasterPass:
+        return kind(self, reach, (reach + 1) * self.thin_cell_m, **rest)
+
+    def _roof_pass(self, name: str, steps_m: Sequence[float]) -> RasterPass:
         """Return the pass for the last of some steps."""
         step_m, n_round = steps_m[-1], steps_m.count(steps_m[-1])
         title = f"take out roofs with edges of {step_m:g} m"
         if n_round > 1:
             title += f", round {n_round}"
-        reach_m = (self.roof_reach + 1) * self.thin_cell_m
-        return RoofPass(self, n_round > 1, step_m, name, title, reach_m)
+        return self._raster_pass(
+            RoofPass, self.roof_reach, again=n_round > 1, step_m=step_m, name=name, title=title
+        )
 
 
 @dataclass(frozen=True)
