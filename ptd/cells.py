@@ -6,14 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.frame import CellGrid, CellLattice
-from ptd.kernel import as_int64, inlined, kernel
+from ptd.kernel import Bool, Int32, Int64, as_int64, inlined, kernel
 from ptd.sorting import sort_pairs
-
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 
 class Xyz(NamedTuple):
@@ -200,7 +196,7 @@ def _sample_by_key(
 
 def sort_in_cells(
     x: Int32, y: Int32, z: Int32, cells: CellLattice
-) -> tuple[Int64, Int64, npt.NDArray[np.bool_]]:
+) -> tuple[Int64, Int64, Bool]:
     """Sort points by cell in row-major order, and within a cell by z, x, y.
 
     Parameters

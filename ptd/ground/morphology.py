@@ -13,16 +13,10 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys
+from ptd.cells import cell_keys
 from ptd.frame import CellLattice
-from ptd.kernel import kernel
-
-Float64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-
+from ptd.kernel import Bool, Float32, Float64, Int32, Int64, kernel
 
 EMPTY = 2**31 - 1
 """Height of a cell without points."""

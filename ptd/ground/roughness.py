@@ -30,9 +30,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
+from ptd.cells import Xyz, cell_keys, occupied
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.noise_sums import (
     BIN_M,
@@ -43,7 +42,7 @@ from ptd.ground.noise_sums import (
     histogram,
 )
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, kernel
 from ptd.places import PLACE_M
 
 MIN_POINTS = 16
@@ -61,9 +60,6 @@ MIN_QUARTER_PLANE_POINTS = 12
 PATCHES_ACROSS = round(PLACE_M / PATCH_M)
 TALLEST_M = 8.0
 """Largest height range of the points of a planar patch, which keeps the sums small."""
-
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 
 class _Moments(NamedTuple):

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys
+from ptd.cells import cell_keys
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import kernel
+from ptd.kernel import Int32, Int64, kernel
 from ptd.places import Field, on_cells
 
 CELL_M = 1.0
@@ -40,8 +39,6 @@ MODE_SHARE, MODE_POINTS = 0.1, 2
 surface of the cell, as single blunders are fewer."""
 FEW = 128
 """Largest number of points in a cell that are sorted by counting."""
-
-Float64 = npt.NDArray[np.float64]
 
 
 @kernel

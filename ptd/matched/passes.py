@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.morphology import Bool
+from ptd.kernel import Bool, Float64, Int32, UInt8
 from ptd.matched import bent_hull, ground_model, last_look, objects, surface
 from ptd.matched.canopy import PIT_M, canopy, may_be, pit_reach_cells, pits
 from ptd.matched.canopy import reach_cells as canopy_reach_cells
@@ -38,14 +37,13 @@ from ptd.matched.step import (
     size_of_cells,
 )
 from ptd.matched.survey import CELL_SIZE, CELL_SIZES_M, cell_sizes
-from ptd.passes import Int32, Model, Partial, Pass, Points, State, UInt8, add_notes
+from ptd.passes import Model, Partial, Pass, Points, State, add_notes
 from ptd.places import PLACES, TREES, of_places, on_cells
 
 BORDER_M = 8.0
 """Distance from a canopy, in metres, within which the surface may differ from the surface with
 crowns."""
 
-Float64 = npt.NDArray[np.float64]
 
 BLOCK_M = 64.0
 """Side of the blocks by which covered cells are counted; their lattice is anchored at CRS
@@ -415,7 +413,7 @@ def _pits(
     heights: Int32,
     codes: UInt8,
     fitted: surface.Surface,
-    far_trees: npt.NDArray[np.float64],
+    far_trees: Float64,
     scale: Scale,
     cell_m: float,
 ) -> Bool:

@@ -28,11 +28,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys, lowest_by_key, occupied
+from ptd.cells import cell_keys, lowest_by_key, occupied
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Int32, Int64, as_int64, kernel
 from ptd.matched.cells import by_cell
 from ptd.sorting import sort_by
 
@@ -55,8 +54,6 @@ COUNTS = (
     "overhang_looks",
     "overhangs",
 )
-
-Bool = npt.NDArray[np.bool_]
 
 
 @kernel

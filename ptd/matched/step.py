@@ -11,11 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.morphology import Bool
+from ptd.kernel import Bool, Float64, Int32, UInt8
 from ptd.matched.cells import SPARSE_CELL_M, CellHeights
 from ptd.matched.survey import (
     BOTH,
@@ -26,7 +24,7 @@ from ptd.matched.survey import (
     cell_sizes,
     known,
 )
-from ptd.passes import Model, Pass, Points, State, UInt8
+from ptd.passes import Model, Pass, Points, State
 from ptd.places import PLACES, Field, field, near, of_places
 
 LEFT, TERRAIN, OBJECT = 1, 2, 3
@@ -94,7 +92,6 @@ class Codes(Model):
         ], uncertified
 
 
-Float64 = npt.NDArray[np.float64]
 OfSize = Callable[[Points, Scale, State, float], Model]
 """Function of a pass that fits the cells of one size, from elected points, scale, state and
 size in metres."""

@@ -48,8 +48,9 @@ from ptd.ground.criteria import FacetLimits
 from ptd.ground.densify import densify_seeds
 from ptd.ground.labelling import LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, low_outliers, search_margin
+from ptd.kernel import Int32
 from ptd.params import check, parameter
-from ptd.passes import Int32, Method, Pass, Points, State
+from ptd.passes import Method, Pass, Points, State
 
 AXELSSON = "Axelsson 2000"
 

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.kernel import Bool, Float64, Int32, UInt8
 from ptd.tin import natural, raster
 from ptd.tin.facets import KnownBounds, Rule
 from ptd.tin.mesh import MAX_EXTENT, Tin
-from ptd.tin.raster import PixelCentres, UInt8Array
-from ptd.tin.triangles import Int32Array
+from ptd.tin.raster import PixelCentres
 
 _MAX_Q = 2**9 - 1
 _ALL = 2**62  # exceeds the square of any edge
@@ -147,8 +146,8 @@ class TinRaster(NamedTuple):
         True where data outside the window could change the pixel.
     """
 
-    heights: npt.NDArray[np.float64]
-    marks: npt.NDArray[np.bool_]
+    heights: Float64
+    marks: Bool
 
 
 def _rule(max_edge: float, max_radius: float) -> Rule:
@@ -168,7 +167,7 @@ def pixel_owners(
     max_edge: float = math.inf,
     max_radius: float = math.inf,
     window: KnownWindow = EVERYWHERE,
-) -> tuple[Int32Array, UInt8Array]:
+) -> tuple[Int32, UInt8]:
     """Find the facet or vertex that owns each pixel centre.
 
     Returns

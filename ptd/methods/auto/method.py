@@ -100,10 +100,10 @@ from ptd.ground.densify import (
 )
 from ptd.ground.fine_surface import REACH_M, FineLabels, with_fine_surface
 from ptd.ground.labelling import GROUND, Bands, LabelRule, TinLabels
-from ptd.ground.morphology import Bool
 from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise
 from ptd.ground.plateaus import ROOF_STEPS_M
+from ptd.kernel import Bool, Int32
 from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.evidence import DIM
@@ -138,7 +138,7 @@ from ptd.methods.auto.raster_passes import (
     SummitPass,
     TreetopPass,
 )
-from ptd.passes import Int32, Method, Pass, Points, State
+from ptd.passes import Method, Pass, Points, State
 from ptd.places import PLACES, Figures, field, span
 from ptd.tin.mesh import Tin
 

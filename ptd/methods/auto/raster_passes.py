@@ -17,6 +17,7 @@ from ptd.ground.morphology import CellRaster, blocks
 from ptd.ground.outliers import low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
 from ptd.ground.treetops import on_treetops
+from ptd.kernel import UInt8
 from ptd.matched.step import is_matched
 from ptd.methods.auto.cells import (
     DENSIFIED,
@@ -30,7 +31,7 @@ from ptd.methods.auto.cells import (
     lowest_points,
 )
 from ptd.methods.auto.params import AutoParameters
-from ptd.passes import Pass, Points, State, UInt8
+from ptd.passes import Pass, Points, State
 
 
 @dataclass(frozen=True)

@@ -68,12 +68,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Xyz, lowest_per_cell, position_keys
+from ptd.cells import Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import REFUSED, RING, VERTEX, box_with_ring, choose_seeds, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers, search_margin
+from ptd.kernel import Bool, Int32, Int64, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.chen2023.progressive_opening import (
     Opening,
@@ -84,20 +85,8 @@ from ptd.methods.chen2023.progressive_opening import (
 from ptd.methods.chen2023.seed_clusters import ClusterLimits, noisy_seeds
 from ptd.methods.classic import Classic, Progressive
 from ptd.params import like, parameter
-from ptd.passes import (
-    Method,
-    Partial,
-    Pass,
-    Points,
-    State,
-    StatisticsModel,
-    Stats,
-    UInt8,
-    add_notes,
-)
+from ptd.passes import Method, Partial, Pass, Points, State, StatisticsModel, Stats, add_notes
 from ptd.tin.mesh import Tin
-
-Bool = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -272,10 +261,9 @@ class Tails(NamedTuple):
     above: int
 
 
-def _bins(z: Int32, scale: Scale) -> npt.NDArray[np.int64]:
+def _bins(z: Int32, scale: Scale) -> Int64:
     """Return the bin of each height. Bin 0 starts at height 0 of the CRS."""
-    bins: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
-    return bins
+    return np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
 
 
 def histogram(z: Int32, scale: Scale) -> Histogram:

@@ -16,16 +16,11 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32
 from ptd.frame import CellLattice, Window
 from ptd.ground.morphology import EMPTY, blocks
-from ptd.kernel import kernel
-
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
+from ptd.kernel import Bool, Int32, Int64, kernel
 
 
 @kernel

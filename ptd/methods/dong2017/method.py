@@ -62,8 +62,9 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import roughness
-from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial, contour_reach
+from ptd.ground.distance_angle import Bins, Threshold, Trial, contour_reach
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.kernel import Bool, Int64, UInt8
 from ptd.matched.cells import CELL_M
 from ptd.matched.robust_cells import MethodSurveyPass, NearGroundPass, OnLidar, OnMatchedCells
 from ptd.methods.dong2017.growth import Growth, Stage, picks
@@ -83,7 +84,6 @@ from ptd.passes import (
     Points,
     State,
     StatisticsModel,
-    UInt8,
     add_notes,
 )
 from ptd.tin.mesh import Tin

@@ -75,8 +75,9 @@ from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
 from ptd.ground.densify import densify_seeds
-from ptd.ground.distance_angle import Bool, contour_reach
+from ptd.ground.distance_angle import contour_reach
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
+from ptd.kernel import Bool, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.classic import Classic, ClassicPass, Progressive, thinned
 from ptd.methods.dong2018.surfaces import (
@@ -99,7 +100,6 @@ from ptd.passes import (
     Points,
     State,
     StatisticsModel,
-    UInt8,
     add_notes,
 )
 

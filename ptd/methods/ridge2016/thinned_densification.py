@@ -11,19 +11,16 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, Xyz
-from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
+from ptd.cells import Xyz
+from ptd.ground.certificates import CheckedMesh, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.labelling import is_terrain
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Int32, Int64, UInt8, as_int64, kernel
 from ptd.methods.ridge2016.ridges import Stacks
 from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import Mesh, is_ghost, locate
-
-Bool = npt.NDArray[np.bool_]
 
 
 @kernel
