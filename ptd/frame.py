@@ -102,6 +102,16 @@ class CellLattice:
         rows: Int64 = ((y.astype(np.int64) + self.origin_y) * self.q) // self.p
         return columns, rows
 
+    def extent(self, x: Int32, y: Int32, margin: int = 0) -> tuple[int, int, int, int]:
+        """Return the rectangle of cells around at least one point, with a margin of cells on each side.
+
+        Returns its first column, its first row, and its numbers of columns and rows.
+        """
+        column, row = self.column(int(x.min())) - margin, self.row(int(y.min())) - margin
+        columns = self.column(int(x.max())) + margin + 1 - column
+        rows = self.row(int(y.max())) + margin + 1 - row
+        return column, row, columns, rows
+
     def corners(self, columns: Int64, rows: Int64) -> tuple[Int64, Int64]:
         """Return the western edges of columns and the southern edges of rows, in local counts: int64 [n] each.
 

@@ -384,7 +384,7 @@ def on_strips(
         np.where(is_ground, below, heights).reshape(wide.shape),
         surface.reshape(wide.shape),
         none,
-        _with_data(wide),
+        wide.occupied(),
         none,
         objects.size + 1,
         roof_rule.rays,
@@ -394,17 +394,11 @@ def on_strips(
     return smooth & is_strip[wide.keys]
 
 
-def _with_data(raster: CellRaster) -> Bool:
-    data = np.zeros(raster.shape[0] * raster.shape[1], np.bool_)
-    data[raster.keys] = True
-    return data.reshape(raster.shape)
-
-
 def _near_border(raster: CellRaster) -> Bool:
     """Return a mask of the points near cells without points: bool [n]."""
     size = 2 * round(STRIP_NEAR_M / ROOF_CELL_M) + 1
     near: Bool = scipy.ndimage.maximum_filter(
-        ~_with_data(raster), size=size, mode="constant", cval=True
+        ~raster.occupied(), size=size, mode="constant", cval=True
     )
     return near.ravel()[raster.keys]
 

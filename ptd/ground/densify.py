@@ -151,6 +151,15 @@ def _add_uncertified_cells(
                 region.add_box(*box)
 
 
+def tin_with_ring(points: Xyz, chosen: Bool | Int32, ring: Int32, max_vertices: int = 1) -> Tin:
+    """Triangulate the points that a mask or an index chooses, and the virtual seeds around them.
+
+    ``max_vertices`` is the room for later insertions (`ptd.tin.mesh.Tin.build`).
+    """
+    columns = (np.concatenate([c[chosen], v]) for c, v in zip(points, ring.T, strict=True))
+    return Tin.build(*columns, max_vertices=max_vertices)
+
+
 def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:
     """Return west, south, east and north of a box that contains all empty circles through or around data (`RING`).
 
@@ -355,7 +364,6 @@ def densify_seeds(
     seeds = choose_seeds(x, y, z, ~outlier, seed_cells, region)
     state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)
     state[seeds.chosen] = VERTEX
-    first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
-    tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
+    tin = tin_with_ring(points, seeds.chosen, seeds.virtual, x.size + len(seeds.virtual))
     _, run = densify(tin, points, state, limits, rounds, region)
     return tin, region.triangles(tin), run

@@ -298,9 +298,8 @@ def _in_raster(points: Xyz, scale: Scale) -> Bool:
     """Return the noise among points whose extent is small enough for rasters."""
     x, y, z = points
     cells = CellLattice.of(CELL_M, scale)
-    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-    shape = cells.row(int(y.max())) - row0 + 1, cells.column(int(x.max())) - col0 + 1
-    keys = cell_keys(x, y, cells, col0, row0, shape[1])
+    col0, row0, width, height = cells.extent(x, y)
+    keys, shape = cell_keys(x, y, cells, col0, row0, width), (height, width)
     figures, depth = cell_figures(keys, z, shape), scale.counts_z(MIN_DEPTH_M)
     noise = np.zeros(x.size, np.bool_)
     if figures is None:

@@ -46,9 +46,8 @@ class CellRaster:
     """
 
     def __init__(self, x: Int32, y: Int32, cells: CellLattice) -> None:
-        col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-        width = cells.column(int(x.max())) - col0 + 1
-        self.shape = (cells.row(int(y.max())) - row0 + 1, width)
+        col0, row0, width, height = cells.extent(x, y)
+        self.shape = (height, width)
         self.keys = cell_keys(x, y, cells, col0, row0, width)
 
     def lowest(self, z: Int32, which: Bool) -> Int32:
@@ -56,6 +55,12 @@ class CellRaster:
         heights = np.full(self.shape[0] * self.shape[1], EMPTY, np.int32)
         _lower_cells(heights, self.keys, z, which)
         return heights.reshape(self.shape)
+
+    def occupied(self, which: Bool | slice = np.s_[:]) -> Bool:
+        """Return a mask of the cells with chosen points, by default with any points: bool, of `shape`."""
+        occupied = np.zeros(self.shape, np.bool_)
+        occupied.reshape(-1)[self.keys[which]] = True
+        return occupied
 
 
 @kernel

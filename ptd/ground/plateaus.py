@@ -189,13 +189,7 @@ def on_plateaus(
     roof_rule : Plateaus
     """
     heights = raster.lowest(z, ground)
-    removed = np.zeros(heights.size, np.bool_)
-    removed[raster.keys[before]] = True
-    data = np.zeros(heights.size, np.bool_)
-    data[raster.keys] = True
-    roof = plateaus(
-        heights, roof_rule, removed.reshape(heights.shape), data.reshape(heights.shape)
-    )
+    roof = plateaus(heights, roof_rule, raster.occupied(before), raster.occupied())
     beside = scipy.ndimage.maximum_filter(roof, size=3, mode="constant", cval=False)
     higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > roof_rule.fall
     return ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)

@@ -280,12 +280,10 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
         return Patches(none, none, none, never, never, none, np.zeros((0, 4), np.int64))
     cells = CellLattice.of(PATCH_M, scale)
     inside = core.contains(x, y)
-    # With a margin of columns around the occupied ones, a key beyond the raster is never a cell
+    # With a margin around the occupied cells, a key beyond the raster is never a cell
     # of another row.
-    col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
-    width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
-    point_keys = cell_keys(x, y, cells, col0, row0, width)
-    keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
+    col0, row0, width, height = cells.extent(x, y, REACH_CELLS)
+    keys, slot = occupied(cell_keys(x, y, cells, col0, row0, width), width * height)
     columns, rows = keys % width + col0, keys // width + row0
     corners = cells.corners(columns, rows)
     tallest, ratio = scale.counts_z(TALLEST_M), scale.z_ratio

@@ -212,9 +212,7 @@ def votes(
     least, widest = float(radius.min()), float(radius.max())
     cell_m = math.ceil(100.0 * widest / round(widest / least) - ROUNDED) / 100.0
     cells, most = CellLattice.of(cell_m, scale), math.ceil(widest / cell_m - ROUNDED)
-    column, row = cells.column(int(px.min())) - most, cells.row(int(py.min())) - most
-    width = cells.column(int(px.max())) - column + 1 + most
-    height = cells.row(int(py.max())) - row + 1 + most
+    column, row, width, height = cells.extent(px, py, most)
     keys = cell_keys(px, py, cells, column, row, width)
     starts, order = by_cell(keys, width * height)
     # Larger squares would overflow.

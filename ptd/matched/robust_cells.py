@@ -20,7 +20,6 @@ from typing import Self
 
 import numpy as np
 
-from ptd import places
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.criteria import across
 from ptd.ground.labelling import GROUND
@@ -230,7 +229,6 @@ class NearGroundPass(OneSizePass):
     )
     label_margin_m: float = ground_model.REACH_M
     raster_cell_m: float = CELL_M
-    by_place: bool = True
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
@@ -242,12 +240,7 @@ class NearGroundPass(OneSizePass):
             return GroundModel(None, {"cells": 0})
         heights = _ground_heights(*points.columns(), ground, scale)
         raster = raster_of(points.xyz, cells)
-        below = np.full(raster.heights.size, np.nan)
-        below[raster.keys] = heights
-        noise = places.on_cells(
-            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
-        )
-        tin_surface = surface.with_noise(
-            raster.heights, below.reshape(raster.heights.shape), noise, scale, size_m
-        )
+        below = raster.spread(heights, np.nan)
+        noise = raster.noise(noise_m(state, scale), cells)
+        tin_surface = surface.with_noise(raster.heights, below, noise, scale, size_m)
         return GroundModel.of(tin_surface, raster, cells, scale, state)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.kernel import Bool, Float64, Int32, UInt8
-from ptd.matched.cells import SPARSE_CELL_M, CellHeights
+from ptd.matched.cells import CELL_M, SPARSE_CELL_M, CellHeights
 from ptd.matched.survey import (
     BOTH,
     CELL_SIGMA,
@@ -54,6 +54,7 @@ class MatchedPass(Pass):
     """A pass that only photogrammetric clouds need."""
 
     kind = "dim"
+    by_place = True
 
     def applies(self, state: State) -> bool:
         """Return whether the survey is done and found image matching."""
@@ -70,6 +71,15 @@ class OneSizePass(MatchedPass):
         return {**local_state, "survey": {**local_state["survey"], "cell_m": cell_m(state)}}
 
 
+@dataclass(frozen=True)
+class OnCellsPass(MatchedPass):
+    """A pass on the elected cells and their labels."""
+
+    columns = ("labels",)
+    elected = True
+    raster_cell_m = CELL_M
+
+
 class Codes(Model):
     """Model with the code of each cell."""
 
@@ -77,8 +87,7 @@ class Codes(Model):
         self._raster, self._cells = raster, cells
         self.stats = {"cells": int(codes.size), "objects": int((codes == OBJECT).sum())}
         if raster is not None:
-            self._codes = np.zeros(raster.heights.size, np.uint8)
-            self._codes[raster.keys] = codes
+            self._codes = raster.spread(codes).reshape(-1)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return the codes of cells. All are certified, because the pass has a fixed radius."""

@@ -113,21 +113,12 @@ class KnownWindow:
 
     def sides(self) -> KnownBounds:
         """Inclusive limits of the known data, infinite on open sides."""
-        west, south, east, north = (
-            float(self.west),
-            float(self.south),
-            float(self.east - 1),
-            float(self.north - 1),
+        return KnownBounds(
+            -math.inf if self.open_west else float(self.west),
+            -math.inf if self.open_south else float(self.south),
+            math.inf if self.open_east else float(self.east - 1),
+            math.inf if self.open_north else float(self.north - 1),
         )
-        if self.open_west:
-            west = -math.inf
-        if self.open_south:
-            south = -math.inf
-        if self.open_east:
-            east = math.inf
-        if self.open_north:
-            north = math.inf
-        return KnownBounds(west, south, east, north)
 
 
 EVERYWHERE = KnownWindow(
@@ -154,9 +145,7 @@ def _rule(max_edge: float, max_radius: float) -> Rule:
     for name, value in (("max_edge", max_edge), ("max_radius", max_radius)):
         if not value >= 0:
             raise ValueError(f"{name} is {value}, must be >= 0 counts")
-    max_edge2 = _ALL
-    if max_edge < 2**31:
-        max_edge2 = math.floor(max_edge * max_edge)
+    max_edge2 = math.floor(max_edge * max_edge) if max_edge < 2**31 else _ALL
     return Rule(max_edge2, float(max_radius))
 
 

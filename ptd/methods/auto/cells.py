@@ -290,9 +290,8 @@ class Lowest:
 
         ``before`` are the cells that were ground before, and ``reach`` is the half width of the square around a cell.
         """
-        raster, heights = np.zeros(self.raster.shape, np.bool_), self.heights(before)
-        raster.reshape(-1)[self.raster.keys] = stays
-        lost = _outvoted(heights, raster, reach, self.scale.counts_z(LEVEL_M))
+        stays_ground, level = self.raster.occupied(stays), self.scale.counts_z(LEVEL_M)
+        lost = _outvoted(self.heights(before), stays_ground, reach, level)
         return lost.reshape(-1)[self.raster.keys]
 
     def annexes(self, ground: Bool, roofs: Bool, limits: Residuals, near: int) -> Bool:

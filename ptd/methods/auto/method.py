@@ -97,6 +97,7 @@ from ptd.ground.densify import (
     box_with_ring,
     choose_seeds,
     densify,
+    tin_with_ring,
 )
 from ptd.ground.fine_surface import REACH_M, FineLabels, with_fine_surface
 from ptd.ground.labelling import GROUND, Bands, LabelRule, TinLabels
@@ -388,8 +389,7 @@ def first_tin(
         known, known.inside(cells, RING), box_with_ring(x, y, cells), scale
     )
     ring = choose_seeds(x, y, z, chosen, cells, region).virtual
-    corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
-    return Tin.build(*corners, max_vertices=x.size + len(ring)), region
+    return tin_with_ring(Xyz(x, y, z), chosen, ring, x.size + len(ring)), region
 
 
 METHOD = Method(

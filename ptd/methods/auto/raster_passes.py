@@ -64,9 +64,7 @@ class NoisePass(LidarPass):
         """Search dense layers above low points."""
         p = self.params
         cells, xyz = CellLattice.of(p.thin_cell_m, scale), Xyz(*points.columns())
-        noise = np.zeros(len(points), np.bool_)
-        if p.low_group:
-            noise = low_noise(xyz, scale)
+        noise = low_noise(xyz, scale) if p.low_group else np.zeros(len(points), np.bool_)
         return ElectedCells(xyz, noise, cells, window.inside(cells, p.noise_reach))
 
 

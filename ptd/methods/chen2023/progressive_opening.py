@@ -126,9 +126,7 @@ def window_widths(initial: int, exponential: bool, building_cells: Fraction) -> 
     widths, k = [1], 0
     while widths[-1] < last:
         k += 1
-        half = k * initial
-        if exponential:
-            half = initial**k
+        half = initial**k if exponential else k * initial
         widths.append(min(2 * half + 1, last))
     return widths[1:]
 

@@ -258,9 +258,7 @@ class NoisePass(Pass):
             "dense": False,
         }
         density = f"{measured.density_m2:.3g} points/m2"
-        assumed = sigma
-        if assumed is None:
-            assumed = noise_sums.MAX_SIGMA_M
+        assumed = noise_sums.MAX_SIGMA_M if sigma is None else sigma
         least = self.params.threshold_m2(assumed)
         if measured.density_m2 < SPARSE_M2 or (sigma is None and measured.density_m2 <= least):
             return with_notes(
@@ -516,12 +514,8 @@ class JoinModel(Model):
         self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool
     ) -> None:
         self._even, self._distance_m, self._angle_deg = even, distance_m, angle_deg
-        self._label = JOINED
-        if last:
-            self._label = GROUND
-        self.stats = {}
-        if even is not None:
-            self.stats = {"vertices": even.vertices}
+        self._label = GROUND if last else JOINED
+        self.stats = {} if even is None else {"vertices": even.vertices}
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label points that joined before as ground, new ones as `JOINED`, or ground after the last scale."""
