@@ -115,7 +115,10 @@ class RasterPass(LidarPass):
         after = before.copy()
         for index, inner in blocks(x, y, cells, self.reach):
             block = CellBlock(Xyz(x[index], y[index], z[index]), cells, cell_m, scale)
-            after[index[inner]] = self.block_codes(block, before[index])[inner]
+            codes = before[index]
+            new_codes = self.block_codes(block, codes)
+            changed = np.flatnonzero((new_codes != codes) & inner)
+            after[index[changed]] = new_codes[changed]
         certain = window.inside(cells, self.reach)
         stats = {}
         for name, old, new in self.counted:
