@@ -14,20 +14,19 @@ import numpy.typing as npt
 
 from ptd.cells import lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
+from ptd.kernel import Float64, Int32, UInt8
 from ptd.matched.evidence import Evidence
 from ptd.matched.survey import run_facts
 from ptd.methods import METHODS
 from ptd.params import to_json
 from ptd.passes import (
     KINDS,
-    Int32,
     Model,
     Pass,
     Points,
     RunHints,
     State,
     Stats,
-    UInt8,
     later_passes,
     read_at_candidates,
 )
@@ -69,7 +68,7 @@ class Result:
         Statistics of each pass by name: candidates, vertices, rounds, outliers.
     """
 
-    classification: npt.NDArray[np.uint8]
+    classification: UInt8
     decisions: Mapping[str, Any]
     stats: Mapping[str, Stats] = field(repr=False)
 
@@ -365,7 +364,7 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
     return column
 
 
-def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Scale]:
+def _counts(points: Float64) -> tuple[Int32, Scale]:
     """Convert coordinates in metres to local counts of a millimetre. Return counts, int32 [3, n], and their scale."""
     if len(points) == 0:
         return np.zeros((3, 0), np.int32), Scale()
@@ -405,7 +404,7 @@ def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Sca
     return counts, Scale(unit, unit, (origin[0], origin[1]))
 
 
-def _blocks(points: npt.NDArray[np.float64]) -> Iterator[npt.NDArray[np.float64]]:
+def _blocks(points: Float64) -> Iterator[Float64]:
     """Yield copies of successive points, float64 [3, m], small enough to stay in the processor's cache."""
     for first in range(0, len(points), BLOCK_POINTS):
         yield np.array(points[first : first + BLOCK_POINTS].T, order="C")

@@ -6,14 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.frame import CellGrid, CellLattice
-from ptd.kernel import as_int64, inlined, kernel
+from ptd.kernel import Bool, Int32, Int64, as_int64, inlined, kernel
 from ptd.sorting import sort_pairs
-
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 
 class Xyz(NamedTuple):
@@ -116,10 +112,8 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
 
 def _keys_in_extent(x: Int32, y: Int32, cells: CellLattice) -> tuple[Int64, int]:
     """Return the key of each point's cell and the number of cells in the rectangle around the points, at least one."""
-    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-    width = cells.column(int(x.max())) - col0 + 1
-    n_cells = width * (cells.row(int(y.max())) - row0 + 1)
-    return cell_keys(x, y, cells, col0, row0, width), n_cells
+    col0, row0, width, height = cells.extent(x, y)
+    return cell_keys(x, y, cells, col0, row0, width), width * height
 
 
 def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
@@ -200,7 +194,7 @@ def _sample_by_key(
 
 def sort_in_cells(
     x: Int32, y: Int32, z: Int32, cells: CellLattice
-) -> tuple[Int64, Int64, npt.NDArray[np.bool_]]:
+) -> tuple[Int64, Int64, Bool]:
     """Sort points by cell in row-major order, and within a cell by z, x, y.
 
     Parameters
@@ -221,10 +215,7 @@ def sort_in_cells(
     """
     low = int(x.min()), int(y.min()), int(z.min())
     high = int(x.max()), int(y.max()), int(z.max())
-    col0, row0 = cells.column(low[0]), cells.row(low[1])
-    width = cells.column(high[0]) - col0 + 1
-    n_cells = width * (cells.row(high[1]) - row0 + 1)
-    keys = cell_keys(x, y, cells, col0, row0, width)
+    keys, n_cells = _keys_in_extent(x, y, cells)
     x_bits, y_bits, z_bits = ((b - a).bit_length() for a, b in zip(low, high, strict=True))
     dense = n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024
     is_repeat = np.zeros(x.size, np.bool_)
@@ -349,9 +340,7 @@ class CellIndex:
 
     def __init__(self, x: Int32, y: Int32, cells: CellLattice) -> None:
         self.cells = cells
-        self.col0, self.row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-        width = cells.column(int(x.max())) - self.col0 + 1
-        height = cells.row(int(y.max())) - self.row0 + 1
+        self.col0, self.row0, width, height = cells.extent(x, y)
         point_keys = cell_keys(x, y, cells, self.col0, self.row0, width)
         ordered = bool((point_keys[1:] >= point_keys[:-1]).all())
         order = np.arange(x.size)

@@ -7,7 +7,8 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from ptd.kernel import Bool, Int32, Int64
 
 OPEN = 2**40
 """Coordinate of an open side of a window, in counts. It is larger than the coordinates of all
@@ -95,25 +96,29 @@ class CellLattice:
         """Return the row of local count ``y``. Rows increase to the north."""
         return ((y + self.origin_y) * self.q) // self.p
 
-    def cell_indices(
-        self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def cell_indices(self, x: Int32, y: Int32) -> tuple[Int64, Int64]:
         """Return columns and rows of local counts: int64 [n] each."""
-        columns: npt.NDArray[np.int64] = (
-            (x.astype(np.int64) + self.origin_x) * self.q
-        ) // self.p
-        rows: npt.NDArray[np.int64] = ((y.astype(np.int64) + self.origin_y) * self.q) // self.p
+        columns: Int64 = ((x.astype(np.int64) + self.origin_x) * self.q) // self.p
+        rows: Int64 = ((y.astype(np.int64) + self.origin_y) * self.q) // self.p
         return columns, rows
 
-    def corners(
-        self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def extent(self, x: Int32, y: Int32, margin: int = 0) -> tuple[int, int, int, int]:
+        """Return the rectangle of cells around at least one point, with a margin of cells on each side.
+
+        Returns its first column, its first row, and its numbers of columns and rows.
+        """
+        column, row = self.column(int(x.min())) - margin, self.row(int(y.min())) - margin
+        columns = self.column(int(x.max())) + margin + 1 - column
+        rows = self.row(int(y.max())) + margin + 1 - row
+        return column, row, columns, rows
+
+    def corners(self, columns: Int64, rows: Int64) -> tuple[Int64, Int64]:
         """Return the western edges of columns and the southern edges of rows, in local counts: int64 [n] each.
 
         An edge is the first count within the column or row.
         """
-        west: npt.NDArray[np.int64] = -((-columns * self.p) // self.q) - self.origin_x
-        south: npt.NDArray[np.int64] = -((-rows * self.p) // self.q) - self.origin_y
+        west: Int64 = -((-columns * self.p) // self.q) - self.origin_x
+        south: Int64 = -((-rows * self.p) // self.q) - self.origin_y
         return west, south
 
     def west(self, column: int) -> int:
@@ -176,13 +181,8 @@ class Window:
             and north <= self.north
         )
 
-    def contains(
-        self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]
-    ) -> npt.NDArray[np.bool_]:
+    def contains(self, x: Int32, y: Int32) -> Bool:
         """Return a mask of the positions (local counts) within the window: bool [n]."""
         if not self.closed:
             return np.ones(x.shape, np.bool_)
-        inside: npt.NDArray[np.bool_] = (
-            (x >= self.west) & (x < self.east) & (y >= self.south) & (y < self.north)
-        )
-        return inside
+        return (x >= self.west) & (x < self.east) & (y >= self.south) & (y < self.north)

@@ -17,10 +17,8 @@ import numpy.typing as npt
 
 from ptd import places
 from ptd.frame import Scale, Window
+from ptd.kernel import Bool, Int32, UInt8, UInt16
 
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
-UInt16 = npt.NDArray[np.uint16]
 State = Mapping[str, Any]
 """Results of the passes for the whole run, by name, as values that JSON can hold.
 
@@ -158,7 +156,7 @@ class Model(ABC):
     stats: Stats
 
     @abstractmethod
-    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return labels (uint8 [n], below 128) of points of the window, and a mask of uncertified labels (bool [n]).
 
         Labels of the last pass are ASPRS classes. The method defines the labels of earlier
@@ -204,7 +202,7 @@ class StatisticsModel(Model):
     def __init__(self, partial: Partial, stats: Stats | None = None) -> None:
         self._partial, self.stats = partial, stats or {}
 
-    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Raise NotImplementedError, as the pass gives no labels."""
         raise NotImplementedError("the pass gives no labels")
 

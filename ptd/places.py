@@ -15,10 +15,9 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.frame import OPEN, CellGrid, CellLattice, Scale, Window
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Float64, Int32, Int64, as_int64, kernel
 
 PLACE_M = 256.0
 """Size of a place in metres. A place has some hundred planar patches, and is no wider than a
@@ -29,9 +28,6 @@ TREES = "trees"
 """Name of a second table, if a canopy was found: the height of the trees around each place."""
 TABLES = (PLACES, TREES)
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 Figures = Sequence[float | None]
 Table = Mapping[str, Figures]
 
@@ -193,8 +189,7 @@ def of_places(table: Table, figure: int, x: Int32, y: Int32, scale: Scale) -> Fl
     height, width = by_place.values.shape
     rows = np.clip(rows - by_place.grid.row, 0, height - 1)
     columns = np.clip(columns - by_place.grid.column, 0, width - 1)
-    values: Float64 = by_place.values[rows, columns]
-    return values
+    return by_place.values[rows, columns]
 
 
 @kernel

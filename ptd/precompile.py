@@ -13,19 +13,16 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.frame import Scale, Window
-from ptd.kernel import cache_folder
-
-Float64 = npt.NDArray[np.float64]
+from ptd.kernel import Float64, UInt16, cache_folder
 
 GARBAGE_OBJECTS = 100_000
 """Garbage is collected after this many new objects. With Python's default of 700, collection
 takes a tenth of the compilation time."""
 
 
-def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
+def _scene() -> tuple[Float64, UInt16]:
     """Return a coloured town on which every method works: xyz [n, 3] in metres, rgb [n, 3].
 
     It covers 60 m of a slope at 10 points/m2 with noise of 5 cm, with a mound, four houses with

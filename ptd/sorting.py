@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.kernel import inlined, kernel
-
-Int64 = npt.NDArray[np.int64]
+from ptd.kernel import Int64, inlined, kernel
 
 GAPS = np.array(
     [227011, 100894, 44842, 19930, 8858, 3937, 1750, 701, 301, 132, 57, 23, 10, 4, 1]

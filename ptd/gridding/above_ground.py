@@ -11,19 +11,12 @@ import math
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.cells import CellIndex, CellTable, Xyz, find_slot
 from ptd.frame import CellLattice
 from ptd.gridding.ground_cells import CellWindow, cell_number
-from ptd.kernel import as_int64, kernel
-
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-
+from ptd.kernel import Bool, Float64, Int32, Int64, as_int64, kernel
 
 NOTHING = np.iinfo(np.int32).min
 """Height of a pixel without a return."""
@@ -44,7 +37,7 @@ def _update(
     top: Int32,
     lowest: Int32,
     points: Xyz,
-    wanted: Bools,
+    wanted: Bool,
     limits: Float64,
     window: tuple[int, ...],
 ) -> None:
@@ -93,7 +86,7 @@ class HighestReturns:
         self.top = np.full((self.rows * self.columns, 2, 3), NOTHING, np.int32)
         self.lowest = np.full((self.rows, self.columns), np.iinfo(np.int32).max, np.int32)
 
-    def add(self, xyz: Int32, wanted: Bools) -> None:
+    def add(self, xyz: Int32, wanted: Bool) -> None:
         """Enter the wanted points that lie in the block.
 
         Parameters
@@ -155,7 +148,7 @@ def _beside(
     table: CellTable,
     reach2: int,
     rise: int,
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Return whether a point of an object lies near each ground point and is higher by at least ``rise``.
 
     ``cells`` are the columns and rows of the ground points. Objects are sorted by cell. ``tops`` has the greatest
@@ -185,7 +178,7 @@ def _beside(
 
 def near_objects(
     ground: Int32, objects: Int32, reach: Fraction, rise: int, origin: tuple[int, int]
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Return a mask of the ground points with a point of an object within ``reach`` that is ``rise`` or more higher.
 
     Parameters

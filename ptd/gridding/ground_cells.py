@@ -10,15 +10,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.cells import quotient
-from ptd.kernel import as_int64, inlined, kernel
-
-Bools = npt.NDArray[np.bool_]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-Float64 = npt.NDArray[np.float64]
+from ptd.kernel import Bool, Float64, Int32, Int64, as_int64, inlined, kernel
 
 PLANE_POINTS = 6
 """A plane with residuals needs at least this many points in a window: three more than a plane
@@ -175,15 +169,13 @@ def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -
     )
     sums = _integral(_sums(x, y, z, tuple(window), (*start, low)))
     halves = np.asarray(half_widths, np.int64)
-    variances: Float64 = _plane_variances(sums, tuple(window), start, max(half_widths), halves)
-    return variances
+    return _plane_variances(sums, tuple(window), start, max(half_widths), halves)
 
 
 def cell_numbers(xyz: Int32, window: CellWindow) -> Int64:
     """Return ``row * columns + column`` of the cell of each point (int32 [3, n]), -1 outside: int64 [n]."""
     x, y = (np.ascontiguousarray(axis) for axis in xyz[:2])
-    numbers: Int64 = _numbers(x, y, tuple(window))
-    return numbers
+    return _numbers(x, y, tuple(window))
 
 
 @kernel
@@ -201,7 +193,7 @@ def cell_counts(xyz: Int32, window: CellWindow) -> Int64:
     return counts
 
 
-def add_counts(counts: Int64, xyz: Int32, window: CellWindow, wanted: Bools) -> None:
+def add_counts(counts: Int64, xyz: Int32, window: CellWindow, wanted: Bool) -> None:
     """Add the number of wanted points in each cell to counts. Points outside are ignored.
 
     Parameters
@@ -218,7 +210,7 @@ def add_counts(counts: Int64, xyz: Int32, window: CellWindow, wanted: Bools) -> 
 
 
 @kernel
-def _count(counts: Int64, x: Int32, y: Int32, wanted: Bools, window: tuple[int, ...]) -> None:
+def _count(counts: Int64, x: Int32, y: Int32, wanted: Bool, window: tuple[int, ...]) -> None:
     inverse = 1.0 / window[0]
     for i in range(x.size):
         if wanted[i]:

@@ -15,18 +15,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.cells import Xyz
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Float64, Int32, Int64, as_int64, kernel
 from ptd.tin.gridding import Pixels
 from ptd.tin.raster import PixelCentres
-
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-Float64 = npt.NDArray[np.float64]
-
 
 NONE = -1
 """Index of a neighbour that does not exist within reach."""

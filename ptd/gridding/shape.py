@@ -13,9 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-Float64 = npt.NDArray[np.float64]
+from ptd.kernel import Float64
 
 AZIMUTHS_DEG = (225.0, 270.0, 315.0, 360.0)
 ALTITUDE_DEG = 45.0
@@ -88,5 +87,4 @@ def multidirectional_hillshade(east: Float64, north: Float64) -> Float64:
         total += along * along * np.maximum(sin_h - cos_h * along, 0.0)
     level = squared == 0.0
     cosine = np.where(level, sin_h, total / (2.0 * np.where(level, 1.0, squared)))
-    shade: Float64 = np.floor(1.5 + 254.0 * cosine / np.sqrt(1.0 + squared))
-    return shade
+    return np.floor(1.5 + 254.0 * cosine / np.sqrt(1.0 + squared))

@@ -14,21 +14,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.frame import Scale, Window
-from ptd.kernel import inlined, kernel
+from ptd.kernel import Bool, Float32, Int32, UInt8, inlined, kernel
 from ptd.tin.mesh import Tin
-from ptd.tin.triangles import Int32Array, Mesh, is_ghost
+from ptd.tin.triangles import Mesh, is_ghost
 
 UNCERTIFIED_CELL_M = 2.0
 """Smallest size of the cells of the raster of uncertified positions."""
 MAX_RASTER = 1024
 """Number of cells along the longer side of that raster above which its cells become larger."""
-
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
 
 
 class CheckedMesh(NamedTuple):
@@ -41,8 +36,8 @@ class CheckedMesh(NamedTuple):
         Result of `UncertifiedRegion.triangles`.
     """
 
-    vertices: Int32Array
-    triangles: Int32Array
+    vertices: Int32
+    triangles: Int32
     uncertified: UInt8
 
 
@@ -52,9 +47,9 @@ def _add_positions(
     west: int,
     south: int,
     cell: int,
-    x: Int32Array,
-    y: Int32Array,
-    which: npt.NDArray[np.bool_],
+    x: Int32,
+    y: Int32,
+    which: Bool,
 ) -> bool:
     """Make the positions of the chosen points uncertified, and return whether any of them was certified before."""
     changed = False
@@ -203,8 +198,8 @@ def _uncertified_triangles(
 
 @kernel
 def _uncertified_disks(
-    x: Int32Array,
-    y: Int32Array,
+    x: Int32,
+    y: Int32,
     radius: float,
     sides: _Sides,
     cell: float,
@@ -265,7 +260,7 @@ class UncertifiedRegion:
         self.mask[r0:r1, c0:c1] = 1
         self._stale = True
 
-    def add_points(self, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]) -> bool:
+    def add_points(self, x: Int32, y: Int32, which: Bool) -> bool:
         """Make the positions of points in a mask uncertified, and return whether any of them was certified before."""
         new = self.active and _add_positions(
             self.mask, self.west, self.south, self.cell, x, y, which
@@ -279,7 +274,7 @@ class UncertifiedRegion:
             _add_triangles(self.mask, self.west, self.south, self.cell, tin.mesh, which, reach)
             self._stale = True
 
-    def covers(self, x: Int32Array, y: Int32Array) -> npt.NDArray[np.bool_]:
+    def covers(self, x: Int32, y: Int32) -> Bool:
         """Return whether positions in local counts are uncertified: bool [n]."""
         if not self.active:
             return np.zeros(x.size, np.bool_)
@@ -289,7 +284,7 @@ class UncertifiedRegion:
             (x.astype(np.int64) - self.west) // self.cell, 0, self.mask.shape[1] - 1
         )
         row = np.clip((y.astype(np.int64) - self.south) // self.cell, 0, self.mask.shape[0] - 1)
-        is_uncertified: npt.NDArray[np.bool_] = beyond | (self.mask[row, column] != 0)
+        is_uncertified: Bool = beyond | (self.mask[row, column] != 0)
         return is_uncertified
 
     def triangles(self, tin: Tin) -> UInt8:
@@ -303,7 +298,7 @@ class UncertifiedRegion:
             _uncertified_triangles(tin.mesh, self._sides, self.cell, self._fresh(), out)
         return out
 
-    def near(self, x: Int32Array, y: Int32Array, radius: float) -> Bool:
+    def near(self, x: Int32, y: Int32, radius: float) -> Bool:
         """Return whether an uncertified position may lie within a radius of positions: bool [n].
 
         The radius is in counts, positions are local counts.

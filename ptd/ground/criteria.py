@@ -10,16 +10,9 @@ import math
 from typing import NamedTuple
 
 from ptd.frame import Scale
-from ptd.ground.certificates import UInt8
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Int32, UInt8, as_int64, kernel
 from ptd.tin.facets import canonical_facet
-from ptd.tin.triangles import (
-    Int32Array,
-    coincident_vertex,
-    is_ghost,
-    lexicographic_less,
-    locate,
-)
+from ptd.tin.triangles import coincident_vertex, is_ghost, lexicographic_less, locate
 
 Measures = tuple[float, float, float, float]
 """Result of `facet_measures`."""
@@ -78,7 +71,7 @@ class FacetLimits(NamedTuple):
 
 @kernel
 def facet_measures(
-    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float
+    vertices: Int32, triangles: Int32, t: int, x: int, y: int, z: int, z_ratio: float
 ) -> Measures:
     """Measure the position of a point relative to a real facet.
 
@@ -128,7 +121,7 @@ def within(distance: float, nearest: float, edge: float, limits: FacetLimits) ->
 
 @kernel
 def mirror_facet(
-    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int
+    vertices: Int32, triangles: Int32, t: int, x: int, y: int
 ) -> tuple[int, int, int]:
     """Mirror a point in plan through the facet's highest corner.
 
@@ -163,7 +156,7 @@ def mirror_facet(
 
 
 @kernel
-def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> int:
+def across(vertices: Int32, triangles: Int32, t: int, x: int, y: int) -> int:
     """Return the triangle across the edge of t on which (x, y) lies, or t if it lies on no edge or on a corner.
 
     Which of the two triangles owns the position depends on both, so a result there depends on
@@ -188,8 +181,8 @@ def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) 
 
 @kernel
 def accepts(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     uncertified: UInt8,
     t: int,
     point: Point,
@@ -229,8 +222,8 @@ def accepts(
 
 @kernel
 def judge(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     uncertified: UInt8,
     t: int,
     point: Point,

@@ -22,15 +22,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32, Int64, Xyz
+from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
-from ptd.ground.morphology import EAST, EMPTY, NORTH, Bool, CellRaster, Float64
+from ptd.ground.morphology import EAST, EMPTY, NORTH, CellRaster
 from ptd.ground.plateaus import BORDER, FALLS, ROOF_CELL_M, ROOF_VIEW_M, Plateaus, look_around
 from ptd.ground.slopes import MOMENTS, Boxes, add_point, fit_plane
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, UInt8, as_int64, kernel
 
 PLANES = ((1, 6), (2, 9))
 """Half widths in cells of the squares through whose cells a plane is fitted, and how many cells
@@ -61,8 +60,6 @@ _UNKNOWN, _ROUGH, _LEVEL, _STEEP = range(4)
 """Kinds of surface at a cell: not known yet, rough, smooth, and smooth and steep."""
 _FALLS, _CONTINUES, _PIT = range(3)
 """Kinds of edges."""
-
-UInt8 = npt.NDArray[np.uint8]
 
 
 class _Limits(NamedTuple):
@@ -324,8 +321,7 @@ def without_thin(found: Bool, raster: CellRaster, reach: int) -> Bool:
     if not core.any():
         return core
     n_core = Boxes(raster.lowest(ones, core)).totals(reach, raster.keys)[:, 1]
-    stays: Bool = found & (n_core > 0)
-    return stays
+    return found & (n_core > 0)
 
 
 STRIP_AROUND_M, STRIP_LENGTH_M = 60.0, 40.0
@@ -388,28 +384,21 @@ def on_strips(
         np.where(is_ground, below, heights).reshape(wide.shape),
         surface.reshape(wide.shape),
         none,
-        _with_data(wide),
+        wide.occupied(),
         none,
         objects.size + 1,
         roof_rule.rays,
     )
     is_strip = np.zeros(heights.size, np.bool_)
     is_strip[objects] = _is_strip(counts[:-1], objects, wide.shape)
-    on_strip: Bool = smooth & is_strip[wide.keys]
-    return on_strip
-
-
-def _with_data(raster: CellRaster) -> Bool:
-    data = np.zeros(raster.shape[0] * raster.shape[1], np.bool_)
-    data[raster.keys] = True
-    return data.reshape(raster.shape)
+    return smooth & is_strip[wide.keys]
 
 
 def _near_border(raster: CellRaster) -> Bool:
     """Return a mask of the points near cells without points: bool [n]."""
     size = 2 * round(STRIP_NEAR_M / ROOF_CELL_M) + 1
     near: Bool = scipy.ndimage.maximum_filter(
-        ~_with_data(raster), size=size, mode="constant", cval=True
+        ~raster.occupied(), size=size, mode="constant", cval=True
     )
     return near.ravel()[raster.keys]
 
@@ -427,8 +416,7 @@ def _is_strip(counts: Int64, cells: Int64, shape: tuple[int, int]) -> Bool:
     around = round(STRIP_AROUND_M / ROOF_CELL_M)
 
     def total(values: Int32) -> Int64:
-        total: Int64 = Boxes(values).totals(around, cells)[:, 0]
-        return total
+        return Boxes(values).totals(around, cells)[:, 0]
 
     falls, border = rasters[:4], np.stack([total(side) for side in rasters[4:8]])
     length = border.max(axis=0)

@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Xyz, lowest_per_cell
+from ptd.cells import Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
+from ptd.ground.certificates import CheckedMesh, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Int32, UInt8, as_int64, kernel
 from ptd.tin.insertion import insert
 from ptd.tin.mesh import Tin
-from ptd.tin.triangles import STAMP, Int32Array, Mesh, is_ghost, locate
+from ptd.tin.triangles import STAMP, Mesh, is_ghost, locate
 
 RING = 2
 """Width in cells of the ring of virtual seeds around occupied cells. A circle through or around
@@ -49,10 +48,10 @@ def choose_seeds(
     x: Int32,
     y: Int32,
     z: Int32,
-    eligible: npt.NDArray[np.bool_],
+    eligible: Bool,
     cells: CellLattice,
     region: UncertifiedRegion,
-    uncertified: npt.NDArray[np.bool_] | None = None,
+    uncertified: Bool | None = None,
 ) -> Seeds:
     """Choose the lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
 
@@ -152,6 +151,15 @@ def _add_uncertified_cells(
                 region.add_box(*box)
 
 
+def tin_with_ring(points: Xyz, chosen: Bool | Int32, ring: Int32, max_vertices: int = 1) -> Tin:
+    """Triangulate the points that a mask or an index chooses, and the virtual seeds around them.
+
+    ``max_vertices`` is the room for later insertions (`ptd.tin.mesh.Tin.build`).
+    """
+    columns = (np.concatenate([c[chosen], v]) for c, v in zip(points, ring.T, strict=True))
+    return Tin.build(*columns, max_vertices=max_vertices)
+
+
 def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:
     """Return west, south, east and north of a box that contains all empty circles through or around data (`RING`).
 
@@ -190,8 +198,8 @@ class _Candidates(NamedTuple):
 
     state: UInt8
     home: Int32
-    again: npt.NDArray[np.bool_]
-    uncertified_points: npt.NDArray[np.bool_]
+    again: Bool
+    uncertified_points: Bool
 
 
 @kernel
@@ -241,7 +249,7 @@ def _test_round(
 
 @kernel
 def _insert_points(
-    mesh: Mesh, counters: Int32Array, points: Xyz, home: Int32, chosen: Int32, stamp: int
+    mesh: Mesh, counters: Int32, points: Xyz, home: Int32, chosen: Int32, stamp: int
 ) -> None:
     """Insert the chosen points. `home` contains a triangle near each of them, or -1."""
     vertices, triangles = mesh
@@ -271,7 +279,7 @@ def densify(
     limits: FacetLimits,
     rounds: int,
     region: UncertifiedRegion,
-) -> tuple[npt.NDArray[np.bool_], int]:
+) -> tuple[Bool, int]:
     """Densify a TIN in rounds until no candidate passes any more, or for `rounds` rounds.
 
     The rounds continue while the uncertified region grows, even if no candidate passes, because
@@ -318,7 +326,7 @@ def densify(
 
 def densify_seeds(
     points: Xyz,
-    outlier: npt.NDArray[np.bool_],
+    outlier: Bool,
     seed_cells: CellLattice,
     limits: FacetLimits,
     rounds: int,
@@ -356,7 +364,6 @@ def densify_seeds(
     seeds = choose_seeds(x, y, z, ~outlier, seed_cells, region)
     state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)
     state[seeds.chosen] = VERTEX
-    first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
-    tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
+    tin = tin_with_ring(points, seeds.chosen, seeds.virtual, x.size + len(seeds.virtual))
     _, run = densify(tin, points, state, limits, rounds, region)
     return tin, region.triangles(tin), run

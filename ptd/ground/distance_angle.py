@@ -12,21 +12,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Xyz, lowest_per_cell
+from ptd.cells import Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Scale
-from ptd.ground.certificates import UInt8, UncertifiedRegion
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.criteria import across, facet_measures
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Int32, Int64, UInt8, UInt32, UInt64, kernel
 from ptd.tin.facets import Rule, canonical_facet, facet_passes
 from ptd.tin.mesh import Locator, Tin, start_near
-from ptd.tin.triangles import Int32Array, Mesh, coincident_vertex, locate
-
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
-UInt32 = npt.NDArray[np.uint32]
-UInt64 = npt.NDArray[np.uint64]
+from ptd.tin.triangles import Mesh, coincident_vertex, locate
 
 ANY_EDGE = 2**62
 """Square of a length that no edge reaches."""
@@ -78,8 +72,8 @@ class TrialArrays(NamedTuple):
 
 @kernel
 def _gauge(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     t: int,
     x: int,
     y: int,
@@ -115,8 +109,8 @@ def _usable(mesh: Mesh, n: int, rule: Rule) -> Bool:
 
 @kernel
 def _owner(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     usable: Bool,
     uncertified: UInt8,
     t: int,
@@ -276,7 +270,7 @@ _JOINED = np.array([[1, 1, 0], [1, 1, 1], [0, 1, 1]])
 _STEPS = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]
 
 
-def contour_reach(counts: npt.NDArray[np.int64], level: float) -> tuple[float, float] | None:
+def contour_reach(counts: Int64, level: float) -> tuple[float, float] | None:
     """Return the largest first and second coordinate of the contour around the fullest bin.
 
     Counts are values at the middles of their bins and are interpolated over triangles, two per
@@ -321,16 +315,14 @@ def _mixed64(values: UInt64) -> UInt64:
     values = values + np.uint64(0x9E3779B97F4A7C15)
     values = (values ^ (values >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     values = (values ^ (values >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    mixed: UInt64 = values ^ (values >> np.uint64(31))
-    return mixed
+    return values ^ (values >> np.uint64(31))
 
 
 def _mixed32(values: UInt32) -> UInt32:
     """Mix bits by the finaliser of MurmurHash3, which is one-to-one."""
     values = (values ^ (values >> np.uint32(16))) * np.uint32(0x85EBCA6B)
     values = (values ^ (values >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-    mixed: UInt32 = values ^ (values >> np.uint32(16))
-    return mixed
+    return values ^ (values >> np.uint32(16))
 
 
 def point_hashes(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:

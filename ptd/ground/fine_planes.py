@@ -11,19 +11,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, Xyz, occupied, quotient
+from ptd.cells import Xyz, occupied, quotient
 from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import FAR, NEAR
 from ptd.ground.morphology import EMPTY
-from ptd.kernel import as_int64, inlined, kernel
-
-Bool = npt.NDArray[np.bool_]
-UInt8 = npt.NDArray[np.uint8]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-
+from ptd.kernel import Bool, Float32, Float64, Int32, Int64, UInt8, as_int64, inlined, kernel
 
 CELL_M = 0.4
 """Size of the fine cells."""

@@ -12,9 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Xyz
+from ptd.cells import Xyz
 from ptd.frame import Scale
 from ptd.ground.fine_planes import (
     BLOCK_SIZE,
@@ -44,7 +43,7 @@ from ptd.ground.labelling import (
     label_by_height,
 )
 from ptd.ground.outliers import LowNoise
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Int32, UInt8, kernel
 from ptd.passes import Stats
 from ptd.tin.mesh import Tin
 
@@ -67,9 +66,6 @@ around it, are counted. In settled blocks all points that are not `FAR` from the
 counted, and those that are `ON` are on the surface. If less than `CROP_SHARE` of them is within
 `CROP_ON_M`, there is a crop, and no further points become ground.
 """
-
-Bool = npt.NDArray[np.bool_]
-UInt8 = npt.NDArray[np.uint8]
 
 
 class Heights(NamedTuple):

@@ -6,25 +6,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.cells import Xyz
-from ptd.ground.certificates import CheckedMesh, UInt8
+from ptd.ground.certificates import CheckedMesh
 from ptd.ground.criteria import FacetLimits, Point, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
-from ptd.kernel import as_int64, inlined, kernel
+from ptd.kernel import Bool, Int32, UInt8, as_int64, inlined, kernel
 from ptd.passes import Model, Points, Stats
 from ptd.places import Field, everywhere, value_at
 from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Locator, Tin, start_near
-from ptd.tin.triangles import (
-    Int32Array,
-    coincident_vertex,
-    is_ghost,
-    locate,
-    real_neighbour,
-    walk,
-)
+from ptd.tin.triangles import coincident_vertex, is_ghost, locate, real_neighbour, walk
 
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""
@@ -40,8 +32,8 @@ FAR, CROP, NEAR, ON = 0, 1, 2, 3
 
 @kernel
 def is_terrain(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     uncertified: UInt8,
     t: int,
     point: Point,
@@ -169,7 +161,7 @@ class _Facet(NamedTuple):
 
 
 @inlined
-def _facet(vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float) -> _Facet:
+def _facet(vertices: Int32, triangles: Int32, t: int, z_ratio: float) -> _Facet:
     i, j, k = canonical_facet(vertices, triangles, t)
     a = as_int64(vertices[4 * i]), as_int64(vertices[4 * i + 1]), as_int64(vertices[4 * i + 2])
     b = as_int64(vertices[4 * j]), as_int64(vertices[4 * j + 1])
@@ -242,8 +234,8 @@ def _on_vertex(
 
 @kernel
 def _by_height(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     uncertified: UInt8,
     t: int,
     point: Point,
@@ -285,7 +277,7 @@ def _inside(f: _Facet, x: int, y: int) -> bool:
 @kernel
 def _label_by_height(
     mesh: CheckedMesh, locator: Locator, points: Xyz, rule: LabelRule, bands: Bands
-) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
+) -> tuple[UInt8, Bool, UInt8]:
     """Label points by height only, and measure their closeness. Consecutive points often lie in one facet."""
     vertices, triangles, uncertified = mesh
     x, y, z = points
@@ -331,7 +323,7 @@ def _label_by_height(
 @kernel
 def _label(
     mesh: CheckedMesh, locator: Locator, points: Xyz, rule: LabelRule
-) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+) -> tuple[UInt8, Bool]:
     vertices, triangles, uncertified = mesh
     x, y, z = points
     labels, uncertified_labels = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
@@ -357,7 +349,7 @@ def label_points(
     uncertified: UInt8,
     rule: LabelRule,
     bands: Bands | None = None,
-) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+) -> tuple[UInt8, Bool]:
     """Label points as ground or not by the finished TIN.
 
     This step is not in the papers, which lose points in facets that take no more vertices (type
@@ -398,7 +390,7 @@ def label_by_height(
     uncertified: UInt8,
     rule: LabelRule,
     bands: Bands | None = None,
-) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
+) -> tuple[UInt8, Bool, UInt8]:
     """Label points like `label_points` by a rule with ``heights_only`` set.
 
     The third result is the closeness of each point to the TIN: uint8 [n].
@@ -435,11 +427,11 @@ class TinLabels(Model):
         self.locator = Locator.of(tin)
         self.stats.update(vertices=tin.n_vertices)
 
-    def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, Bool]:
         """Return labels and a mask of uncertified labels by the finished TIN (`label_points`)."""
         return label_points(tin, self.locator, points, self.uncertified, self.rule, self.bands)
 
-    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return ASPRS classes (uint8 [n]) and a mask of uncertified labels (bool [n]) of points in any order."""
         xyz = Xyz(*points.columns())
         if self.tin is None:

@@ -6,12 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32, Int64, Xyz
+from ptd.cells import Xyz
 from ptd.frame import Scale
-from ptd.kernel import inlined, kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, inlined, kernel
 from ptd.sorting import sort
 
 CELL_M = 1.0
@@ -41,9 +40,6 @@ AROUND = np.array([7, 3, 2, 6, 4, 0, 1, 5])
 """Numbers of octants (`_plane`) in the order in which they lie around a point."""
 MAX_EMPTY = 3
 """Largest number of empty octants in a row. With more of them, the layer lies beside the point."""
-
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 
 class CellFigures(NamedTuple):
@@ -321,12 +317,11 @@ def _figures(keys: Int64, z: Int32, n_cells: int) -> tuple[Int32, Int32, Int32]:
     return counts, low, high
 
 
-def box_sums(values: npt.NDArray[np.int32], side: int) -> npt.NDArray[np.int32]:
+def box_sums(values: Int32, side: int) -> Int32:
     """Return the sums of square boxes around the cells of a raster. Cells outside it are 0."""
     ones = np.ones(side, np.int32)
     rows = scipy.ndimage.convolve1d(values, ones, axis=0, mode="constant")
-    sums: npt.NDArray[np.int32] = scipy.ndimage.convolve1d(rows, ones, axis=1, mode="constant")
-    return sums
+    return scipy.ndimage.convolve1d(rows, ones, axis=1, mode="constant")
 
 
 def cell_figures(keys: Int64, z: Int32, shape: tuple[int, int]) -> CellFigures | None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ptd.cells import Int32, Int64, Xyz, cell_keys, is_lower
+from ptd.cells import Xyz, cell_keys, is_lower
 from ptd.frame import CellLattice, Scale
 from ptd.ground.layers import (
     CELL_M,
@@ -22,8 +22,6 @@ from ptd.ground.layers import (
     MIN_DEPTH_M,
     MIN_SLOPE,
     REACH_CELLS,
-    Bool,
-    Float64,
     Layer,
     Neighbourhood,
     box_sums,
@@ -33,7 +31,7 @@ from ptd.ground.layers import (
     sorted_by_cell,
 )
 from ptd.ground.morphology import BLOCK_CELLS, blocks
-from ptd.kernel import inlined, kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, inlined, kernel
 from ptd.sorting import sort_by
 
 LEVEL_M, LEVEL_CELLS = 2.0, 3
@@ -300,9 +298,8 @@ def _in_raster(points: Xyz, scale: Scale) -> Bool:
     """Return the noise among points whose extent is small enough for rasters."""
     x, y, z = points
     cells = CellLattice.of(CELL_M, scale)
-    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-    shape = cells.row(int(y.max())) - row0 + 1, cells.column(int(x.max())) - col0 + 1
-    keys = cell_keys(x, y, cells, col0, row0, shape[1])
+    col0, row0, width, height = cells.extent(x, y)
+    keys, shape = cell_keys(x, y, cells, col0, row0, width), (height, width)
     figures, depth = cell_figures(keys, z, shape), scale.counts_z(MIN_DEPTH_M)
     noise = np.zeros(x.size, np.bool_)
     if figures is None:

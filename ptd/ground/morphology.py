@@ -13,16 +13,10 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys
+from ptd.cells import cell_keys
 from ptd.frame import CellLattice
-from ptd.kernel import kernel
-
-Float64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-
+from ptd.kernel import Bool, Float32, Float64, Int32, Int64, kernel
 
 EMPTY = 2**31 - 1
 """Height of a cell without points."""
@@ -52,9 +46,8 @@ class CellRaster:
     """
 
     def __init__(self, x: Int32, y: Int32, cells: CellLattice) -> None:
-        col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-        width = cells.column(int(x.max())) - col0 + 1
-        self.shape = (cells.row(int(y.max())) - row0 + 1, width)
+        col0, row0, width, height = cells.extent(x, y)
+        self.shape = (height, width)
         self.keys = cell_keys(x, y, cells, col0, row0, width)
 
     def lowest(self, z: Int32, which: Bool) -> Int32:
@@ -62,6 +55,12 @@ class CellRaster:
         heights = np.full(self.shape[0] * self.shape[1], EMPTY, np.int32)
         _lower_cells(heights, self.keys, z, which)
         return heights.reshape(self.shape)
+
+    def occupied(self, which: Bool | slice = np.s_[:]) -> Bool:
+        """Return a mask of the cells with chosen points, by default with any points: bool, of `shape`."""
+        occupied = np.zeros(self.shape, np.bool_)
+        occupied.reshape(-1)[self.keys[which]] = True
+        return occupied
 
 
 @kernel

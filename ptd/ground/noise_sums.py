@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.kernel import Int32, Int64
 from ptd.places import PLACE_M
 
 PATCH_M = 4.0
@@ -36,9 +36,6 @@ patches do not show the noise."""
 SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
 """Quantile of the noise of all quarters of patches, and the factor by which it is multiplied to
 estimate the noise of the smoothest patches, even where no ground is visible."""
-
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 
 class PatchCounts(TypedDict):

@@ -7,13 +7,10 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, find_slot, quotient
+from ptd.cells import CellIndex, CellTable, Xyz, find_slot, quotient
 from ptd.frame import CellGrid, CellLattice, Scale
-from ptd.kernel import as_int64, kernel
-
-Bool = npt.NDArray[np.bool_]
+from ptd.kernel import Bool, Int32, Int64, as_int64, kernel
 
 MIN_NEIGHBOURS = 3
 """Least number of points far away in height around an outlier: two are not enough evidence."""

@@ -24,21 +24,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32, Int64
 from ptd.frame import Scale
-from ptd.ground.morphology import (
-    EAST,
-    EMPTY,
-    NORTH,
-    Bool,
-    CellRaster,
-    Float64,
-    connected_surfaces,
-)
-from ptd.kernel import kernel
+from ptd.ground.morphology import EAST, EMPTY, NORTH, CellRaster, connected_surfaces
+from ptd.kernel import Bool, Float64, Int32, Int64, kernel
 
 AREA, OTHERS, PAST, FALLS, UNSEEN, BORDER = 0, 1, 2, 3, 11, 12
 """Columns of the counts of each surface.
@@ -199,19 +189,10 @@ def on_plateaus(
     roof_rule : Plateaus
     """
     heights = raster.lowest(z, ground)
-    removed = np.zeros(heights.size, np.bool_)
-    removed[raster.keys[before]] = True
-    data = np.zeros(heights.size, np.bool_)
-    data[raster.keys] = True
-    roof = plateaus(
-        heights, roof_rule, removed.reshape(heights.shape), data.reshape(heights.shape)
-    )
+    roof = plateaus(heights, roof_rule, raster.occupied(before), raster.occupied())
     beside = scipy.ndimage.maximum_filter(roof, size=3, mode="constant", cval=False)
     higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > roof_rule.fall
-    is_on_plateau: Bool = ground & (
-        roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher
-    )
-    return is_on_plateau
+    return ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
 
 
 def plateaus(
@@ -261,8 +242,8 @@ def plateaus(
     ends = wide <= np.where(cut, roof_rule.widest_cut, roof_rule.widest)
     opposite = np.minimum(border[:, :2], border[:, 2:4])  # east and west, north and south
     through = (opposite >= THROUGH).any(axis=1)
-    is_plateau: Bool = np.append(above & ends & ~through, False)[surface]  # -1: no surface
-    return is_plateau
+    # Cells without a surface have the number -1, the last entry.
+    return np.append(above & ends & ~through, False)[surface]
 
 
 @kernel
@@ -274,7 +255,7 @@ def look_around(
     passed: Bool,
     n: int,
     rays: Rays,
-) -> tuple[Int64, npt.NDArray[np.int64]]:
+) -> tuple[Int64, Int64]:
     """Count the cells and rays of each surface (columns `AREA` to `BORDER` + 7), and find its bounding box."""
     view, fall, slope = rays
     rows, columns = heights.shape
@@ -378,8 +359,7 @@ def _rises(heights: Float64, known: Bool) -> Float64:
     """Return the largest difference of each known height to those of its neighbours."""
     highest = scipy.ndimage.maximum_filter(np.where(known, heights, -np.inf), 3)
     lowest = scipy.ndimage.minimum_filter(np.where(known, heights, np.inf), 3)
-    rises: Float64 = np.maximum(highest - heights, heights - lowest)
-    return rises
+    return np.maximum(highest - heights, heights - lowest)
 
 
 def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> RemainingRoof:

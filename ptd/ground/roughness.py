@@ -30,9 +30,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
+from ptd.cells import Xyz, cell_keys, occupied
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.noise_sums import (
     BIN_M,
@@ -43,7 +42,7 @@ from ptd.ground.noise_sums import (
     histogram,
 )
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, kernel
 from ptd.places import PLACE_M
 
 MIN_POINTS = 16
@@ -61,9 +60,6 @@ MIN_QUARTER_PLANE_POINTS = 12
 PATCHES_ACROSS = round(PLACE_M / PATCH_M)
 TALLEST_M = 8.0
 """Largest height range of the points of a planar patch, which keeps the sums small."""
-
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 
 class _Moments(NamedTuple):
@@ -284,12 +280,10 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
         return Patches(none, none, none, never, never, none, np.zeros((0, 4), np.int64))
     cells = CellLattice.of(PATCH_M, scale)
     inside = core.contains(x, y)
-    # With a margin of columns around the occupied ones, a key beyond the raster is never a cell
+    # With a margin around the occupied cells, a key beyond the raster is never a cell
     # of another row.
-    col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
-    width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
-    point_keys = cell_keys(x, y, cells, col0, row0, width)
-    keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
+    col0, row0, width, height = cells.extent(x, y, REACH_CELLS)
+    keys, slot = occupied(cell_keys(x, y, cells, col0, row0, width), width * height)
     columns, rows = keys % width + col0, keys // width + row0
     corners = cells.corners(columns, rows)
     tallest, ratio = scale.counts_z(TALLEST_M), scale.z_ratio

@@ -8,13 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64
 from ptd.ground.morphology import EMPTY
-from ptd.kernel import kernel
-
-Float64 = npt.NDArray[np.float64]
+from ptd.kernel import Float64, Int32, Int64, kernel
 
 
 @kernel

@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.cells import Int32, Int64, Xyz
+from ptd.cells import Xyz
 from ptd.frame import CellGrid, CellLattice, Scale
-from ptd.ground.morphology import EMPTY, Bool, CellRaster, Float64
+from ptd.ground.morphology import EMPTY, CellRaster
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
 from ptd.ground.slopes import Boxes
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, as_int64, kernel
 
 MAX_WIDTH_M, STEP_M, BELOW_SHARE = 40.0, 1.5, 0.8
 """Width of the widest surface, height difference of its neighbouring cells, and least share of
@@ -193,5 +193,4 @@ def on_treetops(
 def _among_objects(ground: Bool, raster: CellRaster, around: int) -> Bool:
     """Return a mask of the points where enough cells around are not ground: bool [n]."""
     objects = raster.lowest((~ground).astype(np.int32), np.ones(ground.size, np.bool_))
-    is_among: Bool = Boxes(objects).means(around, raster.keys) >= OBJECTS_SHARE
-    return is_among
+    return Boxes(objects).means(around, raster.keys) >= OBJECTS_SHARE

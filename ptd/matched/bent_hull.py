@@ -22,14 +22,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.ground.morphology import Bool
+from ptd.kernel import Bool, Float64
 from ptd.matched.hull import Envelope
-
-Float64 = npt.NDArray[np.float64]
-
 
 SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
 """Standard deviation of the surroundings from which slopes are computed, and the limit at which
@@ -98,8 +94,7 @@ def smoothed(values: Float64, std: float) -> Float64:
     weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
     weights /= weights.sum()
     along: Float64 = scipy.ndimage.correlate1d(values, weights, axis=1, mode="constant")
-    sums: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
-    return sums
+    return scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
 
 
 def gaussian_radius(std: float) -> int:
@@ -184,8 +179,7 @@ def reach_cells(cell_m: float) -> int:
 
 def ramp(values: Float64, limits: tuple[float, float]) -> Float64:
     """Return 0 up to the first limit, 1 from the second on, and linear values between them."""
-    ramp: Float64 = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)
-    return ramp
+    return np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)
 
 
 def _contrast(

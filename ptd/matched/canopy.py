@@ -31,16 +31,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.gridding.ground_cells import box_sums
-from ptd.ground.morphology import Bool
+from ptd.kernel import Bool, Float64, Int64
 from ptd.matched.crowns import residuals
 from ptd.matched.surface import Surface
-
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 UNIT = 2.0**-20
 """Unit of the values whose means are computed."""
@@ -239,26 +235,21 @@ def may_be(heights: Float64, cell_m: float) -> Bool:
     half = (
         around.mean(rough.astype(np.float64), np.isfinite(heights), WAVY_SQUARE_M) > WAVY_SHARE
     )
-    may_have_canopy: Bool = around.opened(closed, WAVY_SQUARE_M) & half | around.opened(
-        closed, TALL_SIZE_M
-    )
-    return may_have_canopy
+    return around.opened(closed, WAVY_SQUARE_M) & half | around.opened(closed, TALL_SIZE_M)
 
 
 def _rough(heights: Float64, cell_m: float) -> Bool:
     """Return the cells around which heights differ as much as in a crown."""
-    is_rough: Bool = residuals(heights, _odd_cells(TEXTURE_M, cell_m)) > TEXTURE
-    return is_rough
+    return residuals(heights, _odd_cells(TEXTURE_M, cell_m)) > TEXTURE
 
 
 def _rough_around(residual: Float64, around: _Squares) -> Bool:
     """Return the cells with more than `ROUGH_SHARE` rough cells around, from residuals over several crowns."""
     known = np.isfinite(residual)
-    has_rough_around: Bool = known & (
+    return known & (
         around.mean((residual > MIN_WAVE_RESIDUAL_M).astype(np.float64), known, AROUND_M)
         > ROUGH_SHARE
     )
-    return has_rough_around
 
 
 def _wavy(heights: Float64, found: Float64, around: _Squares) -> Bool:
@@ -276,8 +267,7 @@ def _wavy(heights: Float64, found: Float64, around: _Squares) -> Bool:
         residuals(found, _odd_cells(AROUND_M, around.cell_m)), around
     )
     little_above = _mean_around(height_residual, around) < OVER * mean_residual
-    found_wavy: Bool = wavy & bounded & (little_above | (scatter > TILT * tilt))
-    return found_wavy
+    return wavy & bounded & (little_above | (scatter > TILT * tilt))
 
 
 def _mean_around(residual: Float64, around: _Squares) -> Float64:
@@ -349,30 +339,24 @@ class _Squares:
         """
         size = _odd_cells(size_m, self.cell_m)
         total = _sums(np.rint(np.where(known, values, 0.0) / UNIT).astype(np.int64), size)
-        means: Float64 = total * UNIT / np.maximum(_sums(known.astype(np.int64), size), 1)
-        return means
+        return total * UNIT / np.maximum(_sums(known.astype(np.int64), size), 1)
 
     def highest(self, values: Float64, size_m: float) -> Float64:
         """Return the highest value around each cell, with minus infinity beyond the raster."""
         size = _odd_cells(size_m, self.cell_m)
-        highest_values: Float64 = scipy.ndimage.maximum_filter(
-            values, size, mode="constant", cval=-np.inf
-        )
-        return highest_values
+        return scipy.ndimage.maximum_filter(values, size, mode="constant", cval=-np.inf)
 
     def closed(self, cells: Bool, size_m: float) -> Bool:
         """Return the cells and the openings among them into which no square of this side fits (closing)."""
         size = _odd_cells(size_m, self.cell_m)
         wide: Bool = scipy.ndimage.maximum_filter(cells, size, mode="constant")
-        is_closed: Bool = scipy.ndimage.minimum_filter(wide, size, mode="constant")
-        return is_closed
+        return scipy.ndimage.minimum_filter(wide, size, mode="constant")
 
     def opened(self, cells: Bool, size_m: float) -> Bool:
         """Return the cells that are covered by squares of this side that contain no other cells (opening)."""
         size = _odd_cells(size_m, self.cell_m)
         inner: Bool = scipy.ndimage.minimum_filter(cells, size, mode="constant")
-        is_covered: Bool = scipy.ndimage.maximum_filter(inner, size, mode="constant")
-        return is_covered
+        return scipy.ndimage.maximum_filter(inner, size, mode="constant")
 
 
 def _sums(whole: Int64, size: int) -> Int64:

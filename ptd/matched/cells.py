@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys
+from ptd.cells import cell_keys
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import kernel
+from ptd.kernel import Float64, Int32, Int64, kernel
 from ptd.places import Field, on_cells
 
 CELL_M = 1.0
@@ -40,8 +40,6 @@ MODE_SHARE, MODE_POINTS = 0.1, 2
 surface of the cell, as single blunders are fewer."""
 FEW = 128
 """Largest number of points in a cell that are sorted by counting."""
-
-Float64 = npt.NDArray[np.float64]
 
 
 @kernel
@@ -219,8 +217,7 @@ def cell_heights(
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     if x.size == 0:
         return np.zeros((3, 0), np.int32)
-    col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min())) - 1
-    columns, rows = cells.column(int(x.max())) - col0 + 2, cells.row(int(y.max())) - row0 + 2
+    col0, row0, columns, rows = cells.extent(x, y, 1)
     keys = cell_keys(x, y, cells, col0, row0, columns)
     starts, order = by_cell(keys, columns * rows)
     noise = on_cells(sigma_m, cells, row0, col0, (rows, columns)).ravel()
@@ -268,6 +265,20 @@ class CellHeights:
     keys: Int64
     column: int
     row: int
+
+    def spread(self, values: npt.NDArray[Any], otherwise: float = 0) -> npt.NDArray[Any]:
+        """Return the values of the cells as a raster, with another value where there is no cell."""
+        raster = np.full(self.heights.shape, otherwise, values.dtype)
+        raster.reshape(-1)[self.keys] = values
+        return raster
+
+    def at_cells(self, raster: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the values of a raster at the cells."""
+        return raster.reshape(-1)[self.keys]
+
+    def noise(self, noise_m: Field, cells: CellLattice) -> Float64:
+        """Return the noise at all cells of the raster: float64 [rows, columns]."""
+        return on_cells(noise_m, cells, self.row, self.column, self.heights.shape)
 
 
 EMPTY = 2**31 - 1

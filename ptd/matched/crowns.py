@@ -22,15 +22,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.frame import CellLattice, Scale
+from ptd.kernel import Float64, Int32
 from ptd.places import PLACE_M, Figures, Table, field, on_cells, place_of
-
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-
 
 SMALL, LARGE = 3, 9
 """Sides of the small and large windows, in cells of about a metre."""
@@ -122,8 +118,7 @@ def residuals(heights: Float64, size: int) -> Float64:
 
     def total(values: Float64, across: Float64, down: Float64) -> Float64:
         along: Float64 = scipy.ndimage.correlate1d(values, across, axis=1, mode="constant")
-        sums: Float64 = scipy.ndimage.correlate1d(along, down, axis=0, mode="constant")
-        return sums
+        return scipy.ndimage.correlate1d(along, down, axis=0, mode="constant")
 
     n = total(weight, one, one)
     points = np.maximum(n, 1.0)

@@ -18,6 +18,8 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from ptd.kernel import Float64
+
 LIDAR, DIM = "lidar", "dim"
 
 SEVERAL, TRACE, NO_TRACE = -5.0, -2.3, 0.1
@@ -234,7 +236,7 @@ def _measured(times: Column) -> bool:
     return bool(np.unique(finite).size > max(TIMES_PER_POINT * times.size, 2))
 
 
-def _coloured(colours: npt.NDArray[np.float64] | None) -> float | None:
+def _coloured(colours: Float64 | None) -> float | None:
     """Return 1 if points have colours, 0 if they have none, and None if their colours are only grey values."""
     if colours is None or not colours.size:
         return None
@@ -243,12 +245,12 @@ def _coloured(colours: npt.NDArray[np.float64] | None) -> float | None:
     return None if _is_grey(colours) else 1.0
 
 
-def _is_grey(colours: npt.NDArray[np.float64]) -> bool:
+def _is_grey(colours: Float64) -> bool:
     return bool(np.mean(np.ptp(colours, axis=1) == 0) > SAME)
 
 
 def _intensities(
-    intensity: npt.ArrayLike | None, colours: npt.NDArray[np.float64] | None
+    intensity: npt.ArrayLike | None, colours: Float64 | None
 ) -> tuple[float | None, float | None]:
     """Return whether a sensor measured the intensities, and whether they are the grey of the colours.
 

@@ -10,23 +10,18 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys
+from ptd.cells import cell_keys
 from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
-from ptd.ground.morphology import Bool
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, UInt8, as_int64, kernel
 from ptd.matched import last_look, surface
 from ptd.matched.cells import EMPTY, CellHeights, by_cell
 from ptd.matched.last_look import last_look_trees
 from ptd.matched.step import noise_m
 from ptd.matched.survey import DENSITY, known
-from ptd.passes import Model, Points, State, Stats, UInt8
+from ptd.passes import Model, Points, State, Stats
 from ptd.places import PLACES, Field, as_field, field, values_at
-
-Float64 = npt.NDArray[np.float64]
-
 
 PARTS = 16
 """Residuals are whole numbers of 1 / `PARTS` of a vertical count, so sums do not depend on the
@@ -217,9 +212,7 @@ def votes(
     least, widest = float(radius.min()), float(radius.max())
     cell_m = math.ceil(100.0 * widest / round(widest / least) - ROUNDED) / 100.0
     cells, most = CellLattice.of(cell_m, scale), math.ceil(widest / cell_m - ROUNDED)
-    column, row = cells.column(int(px.min())) - most, cells.row(int(py.min())) - most
-    width = cells.column(int(px.max())) - column + 1 + most
-    height = cells.row(int(py.max())) - row + 1 + most
+    column, row, width, height = cells.extent(px, py, most)
     keys = cell_keys(px, py, cells, column, row, width)
     starts, order = by_cell(keys, width * height)
     # Larger squares would overflow.
@@ -399,8 +392,7 @@ def _between(values: Float64, x: int, y: int, position: RasterPosition) -> float
 
 def band(sigma: Float64, narrowing: Float64) -> Float64:
     """Return the largest distance of ground from the surface in metres."""
-    band_m: Float64 = (GROUND_M + GROUND_SIGMAS * sigma) * narrowing
-    return band_m
+    return (GROUND_M + GROUND_SIGMAS * sigma) * narrowing
 
 
 @kernel

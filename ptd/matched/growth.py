@@ -19,11 +19,8 @@ near the ground and near the surface.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int64
-from ptd.ground.morphology import Bool
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Float64, Int64, kernel
 from ptd.matched.cells import CELL_M
 
 GROWS_M, STRIP_GROWS_M = 16.0, 8.0
@@ -55,8 +52,6 @@ is multiplied by the narrowing, so it is smaller among plants."""
 LEVEL_SHARE = 0.7
 """Fraction of that distance within which a cell is level with those that touch it. It is less
 than 1, because among plants a level neighbour is found nearly everywhere."""
-
-Float64 = npt.NDArray[np.float64]
 
 
 def reach_cells(cell_m: float) -> int:

@@ -25,10 +25,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ptd.cells import Int32, Int64
 from ptd.frame import Scale
-from ptd.ground.morphology import Float64
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Float64, Int32, Int64, as_int64, kernel
 from ptd.matched.cells import CELL_M, EMPTY
 
 CUT_M2 = 3.0
@@ -142,10 +140,7 @@ def tilts(heights: Int32, std_blocks: float, block: int) -> tuple[Int64, Int64]:
 
 
 def _smooth(values: Float64, std: float) -> Float64:
-    smoothed: Float64 = scipy.ndimage.gaussian_filter(
-        values, std, mode="constant", radius=TILT_RADIUS
-    )
-    return smoothed
+    return scipy.ndimage.gaussian_filter(values, std, mode="constant", radius=TILT_RADIUS)
 
 
 class _Blocks(NamedTuple):

@@ -27,20 +27,16 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32, Int64
 from ptd.frame import Scale
-from ptd.ground.morphology import Bool, connected_surfaces
+from ptd.ground.morphology import connected_surfaces
 from ptd.ground.plateaus import Plateaus, plateaus
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Float64, Int32, Int64, kernel
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.ground_model import band
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, block_cells, tilts
 from ptd.matched.surface import Surface
-
-Float64 = npt.NDArray[np.float64]
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
 """Limits of the height difference of neighbours on a surface, in metres and in multiples of the
@@ -308,10 +304,7 @@ def _on_level_objects(
         n_level >= LEVEL_SHARE * (n_cells - n_ground)
     )
     # Cells without a surface have the number -1, which selects the appended value.
-    on_level_objects: Bool = np.append(
-        is_on_level_objects & (width <= roof_rule.widest), False
-    )[surface]
-    return on_level_objects
+    return np.append(is_on_level_objects & (width <= roof_rule.widest), False)[surface]
 
 
 def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
@@ -333,10 +326,9 @@ def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
     roof_rule = _roof_rule(scale, cell_m)
     levels = np.where(ground, heights, EMPTY).astype(np.int32)
     on_level_objects = _on_level_objects(heights, ground, levels, roof_rule, scale, cell_m)
-    is_island: Bool = on_level_objects & plateaus(
+    return on_level_objects & plateaus(
         levels, roof_rule, data=heights != EMPTY, passed=on_level_objects
     )
-    return is_island
 
 
 def without_islands(

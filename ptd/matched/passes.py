@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.morphology import Bool
+from ptd.kernel import Bool, Float64, Int32, UInt8
 from ptd.matched import bent_hull, ground_model, last_look, objects, surface
 from ptd.matched.canopy import PIT_M, canopy, may_be, pit_reach_cells, pits
 from ptd.matched.canopy import reach_cells as canopy_reach_cells
-from ptd.matched.cells import CELL_M, EMPTY, SPARSE_CELL_M, cell_heights, raster_of
+from ptd.matched.cells import EMPTY, SPARSE_CELL_M, cell_heights, raster_of
 from ptd.matched.crowns import measure_trees, tree_heights, tree_heights_on_cells
 from ptd.matched.evidence import percent
 from ptd.matched.ground_model import GroundModel, band
@@ -30,6 +29,7 @@ from ptd.matched.step import (
     TERRAIN,
     Codes,
     MatchedPass,
+    OnCellsPass,
     OneSizePass,
     cell_m,
     needed,
@@ -38,14 +38,13 @@ from ptd.matched.step import (
     size_of_cells,
 )
 from ptd.matched.survey import CELL_SIZE, CELL_SIZES_M, cell_sizes
-from ptd.passes import Int32, Model, Partial, Pass, Points, State, UInt8, add_notes
-from ptd.places import PLACES, TREES, of_places, on_cells
+from ptd.passes import Model, Partial, Pass, Points, State, StatisticsModel, add_notes
+from ptd.places import PLACES, TREES, of_places
 
 BORDER_M = 8.0
 """Distance from a canopy, in metres, within which the surface may differ from the surface with
 crowns."""
 
-Float64 = npt.NDArray[np.float64]
 
 BLOCK_M = 64.0
 """Side of the blocks by which covered cells are counted; their lattice is anchored at CRS
@@ -72,15 +71,11 @@ def _widened_by(core: Window, more: float) -> Window:
 
 
 @dataclass(frozen=True)
-class CanopyPass(MatchedPass):
+class CanopyPass(OnCellsPass):
     """Pass that finds crowns classified as ground, and cells where crowns hide the ground."""
 
     name: str = "canopy"
     title = "find closed canopy"
-    columns: tuple[str, ...] = ("labels",)
-    by_place: bool = True
-    elected: bool = True
-    raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
         (surface.reach_cells(size_m, summits=False) + canopy_reach_cells(size_m) + 3) * size_m
         for size_m in CELL_SIZES_M
@@ -113,34 +108,30 @@ class CanopyPass(MatchedPass):
         if not (codes != OBJECT).any():
             return Codes(None, codes, cells)
         raster = raster_of(points.xyz, cells)
-        flat = np.zeros(raster.heights.size, np.uint8)
-        flat[raster.keys] = codes
-        coded = flat.reshape(raster.heights.shape)
+        coded = raster.spread(codes)
         metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
         # Pits lie next to a canopy, too.
         beside = scale.counts(PIT_M / 2 + 2 * size_m)
         is_near_core = _widened_by(core, beside).contains(*points.xyz[:2])
         # Without cells that a canopy may cover, no surface is needed. The surface is nearly all
         # of the work.
-        if not may_be(metres, size_m).reshape(-1)[raster.keys[is_near_core]].any():
+        if not raster.at_cells(may_be(metres, size_m))[is_near_core].any():
             return Codes(raster, codes, cells)
         left = np.where(coded == OBJECT, EMPTY, raster.heights).astype(np.int32)
-        noise = on_cells(
-            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
-        )
+        noise = raster.noise(noise_m(state, scale), cells)
         ground = surface.ground_surface(
             left, coded == TERRAIN, noise, scale, raster.row, raster.column, size_m
         )
         near = band(ground.sigma, ground.narrowing)
         on_ground = np.abs(metres - ground.height) < near
         covered, crowns, land_depths = canopy(metres, ground, on_ground, size_m)
-        depth = land_depths.reshape(-1)[raster.keys]
+        depth = raster.at_cells(land_depths)
         is_measured = np.isfinite(depth) & core.contains(*points.xyz[:2])
         is_measured &= _of_own_place(points, scale, state)
         trees += measure_trees(depth[is_measured], points.xyz[:, is_measured], scale)
         coded[crowns & (coded != OBJECT)] |= CROWN
         coded[covered] |= COVERED
-        return Codes(raster, coded.reshape(-1)[raster.keys], cells)
+        return Codes(raster, raster.at_cells(coded), cells)
 
     def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add ``canopy`` to the state: its share of the area with points, None if there are no points."""
@@ -224,7 +215,6 @@ class CellPass(OneSizePass):
     name: str = "cells"
     title = "one height for each cell"
     every_point: bool = True
-    by_place: bool = True
     gives_labels: bool = False
     elects: bool = True
     influence_radius_m: float | None = 2 * SPARSE_CELL_M
@@ -249,7 +239,6 @@ class PlaceCellPass(MatchedPass):
     name: str = CellPass.name
     title = CellPass.title
     every_point: bool = True
-    by_place: bool = True
     gives_labels: bool = False
     elects: bool = True
     influence_radius_m: float | None = CellPass.influence_radius_m
@@ -271,15 +260,12 @@ def _widened(core: Window, scale: Scale) -> Window:
     return _widened_by(core, round(scale.counts(0.5)))
 
 
-class CellModel(Model):
+class CellModel(StatisticsModel):
     """Model with the elected points of cells, by rows."""
 
     def __init__(self, xyz: Int32) -> None:
-        self._xyz, self.stats = xyz, {"cells": int(xyz.shape[1])}
-
-    def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Raise NotImplementedError, because the pass gives no labels."""
-        raise NotImplementedError("the pass gives no labels")
+        super().__init__({}, {"cells": int(xyz.shape[1])})
+        self._xyz = xyz
 
     def elect(self, bounds: Window) -> Int32:
         """Return the points of the cells whose centres lie within bounds."""
@@ -287,14 +273,10 @@ class CellModel(Model):
 
 
 @dataclass(frozen=True)
-class ObjectPass(MatchedPass):
+class ObjectPass(OnCellsPass):
     """Pass that finds large objects, or objects within those found before."""
 
     name: str = "objects"
-    columns: tuple[str, ...] = ("labels",)
-    by_place: bool = True
-    elected: bool = True
-    raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
         (objects.reach_cells(size_m) + replace(bent_hull.STIFF, cell_m=size_m).reach + 1)
         * size_m
@@ -323,32 +305,24 @@ class ObjectPass(MatchedPass):
         if (known > 0).all() and not (known == OBJECT).any():
             # The first search found no objects, so the second would give the same codes.
             return Codes(raster, known, cells)
-        is_object = np.zeros(raster.heights.size, np.bool_)
-        is_object[raster.keys[codes == OBJECT]] = True
-        removed = is_object.reshape(raster.heights.shape)
+        removed = raster.spread(codes == OBJECT)
         stiff = replace(bent_hull.STIFF, cell_m=size_m)
         hull = lower_envelope(
             raster.heights, stiff, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS
         )
-        noise = on_cells(
-            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
-        )
+        noise = raster.noise(noise_m(state, scale), cells)
         large, terrain = objects.judged(raster.heights, hull, removed, noise, scale, size_m)
-        codes[large.reshape(-1)[raster.keys]] = OBJECT
-        codes[terrain.reshape(-1)[raster.keys]] = TERRAIN
+        codes[raster.at_cells(large)] = OBJECT
+        codes[raster.at_cells(terrain)] = TERRAIN
         return Codes(raster, codes, cells)
 
 
 @dataclass(frozen=True)
-class SurfacePass(MatchedPass):
+class SurfacePass(OnCellsPass):
     """Pass that fits the ground surface and classifies all points by their height above it."""
 
     name: str = "surface"
     title = "fit the surface, label all points"
-    columns: tuple[str, ...] = ("labels",)
-    by_place: bool = True
-    elected: bool = True
-    raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
         (
             surface.reach_cells(size_m)
@@ -376,15 +350,11 @@ class SurfacePass(MatchedPass):
         if not left.any():
             return GroundModel(None, {"cells": 0})
         raster = raster_of(points.xyz, cells)
-        flat = np.zeros(raster.heights.size, np.uint8)
-        flat[raster.keys] = known
-        codes = flat.reshape(raster.heights.shape)
+        codes = raster.spread(known)
         everything = raster.heights
         heights = np.where(codes & CODE == OBJECT, EMPTY, everything).astype(np.int32)
         raster = replace(raster, heights=heights, keys=raster.keys[left])
-        noise = on_cells(
-            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
-        )
+        noise = raster.noise(noise_m(state, scale), cells)
 
         def ground(heights: Int32) -> surface.Surface:
             terrain = (codes & CODE == TERRAIN) & (heights != EMPTY)
@@ -415,7 +385,7 @@ def _pits(
     heights: Int32,
     codes: UInt8,
     fitted: surface.Surface,
-    far_trees: npt.NDArray[np.float64],
+    far_trees: Float64,
     scale: Scale,
     cell_m: float,
 ) -> Bool:

@@ -28,11 +28,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys, lowest_by_key, occupied
+from ptd.cells import cell_keys, lowest_by_key, occupied
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Int32, Int64, as_int64, kernel
 from ptd.matched.cells import by_cell
 from ptd.sorting import sort_by
 
@@ -55,8 +54,6 @@ COUNTS = (
     "overhang_looks",
     "overhangs",
 )
-
-Bool = npt.NDArray[np.bool_]
 
 
 @kernel
@@ -216,7 +213,7 @@ class _Raster:
     Attributes
     ----------
     keys : int64 [cells]
-        Indices of the cells in a raster, ascending. Its rows have an empty column at each end.
+        Indices of the cells in a raster, ascending. It has an empty row or column on each side.
     slot : int64 [n]
         Number of each point's cell.
     lowest : int32 [cells]
@@ -236,10 +233,8 @@ class _Raster:
     def of(cls, size_m: float, x: Int32, y: Int32, z: Int32, scale: Scale) -> Self:
         """Find the occupied cells of a size in metres, on a lattice anchored at CRS coordinate 0."""
         cells = CellLattice.of(size_m, scale)
-        col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
-        width = cells.column(int(x.max())) + 2 - col0
-        point_keys = cell_keys(x, y, cells, col0, row0, width)
-        keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
+        col0, row0, width, height = cells.extent(x, y, 1)
+        keys, slot = occupied(cell_keys(x, y, cells, col0, row0, width), width * height)
         return cls(keys, slot, lowest_by_key(x, y, z, slot, keys.size), col0, row0, width)
 
     def some(self) -> Bool:

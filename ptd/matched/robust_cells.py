@@ -19,15 +19,11 @@ from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd import places
-from ptd.cells import Int32
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.criteria import across
 from ptd.ground.labelling import GROUND
-from ptd.ground.morphology import Bool
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Float64, Int32, as_int64, kernel
 from ptd.matched import ground_model, surface
 from ptd.matched.cells import CELL_M, raster_of
 from ptd.matched.evidence import DIM, LIDAR
@@ -39,15 +35,13 @@ from ptd.params import parameter
 from ptd.passes import Model, Partial, Pass, Points, State, add_notes
 from ptd.tin.facets import Rule, facet_passes, plane_height
 from ptd.tin.mesh import Tin
-from ptd.tin.triangles import Int32Array, locate
+from ptd.tin.triangles import locate
 
 MAX_CIRCUMRADIUS_M = 30.0
 """Largest circumradius of a facet that gives the height of the ground. Voids up to twice this
 radius wide are spanned."""
 ANY_EDGE = 2**62
 """Square of a length that no edge reaches."""
-
-Float64 = npt.NDArray[np.float64]
 
 
 def facet_reach_m() -> float:
@@ -84,7 +78,7 @@ def _ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) ->
 
 @kernel
 def _between_vertices(
-    vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, rule: Rule, found: Float64
+    vertices: Int32, triangles: Int32, x: Int32, y: Int32, rule: Rule, found: Float64
 ) -> None:
     """Interpolate the heights of cells into `found`.
 
@@ -235,7 +229,6 @@ class NearGroundPass(OneSizePass):
     )
     label_margin_m: float = ground_model.REACH_M
     raster_cell_m: float = CELL_M
-    by_place: bool = True
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
@@ -247,12 +240,7 @@ class NearGroundPass(OneSizePass):
             return GroundModel(None, {"cells": 0})
         heights = _ground_heights(*points.columns(), ground, scale)
         raster = raster_of(points.xyz, cells)
-        below = np.full(raster.heights.size, np.nan)
-        below[raster.keys] = heights
-        noise = places.on_cells(
-            noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape
-        )
-        tin_surface = surface.with_noise(
-            raster.heights, below.reshape(raster.heights.shape), noise, scale, size_m
-        )
+        below = raster.spread(heights, np.nan)
+        noise = raster.noise(noise_m(state, scale), cells)
+        tin_surface = surface.with_noise(raster.heights, below, noise, scale, size_m)
         return GroundModel.of(tin_surface, raster, cells, scale, state)

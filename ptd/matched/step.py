@@ -11,12 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.morphology import Bool
-from ptd.matched.cells import SPARSE_CELL_M, CellHeights
+from ptd.kernel import Bool, Float64, Int32, UInt8
+from ptd.matched.cells import CELL_M, SPARSE_CELL_M, CellHeights
 from ptd.matched.survey import (
     BOTH,
     CELL_SIGMA,
@@ -26,7 +24,7 @@ from ptd.matched.survey import (
     cell_sizes,
     known,
 )
-from ptd.passes import Model, Pass, Points, State, UInt8
+from ptd.passes import Model, Pass, Points, State
 from ptd.places import PLACES, Field, field, near, of_places
 
 LEFT, TERRAIN, OBJECT = 1, 2, 3
@@ -56,6 +54,7 @@ class MatchedPass(Pass):
     """A pass that only photogrammetric clouds need."""
 
     kind = "dim"
+    by_place = True
 
     def applies(self, state: State) -> bool:
         """Return whether the survey is done and found image matching."""
@@ -72,6 +71,15 @@ class OneSizePass(MatchedPass):
         return {**local_state, "survey": {**local_state["survey"], "cell_m": cell_m(state)}}
 
 
+@dataclass(frozen=True)
+class OnCellsPass(MatchedPass):
+    """A pass on the elected cells and their labels."""
+
+    columns = ("labels",)
+    elected = True
+    raster_cell_m = CELL_M
+
+
 class Codes(Model):
     """Model with the code of each cell."""
 
@@ -79,8 +87,7 @@ class Codes(Model):
         self._raster, self._cells = raster, cells
         self.stats = {"cells": int(codes.size), "objects": int((codes == OBJECT).sum())}
         if raster is not None:
-            self._codes = np.zeros(raster.heights.size, np.uint8)
-            self._codes[raster.keys] = codes
+            self._codes = raster.spread(codes).reshape(-1)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return the codes of cells. All are certified, because the pass has a fixed radius."""
@@ -94,7 +101,6 @@ class Codes(Model):
         ], uncertified
 
 
-Float64 = npt.NDArray[np.float64]
 OfSize = Callable[[Points, Scale, State, float], Model]
 """Function of a pass that fits the cells of one size, from elected points, scale, state and
 size in metres."""

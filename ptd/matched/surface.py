@@ -17,13 +17,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32, Xyz
+from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
 from ptd.ground.cut_off_land import REACH_CELLS, on_summits, without_thin
-from ptd.ground.morphology import Bool, CellRaster
+from ptd.ground.morphology import CellRaster
+from ptd.kernel import Bool, Float64, Int32
 from ptd.matched import bent_hull, growth
 from ptd.matched.bent_hull import (
     RemainingCells,
@@ -35,8 +35,6 @@ from ptd.matched.bent_hull import (
 )
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import LOWEST, Envelope, lower_envelope
-
-Float64 = npt.NDArray[np.float64]
 
 ROUNDS = 6
 SCALES_M, SCALES_CELLS = (3.0, 1.5), (2.0, 1.0)
@@ -178,8 +176,7 @@ def ground_surface(
 
     def hull(envelope: Envelope) -> Float64:
         lowest = lower_envelope(heights, replace(envelope, cell_m=cell_m), scale, row, column)
-        below: Float64 = np.where(there & (lowest != LOWEST), lowest * metres, 0.0)
-        return below
+        return np.where(there & (lowest != LOWEST), lowest * metres, 0.0)
 
     start = bent_hull.bent_hull(cells, terrain, hull, sigma_m)
     height, sigma, narrowing = _refined(cells, terrain, start, sigma_m, bare)

@@ -48,8 +48,9 @@ from ptd.ground.criteria import FacetLimits
 from ptd.ground.densify import densify_seeds
 from ptd.ground.labelling import LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, low_outliers, search_margin
+from ptd.kernel import Int32
 from ptd.params import check, parameter
-from ptd.passes import Int32, Method, Pass, Points, State
+from ptd.passes import Method, Pass, Points, State
 
 AXELSSON = "Axelsson 2000"
 
@@ -122,6 +123,11 @@ class Progressive:
         )  # fmt: skip
 
     @property
+    def candidate_cell_m(self) -> float:
+        """Size of the cells whose lowest point is the candidate."""
+        return self.thin_cell_m
+
+    @property
     def align_m(self) -> float:
         """Size of the seed cells. Windows consist of whole seed cells."""
         return self.max_building_size_m
@@ -161,9 +167,7 @@ class Classic(Progressive):
 
     def ground_rule(self, limits: FacetLimits, scale: Scale) -> LabelRule:
         """Return the rule by which the finished TIN labels points."""
-        floor = 0.0
-        if self.label_pass:
-            floor = scale.counts(self.label_floor_m)
+        floor = scale.counts(self.label_floor_m) if self.label_pass else 0.0
         return LabelRule(limits, floor, not self.label_pass, self.heights_only)
 
     @property
@@ -173,11 +177,6 @@ class Classic(Progressive):
         It certified most tiles of a city.
         """
         return 2.0 * self.max_building_size_m + 8.0 * min(self.rounds or 30, 30)
-
-    @property
-    def candidate_cell_m(self) -> float:
-        """Size of the cells whose lowest point is the candidate."""
-        return self.thin_cell_m
 
 
 @dataclass(frozen=True)

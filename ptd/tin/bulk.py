@@ -8,20 +8,17 @@ biased randomized insertion order (Amenta, Choi and Rote, Incremental constructi
 """
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Int32, UInt64, as_int64, kernel
 from ptd.tin.insertion import link_vertex, lower_vertex, start_triangulation
-from ptd.tin.triangles import N_VERTICES, Int32Array, coincident_vertex, cross_at, walk
-
-UInt64Array = npt.NDArray[np.uint64]
+from ptd.tin.triangles import N_VERTICES, coincident_vertex, cross_at, walk
 
 _KEY_BITS = 16  # bits of each coordinate in the sort key; both leave 32 bits for the index
 _DIGIT_BITS = 11  # bits sorted in one pass: 2048 counters fit the first-level cache
 _RATIO_BITS = 2  # each round multiplies the number of inserted points by 2**_RATIO_BITS
 
 
-def _hilbert_table() -> Int32Array:
+def _hilbert_table() -> Int32:
     """Four levels of the Hilbert curve at once: int32 [4 * 256], position | next state << 8.
 
     The index is state << 8 | four bits of x << 4 | four bits of y; in a state, 1 swaps x and y,
@@ -46,7 +43,7 @@ _TABLE = _hilbert_table()
 
 
 @kernel
-def _curve_keys(x: Int32Array, y: Int32Array) -> UInt64Array:
+def _curve_keys(x: Int32, y: Int32) -> UInt64:
     """Sort key of each point: its position along the Hilbert curve of the bounding square, then its index."""
     low_x, high_x, low_y, high_y = x[0], x[0], y[0], y[0]
     for i in range(x.size):
@@ -69,7 +66,7 @@ def _curve_keys(x: Int32Array, y: Int32Array) -> UInt64Array:
 
 
 @kernel
-def _sorted_by_key(keys: UInt64Array) -> UInt64Array:
+def _sorted_by_key(keys: UInt64) -> UInt64:
     """Sort `keys` (overwritten) by their upper 32 bits with a stable radix sort, and return the sorted array."""
     other = np.empty_like(keys)
     count = np.empty(1 << _DIGIT_BITS, np.int64)
@@ -93,7 +90,7 @@ def _sorted_by_key(keys: UInt64Array) -> UInt64Array:
 
 
 @kernel
-def curve_order(x: Int32Array, y: Int32Array) -> Int32Array:
+def curve_order(x: Int32, y: Int32) -> Int32:
     """Sort the points along a Hilbert curve, equal cells in input order.
 
     Parameters
@@ -115,7 +112,7 @@ def curve_order(x: Int32Array, y: Int32Array) -> Int32Array:
 
 
 @kernel
-def round_order(order: Int32Array) -> Int32Array:
+def round_order(order: Int32) -> Int32:
     """Rearrange an order along a curve from coarse to fine, where each round follows the curve.
 
     Parameters
@@ -149,7 +146,7 @@ def round_order(order: Int32Array) -> Int32Array:
 
 
 @kernel
-def _seeds(vertices: Int32Array, n: int) -> tuple[int, int]:
+def _seeds(vertices: Int32, n: int) -> tuple[int, int]:
     """Rows j < k of the first points that make a triangle with row 0, or (-1, -1) if all are collinear."""
     j = 1
     while j < n and vertices[4 * j] == vertices[0] and vertices[4 * j + 1] == vertices[1]:
@@ -171,7 +168,7 @@ def _seeds(vertices: Int32Array, n: int) -> tuple[int, int]:
 
 
 @kernel
-def _swap_rows(vertices: Int32Array, i: int, j: int) -> None:
+def _swap_rows(vertices: Int32, i: int, j: int) -> None:
     for column in range(4):
         kept = vertices[4 * i + column]
         vertices[4 * i + column] = vertices[4 * j + column]
@@ -179,7 +176,7 @@ def _swap_rows(vertices: Int32Array, i: int, j: int) -> None:
 
 
 @kernel
-def _keep_distinct(vertices: Int32Array, n: int) -> int:
+def _keep_distinct(vertices: Int32, n: int) -> int:
     """Sort rows of collinear points by (x, y), keep the lowest z of each position, and return their number."""
     keys = np.empty(n, np.uint64)
     for i in range(n):
@@ -205,20 +202,20 @@ def _keep_distinct(vertices: Int32Array, n: int) -> int:
 
 
 @kernel
-def insertion_order(x: Int32Array, y: Int32Array) -> Int32Array:
+def insertion_order(x: Int32, y: Int32) -> Int32:
     """The order in which `build` inserts points: int32 [n]."""
     return round_order(curve_order(x, y))
 
 
 @kernel
 def build(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
-    x: Int32Array,
-    y: Int32Array,
-    z: Int32Array,
-    order: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    order: Int32,
     stamp: int,
 ) -> None:
     """Triangulate all points at once.

@@ -14,20 +14,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.kernel import as_int64, kernel
-from ptd.tin.triangles import N_TRIANGLES, Int32Array, coincident_vertex, is_ghost, locate
-
-Float64Array = npt.NDArray[np.float64]
+from ptd.kernel import Float64, Int32, as_int64, kernel
+from ptd.tin.triangles import N_TRIANGLES, coincident_vertex, is_ghost, locate
 
 _STEPS = 2.0**20  # steps of a height in one count
 
 
 @kernel
-def canonical_facet(
-    vertices: Int32Array, triangles: Int32Array, triangle: int
-) -> tuple[int, int, int]:
+def canonical_facet(vertices: Int32, triangles: Int32, triangle: int) -> tuple[int, int, int]:
     """Vertices of a real triangle, counter-clockwise, the lexicographically smallest in (x, y) first."""
     row = 8 * triangle + 4
     a, b, c = triangles[row], triangles[row + 1], triangles[row + 2]
@@ -47,9 +42,7 @@ def canonical_facet(
 
 
 @kernel
-def real_facets(
-    vertices: Int32Array, triangles: Int32Array, counters: Int32Array
-) -> Int32Array:
+def real_facets(vertices: Int32, triangles: Int32, counters: Int32) -> Int32:
     """Vertex numbers of the real triangles in the order in which they are stored: int32 [m, 3].
 
     Vertices are counter-clockwise, beginning with the lexicographically smallest in (x, y).
@@ -80,7 +73,7 @@ class Plane(NamedTuple):
 
 
 @kernel
-def facet_plane(vertices: Int32Array, triangles: Int32Array, triangle: int) -> Plane:
+def facet_plane(vertices: Int32, triangles: Int32, triangle: int) -> Plane:
     """Return the plane of a real triangle. All products are exact in int64, and the slopes are rounded once."""
     a, b, c = canonical_facet(vertices, triangles, triangle)
     ax, ay, az = (
@@ -104,7 +97,7 @@ def height_on(plane: Plane, x: int, y: int, scale: int) -> float:
 
 @kernel
 def plane_height(
-    vertices: Int32Array, triangles: Int32Array, triangle: int, x: int, y: int, scale: int
+    vertices: Int32, triangles: Int32, triangle: int, x: int, y: int, scale: int
 ) -> float:
     """Height of the plane of a real triangle at a position, inside the triangle or not.
 
@@ -127,9 +120,7 @@ def plane_height(
 
 
 @kernel
-def heights(
-    vertices: Int32Array, triangles: Int32Array, x: Int32Array, y: Int32Array
-) -> Float64Array:
+def heights(vertices: Int32, triangles: Int32, x: Int32, y: Int32) -> Float64:
     """Linear interpolation at positions in counts.
 
     Parameters
@@ -207,9 +198,7 @@ def unbounded(sides: KnownBounds) -> bool:
 
 
 @kernel
-def facet_passes(
-    vertices: Int32Array, triangles: Int32Array, triangle: int, rule: Rule
-) -> bool:
+def facet_passes(vertices: Int32, triangles: Int32, triangle: int, rule: Rule) -> bool:
     """Whether a real facet has its longest edge and its circumradius within the limits.
 
     Parameters
@@ -266,7 +255,7 @@ def circle_inside(
 
 @kernel
 def facet_certified(
-    vertices: Int32Array, triangles: Int32Array, triangle: int, sides: KnownBounds
+    vertices: Int32, triangles: Int32, triangle: int, sides: KnownBounds
 ) -> bool:
     """Whether no point outside the window can lie in the circumcircle of a triangle.
 

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.kernel import Bool, Float64, Int32, UInt8
 from ptd.tin import natural, raster
 from ptd.tin.facets import KnownBounds, Rule
 from ptd.tin.mesh import MAX_EXTENT, Tin
-from ptd.tin.raster import PixelCentres, UInt8Array
-from ptd.tin.triangles import Int32Array
+from ptd.tin.raster import PixelCentres
 
 _MAX_Q = 2**9 - 1
 _ALL = 2**62  # exceeds the square of any edge
@@ -114,21 +113,12 @@ class KnownWindow:
 
     def sides(self) -> KnownBounds:
         """Inclusive limits of the known data, infinite on open sides."""
-        west, south, east, north = (
-            float(self.west),
-            float(self.south),
-            float(self.east - 1),
-            float(self.north - 1),
+        return KnownBounds(
+            -math.inf if self.open_west else float(self.west),
+            -math.inf if self.open_south else float(self.south),
+            math.inf if self.open_east else float(self.east - 1),
+            math.inf if self.open_north else float(self.north - 1),
         )
-        if self.open_west:
-            west = -math.inf
-        if self.open_south:
-            south = -math.inf
-        if self.open_east:
-            east = math.inf
-        if self.open_north:
-            north = math.inf
-        return KnownBounds(west, south, east, north)
 
 
 EVERYWHERE = KnownWindow(
@@ -147,17 +137,15 @@ class TinRaster(NamedTuple):
         True where data outside the window could change the pixel.
     """
 
-    heights: npt.NDArray[np.float64]
-    marks: npt.NDArray[np.bool_]
+    heights: Float64
+    marks: Bool
 
 
 def _rule(max_edge: float, max_radius: float) -> Rule:
     for name, value in (("max_edge", max_edge), ("max_radius", max_radius)):
         if not value >= 0:
             raise ValueError(f"{name} is {value}, must be >= 0 counts")
-    max_edge2 = _ALL
-    if max_edge < 2**31:
-        max_edge2 = math.floor(max_edge * max_edge)
+    max_edge2 = math.floor(max_edge * max_edge) if max_edge < 2**31 else _ALL
     return Rule(max_edge2, float(max_radius))
 
 
@@ -168,7 +156,7 @@ def pixel_owners(
     max_edge: float = math.inf,
     max_radius: float = math.inf,
     window: KnownWindow = EVERYWHERE,
-) -> tuple[Int32Array, UInt8Array]:
+) -> tuple[Int32, UInt8]:
     """Find the facet or vertex that owns each pixel centre.
 
     Returns

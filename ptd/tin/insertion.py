@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Int32, as_int64, kernel
 from ptd.tin.triangles import (
     GHOST,
     HEADER,
     N_TRIANGLES,
     N_VERTICES,
-    Int32Array,
     coincident_vertex,
     cross_at,
     ghost_conflict,
@@ -36,7 +35,7 @@ class _Corner(NamedTuple):
 
 
 @kernel
-def _corner(vertices: Int32Array, vertex: int, x: int, y: int) -> _Corner:
+def _corner(vertices: Int32, vertex: int, x: int, y: int) -> _Corner:
     at = 4 * max(vertex, 0)
     return _Corner(vertex, vertices[at] - x, vertices[at + 1] - y)
 
@@ -55,7 +54,7 @@ def _conflict(a: _Corner, b: _Corner, d: _Corner) -> bool:
 
 @kernel
 def _collect(
-    vertices: Int32Array, triangles: Int32Array, scratch: Int32Array, x: int, y: int, first: int
+    vertices: Int32, triangles: Int32, scratch: Int32, x: int, y: int, first: int
 ) -> int:
     """Write the triangles in conflict with (x, y) and their rim to `scratch`, and change no other array.
 
@@ -106,10 +105,10 @@ def _collect(
 
 @kernel
 def _fill(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
-    scratch: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
+    scratch: Int32,
     n_conflicts: int,
     vertex: int,
     stamp: int,
@@ -150,9 +149,9 @@ def _fill(
 
 @kernel
 def _link_large(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
     vertex: int,
     first: int,
     stamp: int,
@@ -172,9 +171,9 @@ def _link_large(
 
 @kernel
 def link_vertex(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
     vertex: int,
     first: int,
     stamp: int,
@@ -201,9 +200,7 @@ def link_vertex(
 
 
 @kernel
-def lower_vertex(
-    vertices: Int32Array, triangles: Int32Array, vertex: int, z: int, stamp: int
-) -> None:
+def lower_vertex(vertices: Int32, triangles: Int32, vertex: int, z: int, stamp: int) -> None:
     """Lower `vertex` to `z` unless it is as low, and stamp its triangles if it moved."""
     if z >= vertices[4 * vertex + 2]:
         return
@@ -221,9 +218,9 @@ def lower_vertex(
 
 @kernel
 def start_triangulation(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
     i: int,
     j: int,
     k: int,
@@ -265,9 +262,9 @@ def start_triangulation(
 
 @kernel
 def insert(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
     x: int,
     y: int,
     z: int,

@@ -11,13 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import quotient
-from ptd.kernel import as_int64, inlined, kernel
+from ptd.kernel import Float64, Int32, as_int64, inlined, kernel
 from ptd.tin import bulk, facets
 from ptd.tin.triangles import (
     MAX_VERTICES,
     N_TRIANGLES,
     N_VERTICES,
-    Int32Array,
     Mesh,
     counters_array,
     triangles_array,
@@ -112,13 +111,13 @@ class Tin:
         return int(self.counters[N_TRIANGLES])
 
     @property
-    def vertices(self) -> Int32Array:
+    def vertices(self) -> Int32:
         """Coordinates x, y, z in counts by vertex number: int32 [n_vertices, 3], a read-only view."""
         view = self.vertex_array[: 4 * self.n_vertices].reshape(-1, 4)[:, :3]
         view.flags.writeable = False
         return view
 
-    def heights(self, x: npt.ArrayLike, y: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def heights(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Float64:
         """Linear interpolation at positions in counts: float64 [n], counts, NaN outside the hull.
 
         Raises
@@ -133,7 +132,7 @@ class Tin:
         return facets.heights(self.vertex_array, self.triangle_array, px, py)
 
 
-def _validate_width(x: Int32Array, y: Int32Array) -> tuple[int, int, int, int]:
+def _validate_width(x: Int32, y: Int32) -> tuple[int, int, int, int]:
     """Least and greatest x and y. Raises ValueError if predicates would not be exact over this extent."""
     west, east, south, north = int(x.min()), int(x.max()), int(y.min()), int(y.max())
     for name, low, high in (("x", west, east), ("y", south, north)):
@@ -145,9 +144,7 @@ def _validate_width(x: Int32Array, y: Int32Array) -> tuple[int, int, int, int]:
     return west, east, south, north
 
 
-def _points(
-    x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike
-) -> tuple[Int32Array, Int32Array, Int32Array]:
+def _points(x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike) -> tuple[Int32, Int32, Int32]:
     """Check the coordinates and give them as contiguous int32 arrays of one length."""
     out = []
     for name, values in (("x", x), ("y", y), ("z", z)):
@@ -176,7 +173,7 @@ GRID_CELLS_PER_VERTEX = 2
 
 
 @kernel
-def _fill(row: Int32Array) -> bool:
+def _fill(row: Int32) -> bool:
     """Give empty cells (-1) of a row the value of the nearest filled one, and return False if none is filled."""
     before, start = -1, 0
     for k in range(row.size + 1):
@@ -193,8 +190,8 @@ def _fill(row: Int32Array) -> bool:
 
 @kernel
 def _start_grid(
-    vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int
-) -> Int32Array:
+    vertices: Int32, n: int, west: int, south: int, cell: int, height: int, width: int
+) -> Int32:
     """A triangle near each cell of a raster: int32 [height * width], row by row from the south-west."""
     grid, inverse = np.full(height * width, -1, np.int32), 1.0 / cell
     for v in range(n):
@@ -223,7 +220,7 @@ class Locator(NamedTuple):
     width, height : int
     """
 
-    grid: Int32Array
+    grid: Int32
     west: int
     south: int
     cell: int

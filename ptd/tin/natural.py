@@ -13,9 +13,8 @@ import math
 
 import numpy as np
 
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Float64, Int32, UInt8, as_int64, kernel
 from ptd.tin.facets import (
-    Float64Array,
     KnownBounds,
     canonical_facet,
     circle_inside,
@@ -25,11 +24,10 @@ from ptd.tin.facets import (
     plane_height,
     unbounded,
 )
-from ptd.tin.raster import NO_OWNER, PixelCentres, UInt8Array
+from ptd.tin.raster import NO_OWNER, PixelCentres
 from ptd.tin.triangles import (
     HEADER,
     N_TRIANGLES,
-    Int32Array,
     is_ghost,
     lexicographic_less,
     next_edge,
@@ -53,7 +51,7 @@ def _centre(bx: float, by: float, cx: float, cy: float) -> tuple[float, float]:
 
 
 @kernel
-def _offset(vertices: Int32Array, v: int, x: int, y: int, scale: int) -> tuple[float, float]:
+def _offset(vertices: Int32, v: int, x: int, y: int, scale: int) -> tuple[float, float]:
     return (
         float(scale * vertices[4 * v] - x) / scale,
         float(scale * vertices[4 * v + 1] - y) / scale,
@@ -61,9 +59,7 @@ def _offset(vertices: Int32Array, v: int, x: int, y: int, scale: int) -> tuple[f
 
 
 @kernel
-def _facet_centres(
-    vertices: Int32Array, triangles: Int32Array, n: int
-) -> tuple[Float64Array, Int32Array]:
+def _facet_centres(vertices: Int32, triangles: Int32, n: int) -> tuple[Float64, Int32]:
     """Centres of the first n circumcircles, each relative to a vertex of its triangle, and that vertex.
 
     Each centre is a corner of three Voronoi cells and serves every position near them.
@@ -86,7 +82,7 @@ def _facet_centres(
 
 @kernel
 def _surely_inside(
-    vertices: Int32Array, triangles: Int32Array, triangle: int, x: int, y: int, scale: int
+    vertices: Int32, triangles: Int32, triangle: int, x: int, y: int, scale: int
 ) -> bool:
     """Whether the position lies inside the circumcircle of a real triangle by more than the rounding error."""
     a, b, c = canonical_facet(vertices, triangles, triangle)
@@ -105,9 +101,9 @@ def _surely_inside(
 
 @kernel
 def _rim(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    scratch: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    scratch: Int32,
     first: int,
     x: int,
     y: int,
@@ -154,10 +150,10 @@ def _rim(
 
 @kernel
 def _stolen_area(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    centres: Float64Array,
-    firsts: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    centres: Float64,
+    firsts: Int32,
     edges: tuple[int, int],
     position: tuple[int, int, int],
     before: tuple[float, float],
@@ -190,11 +186,11 @@ def _stolen_area(
 
 @kernel
 def _position_height(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    centres: Float64Array,
-    firsts: Int32Array,
-    rim: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    centres: Float64,
+    firsts: Int32,
+    rim: Int32,
     n: int,
     owner: int,
     position: tuple[int, int, int],
@@ -239,9 +235,9 @@ def _position_height(
 
 @kernel
 def _rim_certified(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    rim: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
+    rim: Int32,
     n: int,
     x: int,
     y: int,
@@ -263,14 +259,14 @@ def _rim_certified(
 
 @kernel
 def natural_heights(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
-    owners: Int32Array,
-    marks: UInt8Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
+    owners: Int32,
+    marks: UInt8,
     lattice: PixelCentres,
     sides: KnownBounds,
-) -> Float64Array:
+) -> Float64:
     """Natural neighbour heights of the owned pixels: float64 [rows, columns], counts, NaN without owner.
 
     A pixel on a vertex gets the z of the vertex; heights on an edge of the hull are linear

@@ -18,11 +18,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Float64, Int32, UInt8, as_int64, kernel
 from ptd.tin.facets import (
-    Float64Array,
     KnownBounds,
     Plane,
     Rule,
@@ -31,17 +29,7 @@ from ptd.tin.facets import (
     facet_plane,
     height_on,
 )
-from ptd.tin.triangles import (
-    N_TRIANGLES,
-    N_VERTICES,
-    Int32Array,
-    Mesh,
-    lexicographic_less,
-    next_edge,
-)
-
-UInt8Array = npt.NDArray[np.uint8]
-
+from ptd.tin.triangles import N_TRIANGLES, N_VERTICES, Mesh, lexicographic_less, next_edge
 
 # Bits of a mark while the facets are scanned.
 _NEAR = 1
@@ -81,7 +69,7 @@ def _known_within(
 
 @kernel
 def _mark_near_sides(
-    marks: UInt8Array, lattice: PixelCentres, rule: Rule, sides: KnownBounds
+    marks: UInt8, lattice: PixelCentres, rule: Rule, sides: KnownBounds
 ) -> None:
     """Set the bits of pixels near unknown data.
 
@@ -102,7 +90,7 @@ def _mark_near_sides(
 
 
 @kernel
-def _settle_marks(marks: UInt8Array) -> None:
+def _settle_marks(marks: UInt8) -> None:
     """Replace the bits of each pixel by its final mark: 1 if unknown data could change it, else 0.
 
     The circle of a facet that passes reaches at most twice `max_radius` from its pixel, and may
@@ -126,14 +114,14 @@ _WIDE = 6  # columns from which cutting each row to the triangle saves time
 class _Outputs(NamedTuple):
     """Arrays that `scan` fills, as one argument of kernels."""
 
-    owners: Int32Array
-    heights: Float64Array
-    marks: UInt8Array
+    owners: Int32
+    heights: Float64
+    marks: UInt8
 
 
 @kernel
 def _own_vertex(
-    vertices: Int32Array, triangles: Int32Array, v: int, rule: Rule, sides: KnownBounds
+    vertices: Int32, triangles: Int32, v: int, rule: Rule, sides: KnownBounds
 ) -> tuple[bool, bool]:
     """Whether any facet around a vertex passes, and whether that is certain."""
     edge = 8 * as_int64(vertices[4 * v + 3])
@@ -189,7 +177,7 @@ def _own_vertices(
 
 
 @kernel
-def _apex_first(vertices: Int32Array, triangles: Int32Array, edge: int) -> bool:
+def _apex_first(vertices: Int32, triangles: Int32, edge: int) -> bool:
     """Whether the vertex opposite `edge` is lexicographically smaller than the one opposite its twin."""
     own, other = triangles[edge + 4], triangles[triangles[edge] + 4]
     return lexicographic_less(
@@ -202,8 +190,8 @@ def _apex_first(vertices: Int32Array, triangles: Int32Array, edge: int) -> bool:
 
 @kernel
 def _own_border(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     t: int,
     zeros: tuple[bool, bool, bool],
     within_reach: bool,
@@ -319,12 +307,12 @@ def _own_facet(
 
 @kernel
 def scan(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
-    owners: Int32Array,
-    heights: Float64Array,
-    marks: UInt8Array,
+    vertices: Int32,
+    triangles: Int32,
+    counters: Int32,
+    owners: Int32,
+    heights: Float64,
+    marks: UInt8,
     lattice: PixelCentres,
     rule: Rule,
     sides: KnownBounds,

@@ -43,11 +43,8 @@ of Devillers and Teillaud (Perturbations and vertex removal in a 3D Delaunay tri
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.kernel import as_int64, kernel
-
-Int32Array = npt.NDArray[np.int32]
+from ptd.kernel import Int32, as_int64, kernel
 
 GHOST = -1
 STAMP = 3  # column of a triangle
@@ -64,21 +61,21 @@ _SCRATCH = 4 * 256
 class Mesh(NamedTuple):
     """The arrays of a TIN, as one argument of kernels that only read it."""
 
-    vertices: Int32Array
-    triangles: Int32Array
+    vertices: Int32
+    triangles: Int32
 
 
-def vertices_array(max_vertices: int) -> Int32Array:
+def vertices_array(max_vertices: int) -> Int32:
     """Room for `max_vertices` vertices: int32 [4 * max_vertices]."""
     return np.empty(4 * max_vertices, np.int32)
 
 
-def triangles_array(max_vertices: int) -> Int32Array:
+def triangles_array(max_vertices: int) -> Int32:
     """Room for the triangles of `max_vertices` vertices: int32 [16 * max_vertices]."""
     return np.empty(16 * max_vertices, np.int32)
 
 
-def counters_array() -> Int32Array:
+def counters_array() -> Int32:
     """Counters of an empty TIN, with scratch for cavities of ordinary size: int32 [HEADER + 1024]."""
     return np.zeros(HEADER + _SCRATCH, np.int32)
 
@@ -96,14 +93,14 @@ def previous_edge(edge: int) -> int:
 
 
 @kernel
-def is_ghost(triangles: Int32Array, triangle: int) -> bool:
+def is_ghost(triangles: Int32, triangle: int) -> bool:
     """Whether `triangle` has the vertex at infinity, that is, lies outside the hull."""
     row = 8 * triangle
     return bool((triangles[row + 4] | triangles[row + 5] | triangles[row + 6]) < 0)
 
 
 @kernel
-def real_neighbour(triangles: Int32Array, triangle: int) -> int:
+def real_neighbour(triangles: Int32, triangle: int) -> int:
     """`triangle` itself if it is real, otherwise the real triangle on the other side of its hull edge."""
     row = 8 * triangle
     if triangles[row + 4] < 0:
@@ -199,7 +196,7 @@ def ghost_conflict(ax: int, ay: int, bx: int, by: int) -> bool:
 
 
 @kernel
-def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int) -> int:
+def walk(vertices: Int32, triangles: Int32, x: int, y: int, hint: int) -> int:
     """Walk to a triangle that contains (x, y), border included, or a ghost whose hull edge (x, y) is beyond.
 
     Each step crosses an edge that has the point strictly on its other side. In the
@@ -251,9 +248,7 @@ def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int)
 
 
 @kernel
-def coincident_vertex(
-    vertices: Int32Array, triangles: Int32Array, x: int, y: int, triangle: int
-) -> int:
+def coincident_vertex(vertices: Int32, triangles: Int32, x: int, y: int, triangle: int) -> int:
     """The vertex of `triangle` that lies exactly at (x, y), or -1."""
     for corner in range(8 * triangle + 4, 8 * triangle + 7):
         v = int(triangles[corner])
@@ -263,7 +258,7 @@ def coincident_vertex(
 
 
 @kernel
-def locate(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int) -> int:
+def locate(vertices: Int32, triangles: Int32, x: int, y: int, hint: int) -> int:
     """Find the triangle that owns the position (x, y), whatever the hint.
 
     - strictly inside a triangle: that triangle;

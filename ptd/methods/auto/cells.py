@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ptd.cells import CellIndex, Int32, Xyz, lowest_per_cell
+from ptd.cells import CellIndex, Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.labelling import LOW_NOISE, UNCLASSIFIED
-from ptd.ground.morphology import EMPTY, Bool, CellRaster, Float64, disk_minimum, steepest_drops
+from ptd.ground.morphology import EMPTY, CellRaster, disk_minimum, steepest_drops
 from ptd.ground.slopes import Boxes
-from ptd.kernel import kernel
-from ptd.passes import Model, Points, Stats, UInt8
+from ptd.kernel import Bool, Float64, Int32, UInt8, kernel
+from ptd.passes import Model, Points, Stats
 
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
 """Codes of cells between passes. Cells that stay ground after `refine` have the code
@@ -255,8 +255,7 @@ class Lowest:
         allowed = drop.per_metre * self.unit + drop.per_slope * Boxes(opened).slopes(
             shape.slope, keys
         )
-        is_object: Bool = steepest.reshape(-1)[keys] > allowed
-        return is_object
+        return steepest.reshape(-1)[keys] > allowed
 
     def residual_objects(
         self, ground: Bool, present: Bool, limits: Residuals, level: Bool | None = None
@@ -284,19 +283,16 @@ class Lowest:
         )
         allowed = drop.per_metre * self.unit + drop.per_slope * boxes.slopes(limits.slope, keys)
         allowed += limits.lack * self.unit * self.lack_of_objects(ground, limits)
-        is_object: Bool = steepest.reshape(-1)[keys] > allowed * parts
-        return is_object
+        return steepest.reshape(-1)[keys] > allowed * parts
 
     def outvoted(self, before: Bool, stays: Bool, reach: int) -> Bool:
         """Return a mask of the cells that stay ground although most cells around them at their height do not: bool [n].
 
         ``before`` are the cells that were ground before, and ``reach`` is the half width of the square around a cell.
         """
-        raster, heights = np.zeros(self.raster.shape, np.bool_), self.heights(before)
-        raster.reshape(-1)[self.raster.keys] = stays
-        lost = _outvoted(heights, raster, reach, self.scale.counts_z(LEVEL_M))
-        is_outvoted: Bool = lost.reshape(-1)[self.raster.keys]
-        return is_outvoted
+        stays_ground, level = self.raster.occupied(stays), self.scale.counts_z(LEVEL_M)
+        lost = _outvoted(self.heights(before), stays_ground, reach, level)
+        return lost.reshape(-1)[self.raster.keys]
 
     def annexes(self, ground: Bool, roofs: Bool, limits: Residuals, near: int) -> Bool:
         """Return a mask of the ground that rises like an object within `near` cells of a roof or crown: bool [n].

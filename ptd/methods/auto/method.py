@@ -80,7 +80,7 @@ fine_surface          ours                        yes       the TIN of each metr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
@@ -97,13 +97,14 @@ from ptd.ground.densify import (
     box_with_ring,
     choose_seeds,
     densify,
+    tin_with_ring,
 )
 from ptd.ground.fine_surface import REACH_M, FineLabels, with_fine_surface
 from ptd.ground.labelling import GROUND, Bands, LabelRule, TinLabels
-from ptd.ground.morphology import Bool
 from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise
 from ptd.ground.plateaus import ROOF_STEPS_M
+from ptd.kernel import Bool, Int32
 from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.evidence import DIM
@@ -131,13 +132,14 @@ from ptd.methods.auto.raster_passes import (
     AnnexPass,
     LidarPass,
     NoisePass,
+    RasterPass,
     RefinePass,
     RoofPass,
     SeedPass,
     SummitPass,
     TreetopPass,
 )
-from ptd.passes import Int32, Method, Pass, Points, State
+from ptd.passes import Method, Pass, Points, State
 from ptd.places import PLACES, Figures, field, span
 from ptd.tin.mesh import Tin
 
@@ -151,33 +153,38 @@ class Auto(AutoParameters):
     @property
     def passes(self) -> tuple[Pass, ...]:
         """Passes on rasters (with a fixed radius) and on TINs in turn, so that uncertified regions do not add up."""
-        cell = self.thin_cell_m
         return (
             SurveyPass(params=self),
-            NoisePass(self, influence_radius_m=(self.noise_reach + 1) * cell),
-            SeedPass(self, influence_radius_m=(self.seed_reach + 1) * cell),
-            SummitPass(self, influence_radius_m=(self.summit_reach + 1) * cell),
+            NoisePass(self, influence_radius_m=(self.noise_reach + 1) * self.thin_cell_m),
+            self._raster_pass(SeedPass, self.seed_reach),
+            self._raster_pass(SummitPass, self.summit_reach),
             DensifyPass(self),
-            RefinePass(self, influence_radius_m=(self.refine_reach + 1) * cell),
+            self._raster_pass(RefinePass, self.refine_reach),
             *(
                 self._roof_pass(name, ROOF_STEPS_M[: n + 1])
                 for n, name in enumerate(ROOF_PASSES)
             ),
-            TreetopPass(self, influence_radius_m=(self.treetop_reach + 1) * cell),
-            AnnexPass(self, influence_radius_m=(self.annex_reach + 1) * cell),
+            self._raster_pass(TreetopPass, self.treetop_reach),
+            self._raster_pass(AnnexPass, self.annex_reach),
             LabelPass(self, label_margin_m=REACH_M if self.fine_surface else 0.0),
             *matched.PASSES[:-1],
             matched.SurfacePass(refine=self.refine),
         )
 
-    def _roof_pass(self, name: str, steps_m: Sequence[float]) -> RoofPass:
+    def _raster_pass(
+        self, kind: Callable[..., RasterPass], reach: int, **rest: Any
+    ) -> RasterPass:
+        return kind(self, reach, (reach + 1) * self.thin_cell_m, **rest)
+
+    def _roof_pass(self, name: str, steps_m: Sequence[float]) -> RasterPass:
         """Return the pass for the last of some steps."""
         step_m, n_round = steps_m[-1], steps_m.count(steps_m[-1])
         title = f"take out roofs with edges of {step_m:g} m"
         if n_round > 1:
             title += f", round {n_round}"
-        reach_m = (self.roof_reach + 1) * self.thin_cell_m
-        return RoofPass(self, n_round > 1, step_m, name, title, reach_m)
+        return self._raster_pass(
+            RoofPass, self.roof_reach, again=n_round > 1, step_m=step_m, name=name, title=title
+        )
 
 
 @dataclass(frozen=True)
@@ -382,8 +389,7 @@ def first_tin(
         known, known.inside(cells, RING), box_with_ring(x, y, cells), scale
     )
     ring = choose_seeds(x, y, z, chosen, cells, region).virtual
-    corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
-    return Tin.build(*corners, max_vertices=x.size + len(ring)), region
+    return tin_with_ring(Xyz(x, y, z), chosen, ring, x.size + len(ring)), region
 
 
 METHOD = Method(

@@ -68,12 +68,21 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Xyz, lowest_per_cell, position_keys
+from ptd.cells import Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.densify import REFUSED, RING, VERTEX, box_with_ring, choose_seeds, densify
+from ptd.ground.densify import (
+    REFUSED,
+    RING,
+    VERTEX,
+    box_with_ring,
+    choose_seeds,
+    densify,
+    tin_with_ring,
+)
 from ptd.ground.labelling import GROUND, LOW_NOISE, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers, search_margin
+from ptd.kernel import Bool, Int32, Int64, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.chen2023.progressive_opening import (
     Opening,
@@ -84,20 +93,8 @@ from ptd.methods.chen2023.progressive_opening import (
 from ptd.methods.chen2023.seed_clusters import ClusterLimits, noisy_seeds
 from ptd.methods.classic import Classic, Progressive
 from ptd.params import like, parameter
-from ptd.passes import (
-    Method,
-    Partial,
-    Pass,
-    Points,
-    State,
-    StatisticsModel,
-    Stats,
-    UInt8,
-    add_notes,
-)
+from ptd.passes import Method, Partial, Pass, Points, State, StatisticsModel, Stats, add_notes
 from ptd.tin.mesh import Tin
-
-Bool = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -220,11 +217,6 @@ class Chen2023(Progressive):
         """
         return search_margin(self.low_radius_m, 1, self.thin_cell_m)
 
-    @property
-    def candidate_cell_m(self) -> float:
-        """Size of the cells whose lowest point is the candidate."""
-        return self.thin_cell_m
-
     def opening(self, scale: Scale) -> Opening:
         """Windows and thresholds in counts."""
         drops = height_thresholds(
@@ -272,10 +264,9 @@ class Tails(NamedTuple):
     above: int
 
 
-def _bins(z: Int32, scale: Scale) -> npt.NDArray[np.int64]:
+def _bins(z: Int32, scale: Scale) -> Int64:
     """Return the bin of each height. Bin 0 starts at height 0 of the CRS."""
-    bins: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
-    return bins
+    return np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
 
 
 def histogram(z: Int32, scale: Scale) -> Histogram:
@@ -367,9 +358,8 @@ class ElevationsPass(Pass):
     def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Merge the counts, find the tails, and report the cut."""
         counts = merged({int(k): int(n) for k, n in part["elevations"]} for part in partials)
-        tails = None
-        if self.gap_m:
-            tails = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share)
+        gap_bins = math.ceil(self.gap_m / BIN_M)
+        tails = find_tails(counts, gap_bins, self.share) if gap_bins else None
         if tails is None:
             return {**state, "tails": None}
         cut = (tails.below, "below", tails.low_bin), (tails.above, "above", tails.high_bin + 1)
@@ -450,17 +440,16 @@ class ChenModel(TinLabels):
         )
         region.add_points(x, y, uncertified)
         ring = choose_seeds(x, y, z, seeds, ring_cells, region, uncertified).virtual
-        tin = _triangulate(x, y, z, seeds, ring)
+        points, max_vertices = Xyz(x, y, z), x.size + len(ring)
+        tin = tin_with_ring(points, seeds, ring, max_vertices)
         noise = self._noise(tin, x, y, np.flatnonzero(seeds), ring, region)
         self.stats.update(potential_seeds=int(seeds.sum()), noisy_seeds=int(noise.size))
         if noise.size:
             seeds[noise] = False
-            tin = _triangulate(x, y, z, seeds, ring)
+            tin = tin_with_ring(points, seeds, ring, max_vertices)
         state = np.where(outlier, REFUSED, np.where(seeds, VERTEX, 0)).astype(np.uint8)
-        _, rounds = densify(tin, Xyz(x, y, z), state, limits, p.rounds, region)
-        floor = 0.0
-        if p.label_pass:
-            floor = scale.counts(p.label_floor_m)
+        _, rounds = densify(tin, points, state, limits, p.rounds, region)
+        floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
         self.finish(
             tin, region.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass)
         )
@@ -497,11 +486,6 @@ class ChenModel(TinLabels):
             below, _ = outside(points.xyz[2], self._scale, self._tails)
             labels[below & (labels != GROUND)] = LOW_NOISE
         return labels, uncertified_labels
-
-
-def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:
-    columns = (np.concatenate([c[seeds], v]) for c, v in zip((x, y, z), ring.T, strict=True))
-    return Tin.build(*columns, max_vertices=int(x.size) + len(ring))
 
 
 METHOD = Method(

@@ -16,16 +16,11 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from ptd.cells import Int32
 from ptd.frame import CellLattice, Window
 from ptd.ground.morphology import EMPTY, blocks
-from ptd.kernel import kernel
-
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
+from ptd.kernel import Bool, Int32, Int64, kernel
 
 
 @kernel
@@ -131,9 +126,7 @@ def window_widths(initial: int, exponential: bool, building_cells: Fraction) -> 
     widths, k = [1], 0
     while widths[-1] < last:
         k += 1
-        half = k * initial
-        if exponential:
-            half = initial**k
+        half = initial**k if exponential else k * initial
         widths.append(min(2 * half + 1, last))
     return widths[1:]
 

@@ -6,16 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Int32, Int64, UInt8, kernel
 from ptd.tin.facets import real_facets
 from ptd.tin.mesh import Tin
-from ptd.tin.triangles import VERTEX, Int32Array
-
-Bool = npt.NDArray[np.bool_]
-UInt8 = npt.NDArray[np.uint8]
-Int64 = npt.NDArray[np.int64]
+from ptd.tin.triangles import VERTEX
 
 
 class ClusterLimits(NamedTuple):
@@ -43,9 +38,7 @@ class ClusterLimits(NamedTuple):
 
 
 @kernel
-def _sides(
-    vertices: Int32Array, facet: Int32Array, z_ratio: float
-) -> tuple[float, float, float]:
+def _sides(vertices: Int32, facet: Int32, z_ratio: float) -> tuple[float, float, float]:
     """Return the squared sides of a facet in space, growing, with bits that do not depend on the order of corners."""
     short, middle, longest = np.inf, np.inf, -np.inf
     for k in range(3):
@@ -59,7 +52,7 @@ def _sides(
 
 
 @kernel
-def _highest(vertices: Int32Array, facet: Int32Array) -> int:
+def _highest(vertices: Int32, facet: Int32) -> int:
     """Return the highest corner, among equally high ones the lexicographically smallest in (x, y)."""
     top = facet[0]
     for k in range(1, 3):
@@ -77,13 +70,13 @@ def _highest(vertices: Int32Array, facet: Int32Array) -> int:
 
 @kernel
 def _judge_facets(
-    vertices: Int32Array,
-    facets: Int32Array,
+    vertices: Int32,
+    facets: Int32,
     real: Bool,
     long_side: float,
     narrow_cos: float,
     z_ratio: float,
-) -> tuple[Int32Array, Bool]:
+) -> tuple[Int32, Bool]:
     """Return, for each facet, the corner that is noise (-1: none), and whether it joins its corners to a cluster."""
     tips = np.full(facets.shape[0], -1, np.int32)
     joins = np.zeros(facets.shape[0], np.bool_)
@@ -102,7 +95,7 @@ def _judge_facets(
 
 
 @kernel
-def _root(parents: Int32Array, v: int) -> int:
+def _root(parents: Int32, v: int) -> int:
     while parents[v] != v:
         parents[v] = parents[parents[v]]
         v = parents[v]
@@ -110,7 +103,7 @@ def _root(parents: Int32Array, v: int) -> int:
 
 
 @kernel
-def _flood(facets: Int32Array, joins: Bool, n: int) -> Int32Array:
+def _flood(facets: Int32, joins: Bool, n: int) -> Int32:
     """Join the corners of chosen facets, and return the cluster of each vertex: the number of one of its vertices."""
     parents = np.arange(n).astype(np.int32)
     for i in range(facets.shape[0]):
@@ -127,7 +120,7 @@ def _flood(facets: Int32Array, joins: Bool, n: int) -> Int32Array:
 
 @kernel
 def _sums(
-    vertices: Int32Array, facets: Int32Array, clusters: Int32Array, counted: Bool
+    vertices: Int32, facets: Int32, clusters: Int32, counted: Bool
 ) -> tuple[Int64, Int64, Int64, Int64]:
     """Return, by cluster, the number and the sum of heights of its seeds and of neighbours across its border.
 
@@ -211,7 +204,7 @@ def noisy_seeds(
 
 
 def _uncertified_clusters(
-    facets: Int32Array, joins: Bool, uncertified_facets: Bool, clusters: Int32Array, small: int
+    facets: Int32, joins: Bool, uncertified_facets: Bool, clusters: Int32, small: int
 ) -> Bool:
     """Return the vertices of clusters that touch an uncertified facet, unless certified facets make them large."""
     touched = np.zeros(clusters.size, np.bool_)

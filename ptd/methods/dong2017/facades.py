@@ -10,15 +10,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, slot_of
+from ptd.cells import CellIndex, CellTable, Xyz, slot_of
 from ptd.frame import CellLattice, Scale
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
-from ptd.kernel import kernel
-
-Bool = npt.NDArray[np.bool_]
-
+from ptd.kernel import Bool, Int32, Int64, kernel
 
 BLOCK = 1
 """Number of cells to each side of a seed's cell in which its surroundings have to be flat."""

@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.cells import CellTable, Int32, Int64, cell_keys, slot_of
+from ptd.cells import CellTable, cell_keys, slot_of
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.certificates import UInt8, UncertifiedRegion
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import RING, box_with_ring, cells_of
-from ptd.ground.distance_angle import Bool, Threshold, Trial, random_per_cell
+from ptd.ground.distance_angle import Threshold, Trial, random_per_cell
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
-from ptd.kernel import kernel
+from ptd.kernel import Bool, Int32, Int64, UInt8, kernel
 from ptd.passes import Model, Points
 from ptd.tin.mesh import Tin
 
@@ -81,9 +81,7 @@ def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """
     if x.size == 0:
         return np.zeros((0, 3), np.int32)
-    col0, row0 = cells.column(int(x.min())) - REACH, cells.row(int(y.min())) - REACH
-    width = cells.column(int(x.max())) + REACH + 1 - col0
-    height = cells.row(int(y.max())) + REACH + 1 - row0
+    col0, row0, width, height = cells.extent(x, y, REACH)
     keys = cell_keys(x, y, cells, col0, row0, width)
     order = np.argsort(keys)
     keys = keys[order]
@@ -141,9 +139,7 @@ class Stage(NamedTuple):
         It is the sum of a facet's circle, the cells cut by the edge and those of the rim, and
         3.5 cells for each further TIN, as measured.
         """
-        rim_m = 0.0
-        if self.rim:
-            rim_m = (1 + REACH) * self.cell_m
+        rim_m = (1 + REACH) * self.cell_m if self.rim else 0.0
         return 2 * self.widest_m + rim_m + 3.5 * (self.tins - 1) * self.cell_m
 
 
@@ -170,13 +166,9 @@ class Growth(Model):
     ) -> None:
         self.stage, self.threshold, self.scale = stage, threshold, scale
         cells = CellLattice.of(stage.cell_m, scale)
-        known = window
-        if stage.rim:
-            known = window.inside(cells, REACH)
+        known = window.inside(cells, REACH) if stage.rim else window
         x, y, z = points.columns()
-        box = (0, 0, 1, 1)
-        if x.size:
-            box = box_with_ring(x, y, cells)
+        box = box_with_ring(x, y, cells) if x.size else (0, 0, 1, 1)
         self._region = UncertifiedRegion(known, known, box, scale)
         labels = points.known_labels()
         ground = labels == GROUND

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.kernel import kernel
+from ptd.kernel import Int16, UInt16, kernel
 
 BINS = 128
 """Number of bins of the histogram of the index, which ranges from -1 to 1."""
@@ -37,18 +36,16 @@ VALLEY_SHARE = 0.8
 MODE_SHARE = 0.01
 """Least share of the points in a mode."""
 
-Int16 = npt.NDArray[np.int16]
-
 
 @kernel
-def _bins(rgb: npt.NDArray[np.uint16], out: Int16) -> None:
+def _bins(rgb: UInt16, out: Int16) -> None:
     for i in range(out.size):
         red, green, blue = np.int64(rgb[0, i]), np.int64(rgb[1, i]), np.int64(rgb[2, i])
         total = 2 * green + red + blue
         out[i] = -1 if total == 0 else min(int((2 * green * BINS) // total), BINS - 1)
 
 
-def gli_bins(rgb: npt.NDArray[np.uint16]) -> Int16:
+def gli_bins(rgb: UInt16) -> Int16:
     """Bin of the green leaf index ``(2G - R - B) / (2G + R + B)`` of each point (004, equation 2).
 
     ``(GLI + 1) / 2 = 2G / (2G + R + B)``, so a bin is one division of whole numbers.

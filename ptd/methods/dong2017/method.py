@@ -62,8 +62,9 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import roughness
-from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial, contour_reach
+from ptd.ground.distance_angle import Bins, Threshold, Trial, contour_reach
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.kernel import Bool, Int64, UInt8
 from ptd.matched.cells import CELL_M
 from ptd.matched.robust_cells import MethodSurveyPass, NearGroundPass, OnLidar, OnMatchedCells
 from ptd.methods.dong2017.growth import Growth, Stage, picks
@@ -83,7 +84,6 @@ from ptd.passes import (
     Points,
     State,
     StatisticsModel,
-    UInt8,
     add_notes,
 )
 from ptd.tin.mesh import Tin
@@ -225,8 +225,15 @@ MEASURED_CELLS = 2
 """Largest circumradius of a facet of ground whose points are measured, in cells."""
 
 
+class LabelledPointPass(Pass):
+    """A pass on all points and their labels."""
+
+    columns = ("labels",)
+    every_point = True
+
+
 @dataclass(frozen=True)
-class FirstMeasurement(Pass):
+class FirstMeasurement(LabelledPointPass):
     """Step 5: distances of all points to the TIN of the seeds."""
 
     params: Dong2017Parameters
@@ -234,8 +241,6 @@ class FirstMeasurement(Pass):
     influence_radius_m: float | None
     name: str = "measure-first"
     title = "measure distances to the seeds"
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
     gives_labels: bool = False
 
     def fit(
@@ -264,15 +269,13 @@ class FirstMeasurement(Pass):
 
 
 @dataclass(frozen=True)
-class FirstGround(Pass):
+class FirstGround(LabelledPointPass):
     """Step 5: label the points within the first thresholds of the seeds' TIN."""
 
     stage: Stage
     influence_radius_m: float | None
     name: str = "first"
     title = "find the first ground"
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
@@ -282,7 +285,7 @@ class FirstGround(Pass):
 
 
 @dataclass(frozen=True)
-class Measurement(Pass):
+class Measurement(LabelledPointPass):
     """Step 6: measure distances and angles of the present ground to a TIN of one point per cell."""
 
     params: Dong2017Parameters
@@ -290,8 +293,6 @@ class Measurement(Pass):
     name: str
     title: str
     influence_radius_m: float | None
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
     gives_labels: bool = False
 
     def fit(
@@ -319,7 +320,7 @@ class Measurement(Pass):
 
 
 @dataclass(frozen=True)
-class Densification(Pass):
+class Densification(LabelledPointPass):
     """Step 6: label the points that pass in one of several TINs of one density."""
 
     stage: Stage
@@ -327,8 +328,6 @@ class Densification(Pass):
     name: str
     title: str
     halo_m: float | None
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State

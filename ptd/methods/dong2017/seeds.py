@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, lowest_per_cell, position_keys
+from ptd.cells import lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
-from ptd.ground.distance_angle import Bool, Int64
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.kernel import Bool, Int32, Int64, UInt8, UInt16
 from ptd.matched.passes import CellModel, CellPass
 from ptd.matched.robust_cells import RobustCells
 from ptd.matched.step import cell_m
@@ -39,7 +38,6 @@ from ptd.passes import (
     Points,
     State,
     StatisticsModel,
-    UInt8,
     add_notes,
 )
 
@@ -343,7 +341,7 @@ def _points_by_count(x: Int32, y: Int32, cells: CellLattice, own: Bool) -> list[
     return [[int(n), int(p)] for n, p in zip(points_per_cell, points, strict=True)]
 
 
-def _rgb(points: Points) -> npt.NDArray[np.uint16]:
+def _rgb(points: Points) -> UInt16:
     if points.rgb is None:
         raise ValueError("the pass was given no colours")
     return points.rgb
@@ -352,8 +350,7 @@ def _rgb(points: Points) -> npt.NDArray[np.uint16]:
 def _green(points: Points, green_from: int | None) -> Bool:
     if green_from is None:
         return np.zeros(len(points), np.bool_)
-    is_green: Bool = gli_bins(_rgb(points)) >= green_from
-    return is_green
+    return gli_bins(_rgb(points)) >= green_from
 
 
 @dataclass(frozen=True)

@@ -75,8 +75,9 @@ from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
 from ptd.ground.densify import densify_seeds
-from ptd.ground.distance_angle import Bool, contour_reach
+from ptd.ground.distance_angle import contour_reach
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
+from ptd.kernel import Bool, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.classic import Classic, ClassicPass, Progressive, thinned
 from ptd.methods.dong2018.surfaces import (
@@ -99,7 +100,6 @@ from ptd.passes import (
     Points,
     State,
     StatisticsModel,
-    UInt8,
     add_notes,
 )
 
@@ -258,9 +258,7 @@ class NoisePass(Pass):
             "dense": False,
         }
         density = f"{measured.density_m2:.3g} points/m2"
-        assumed = sigma
-        if assumed is None:
-            assumed = noise_sums.MAX_SIGMA_M
+        assumed = noise_sums.MAX_SIGMA_M if sigma is None else sigma
         least = self.params.threshold_m2(assumed)
         if measured.density_m2 < SPARSE_M2 or (sigma is None and measured.density_m2 <= least):
             return with_notes(
@@ -516,12 +514,8 @@ class JoinModel(Model):
         self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool
     ) -> None:
         self._even, self._distance_m, self._angle_deg = even, distance_m, angle_deg
-        self._label = JOINED
-        if last:
-            self._label = GROUND
-        self.stats = {}
-        if even is not None:
-            self.stats = {"vertices": even.vertices}
+        self._label = GROUND if last else JOINED
+        self.stats = {} if even is None else {"vertices": even.vertices}
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label points that joined before as ground, new ones as `JOINED`, or ground after the last scale."""

@@ -15,15 +15,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.ground.certificates import UInt8, UncertifiedRegion
-from ptd.kernel import kernel
+from ptd.ground.certificates import UncertifiedRegion
+from ptd.kernel import Bool, Float64, Int32, UInt8, kernel
 from ptd.tin.mesh import Tin
-from ptd.tin.triangles import Int32Array, Mesh, next_edge
-
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
+from ptd.tin.triangles import Mesh, next_edge
 
 UNKNOWNS = 6
 MIN_NEIGHBOURS = 10
@@ -43,8 +39,8 @@ def _gather(
     v: int,
     centre: int,
     data: Bool,
-    seen: Int32Array,
-    found: Int32Array,
+    seen: Int32,
+    found: Int32,
     n: int,
     uncertified: UInt8,
 ) -> tuple[int, bool]:
@@ -122,7 +118,7 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
 @kernel
 def _statistics(
     mesh: Mesh, n_vertices: int, data: Bool, uncertified: UInt8, length: float
-) -> tuple[Float64, Float64, Int32Array, Bool]:
+) -> tuple[Float64, Float64, Int32, Bool]:
     """Return normalised residual (0: not judged), residual in vertical counts, and number of observations by vertex.
 
     The last result is a mask of the vertices with an uncertified triangle.
@@ -180,7 +176,7 @@ def conicoid_outliers(
     confidence: float,
     least: float,
     region: UncertifiedRegion,
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Return a mask of the seeds that do not fit the conicoid through their neighbours, all in the same TIN.
 
     The observations are the seed itself and the data vertices up to two edges away, over data

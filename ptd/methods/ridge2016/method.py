@@ -58,22 +58,21 @@ from fractions import Fraction
 from itertools import islice, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import lowest_per_cell, position_keys
+from ptd.cells import Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.densify import RING, box_with_ring, choose_seeds
-from ptd.ground.distance_angle import Bool
+from ptd.ground.densify import RING, box_with_ring, choose_seeds, tin_with_ring
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, low_outliers
+from ptd.kernel import Bool, Int32, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.classic import Progressive
 from ptd.methods.ridge2016.conicoid import conicoid_outliers
 from ptd.methods.ridge2016.ridges import RidgeRule, Stacks, indices_in_stacks, ridge_points
 from ptd.methods.ridge2016.thinned_densification import GrowthCounter, Round, densify_thinned
 from ptd.params import like, parameter
-from ptd.passes import Int32, Method, Partial, Pass, Points, State, UInt8, add_notes
+from ptd.passes import Method, Partial, Pass, Points, State, add_notes
 from ptd.tin.mesh import Tin
 
 
@@ -216,12 +215,10 @@ class Prepared:
         """The TIN of each round, against which points are tested."""
         return densify_thinned(self.stacks, self.seeds, self.virtual, self.limits, self.region)
 
-    def _tin(self, seeds: Int32) -> tuple[Tin, npt.NDArray[np.bool_]]:
+    def _tin(self, seeds: Int32) -> tuple[Tin, Bool]:
         """TIN of seeds and virtual seeds, and a mask of its vertices that are not virtual."""
         s, v = self.stacks, self.virtual
-        tin = Tin.build(
-            *(np.concatenate([c[seeds], v[:, k]]) for k, c in enumerate((s.x, s.y, s.z)))
-        )
+        tin = tin_with_ring(Xyz(s.x, s.y, s.z), seeds, v)
         virtual = position_keys(v[:, 0], v[:, 1])
         return tin, np.isin(position_keys(*tin.vertices.T[:2]), virtual, invert=True)
 
@@ -346,9 +343,7 @@ class GrowthModel(TinLabels):
             # If the window is the whole run, its last round is known. Further rounds are run
             # without counting, because `--statistics` of another run may ask for them.
             alone = not window.closed and self._points == len(points)
-            enough = -1
-            if alone:
-                enough = int(max_growth(self._points, params.growth))
+            enough = int(max_growth(self._points, params.growth)) if alone else -1
             self._codes = np.full(self._prepared.stacks.x.size, UNCLASSIFIED, np.uint8)
             self.stats.update(
                 self._prepared.counts, rounds=self._count(self._prepared, core, enough)

@@ -13,17 +13,14 @@ from dataclasses import astuple
 from typing import NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, is_lower, slot_of
+from ptd.cells import CellIndex, CellTable, Xyz, is_lower, slot_of
 from ptd.frame import CellLattice, Scale
-from ptd.ground.certificates import UInt8, UncertifiedRegion
-from ptd.kernel import as_int64, kernel
+from ptd.ground.certificates import UncertifiedRegion
+from ptd.kernel import Bool, Int32, Int64, UInt8, as_int64, kernel
 from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin
-from ptd.tin.triangles import Int32Array, Mesh, is_ghost
-
-Bool = npt.NDArray[np.bool_]
+from ptd.tin.triangles import Mesh, is_ghost
 
 SMALL_STACK = 24
 """Largest stack for which insertion sort alone is faster."""
@@ -191,7 +188,7 @@ class RidgeRule(NamedTuple):
 
 @kernel
 def _normal(
-    vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float
+    vertices: Int32, triangles: Int32, t: int, z_ratio: float
 ) -> tuple[float, float, float]:
     """Return an upward normal of a real facet, with bits that do not depend on the facet's number or rotation."""
     a, b, c = canonical_facet(vertices, triangles, t)
@@ -203,7 +200,7 @@ def _normal(
 
 
 @kernel
-def _has_long_side(vertices: Int32Array, triangles: Int32Array, t: int, side: float) -> bool:
+def _has_long_side(vertices: Int32, triangles: Int32, t: int, side: float) -> bool:
     """Whether max(|dx|, |dy|) of some side is above the limit (equation 1)."""
     for j in range(3):
         a = 4 * triangles[8 * t + 4 + j]
@@ -215,8 +212,8 @@ def _has_long_side(vertices: Int32Array, triangles: Int32Array, t: int, side: fl
 
 @kernel
 def _falls_away(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     t: int,
     other: int,
     cosine: float,
@@ -252,22 +249,20 @@ def _falls_away(
 
 
 @kernel
-def _of_data(triangles: Int32Array, t: int, data: Bool) -> bool:
+def _of_data(triangles: Int32, t: int, data: Bool) -> bool:
     """Whether a real facet has no virtual corner."""
     row = 8 * t + 4
     return bool(data[triangles[row]] and data[triangles[row + 1]] and data[triangles[row + 2]])
 
 
 @kernel
-def _long_facet(
-    vertices: Int32Array, triangles: Int32Array, t: int, data: Bool, side: float
-) -> bool:
+def _long_facet(vertices: Int32, triangles: Int32, t: int, data: Bool, side: float) -> bool:
     """Assumption 1, for facets without virtual corners."""
     return _of_data(triangles, t, data) and _has_long_side(vertices, triangles, t, side)
 
 
 @kernel
-def _share_a_vertex(triangles: Int32Array, s: int, t: int) -> bool:
+def _share_a_vertex(triangles: Int32, s: int, t: int) -> bool:
     for i in range(8 * s + 4, 8 * s + 7):
         for j in range(8 * t + 4, 8 * t + 7):
             if triangles[i] == triangles[j]:
@@ -276,7 +271,7 @@ def _share_a_vertex(triangles: Int32Array, s: int, t: int) -> bool:
 
 
 @kernel
-def _around(triangles: Int32Array, t: int, found: Int32Array) -> int:
+def _around(triangles: Int32, t: int, found: Int32) -> int:
     """Write the real facets next to t, and those next to them, to `found`. Some may occur twice."""
     n = 0
     for j in range(3):
@@ -295,12 +290,12 @@ def _around(triangles: Int32Array, t: int, found: Int32Array) -> int:
 
 @kernel
 def ridge_facet(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    vertices: Int32,
+    triangles: Int32,
     t: int,
     data: Bool,
     rule: RidgeRule,
-    found: Int32Array,
+    found: Int32,
 ) -> bool:
     """Whether a real facet lies on a ridge.
 
@@ -406,5 +401,4 @@ def ridge_points(
     )
     region.add_triangles(tin, uncertified, rule.radius)
     region.add_points(stacks.x[points], stacks.y[points], uncertified_points)
-    indices: Int32 = np.unique(points[chosen])
-    return indices
+    return np.unique(points[chosen])

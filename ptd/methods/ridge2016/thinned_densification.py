@@ -11,19 +11,17 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, Xyz
-from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
+from ptd.cells import Xyz
+from ptd.ground.certificates import CheckedMesh, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
+from ptd.ground.densify import tin_with_ring
 from ptd.ground.labelling import is_terrain
-from ptd.kernel import as_int64, kernel
+from ptd.kernel import Bool, Int32, Int64, UInt8, as_int64, kernel
 from ptd.methods.ridge2016.ridges import Stacks
 from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import Mesh, is_ghost, locate
-
-Bool = npt.NDArray[np.bool_]
 
 
 @kernel
@@ -232,22 +230,18 @@ def densify_thinned(
     ------
     Round
     """
-    x, y, z = stacks.x, stacks.y, stacks.z
+    points = Xyz(stacks.x, stacks.y, stacks.z)
+    x, y = points.x, points.y
     vertex = np.zeros(x.size, np.bool_)
     vertex[seeds] = True
     uncertified_points = np.zeros(x.size, np.bool_)
     uncertified_points[seeds] = region.covers(x[seeds], y[seeds])
     while True:
-        chosen = np.flatnonzero(vertex)
-        tin = Tin.build(
-            *(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z)))
-        )
+        tin = tin_with_ring(points, vertex, virtual)
         uncertified = region.triangles(tin)
         yield Round(tin, uncertified, vertex)
         mesh = CheckedMesh(*tin.mesh, uncertified)
-        kept = _test_stacks(
-            mesh, Xyz(x, y, z), stacks.starts, limits, vertex, uncertified_points
-        )
+        kept = _test_stacks(mesh, points, stacks.starts, limits, vertex, uncertified_points)
         spread = region.add_points(x, y, uncertified_points)
         if not spread and np.array_equal(kept, vertex):
             return
