@@ -199,8 +199,7 @@ class _Terrain:
             waters.inside(self.spec, wide), np.ones((size, size), np.bool_)
         )
         rows, cols = within(block, wide)
-        wet_mask: npt.NDArray[np.bool_] = near[rows, cols]
-        return wet_mask
+        return near[rows, cols]
 
     @property
     def decimals(self) -> int:

@@ -14,20 +14,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.grid.arrays import AnyArray, Bools, Float64, Floating, Int32
 from tiler.store import TileStore, read_cells
-
-Bools = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.int32]
-Float64 = npt.NDArray[np.float64]
 
 Runs = list[list[int]]
 """Runs of neighbouring blocks: first row of pixels, first columns of first and last block (see
@@ -144,7 +139,7 @@ class Piece(NamedTuple):
     label: int
 
 
-def label_block(cells: Bools, corners: bool) -> tuple[Labels, dict[str, Side]]:
+def label_block(cells: Bools, corners: bool) -> tuple[Int32, dict[str, Side]]:
     """Label the areas of a block.
 
     Parameters
@@ -170,7 +165,7 @@ def label_block(cells: Bools, corners: bool) -> tuple[Labels, dict[str, Side]]:
     return labels.astype(np.int32), {name: _runs(line) for name, line in sides.items()}
 
 
-def _runs(line: npt.NDArray[Any]) -> Side:
+def _runs(line: AnyArray) -> Side:
     starts = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
     lengths = np.diff(starts, append=len(line))
     return [
@@ -178,11 +173,10 @@ def _runs(line: npt.NDArray[Any]) -> Side:
     ]
 
 
-def _side_labels(side: Side) -> Labels:
+def _side_labels(side: Side) -> Int32:
     """Return the label of each cell along a side of a block."""
     labels, lengths = np.array(side, np.int32).T
-    cell_labels: Labels = np.repeat(labels, lengths)
-    return cell_labels
+    return np.repeat(labels, lengths)
 
 
 def touching(
@@ -215,7 +209,7 @@ def touching(
     return touching_pairs
 
 
-def _facing(mine: Labels, theirs: Labels, corners: bool) -> Iterable[tuple[int, int]]:
+def _facing(mine: Int32, theirs: Int32, corners: bool) -> Iterable[tuple[int, int]]:
     """Return the pairs of labels that face each other across the border of two blocks."""
     lines = [(mine, theirs)]
     if corners:
@@ -311,8 +305,8 @@ def join_pieces(
 
 
 def areas_within(
-    labels: Labels, window: Block, joins: Iterable[tuple[Piece, Piece]]
-) -> tuple[Labels, list[Piece]]:
+    labels: Int32, window: Block, joins: Iterable[tuple[Piece, Piece]]
+) -> tuple[Int32, list[Piece]]:
     """Find the areas in a window of a raster of labels.
 
     Parameters
@@ -356,7 +350,7 @@ def cells_of(
     return cells_in(read_cells(store, name, coarse, window), window, pieces)
 
 
-def cells_in(labels: npt.NDArray[np.floating], window: Block, pieces: Iterable[Piece]) -> Bools:
+def cells_in(labels: Floating, window: Block, pieces: Iterable[Piece]) -> Bools:
     """Return a mask of the cells of some pieces in a window of labels."""
     cell_mask = np.zeros(labels.shape, np.bool_)
     of_block: dict[tuple[int, int], list[int]] = defaultdict(list)

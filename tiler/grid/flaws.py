@@ -9,7 +9,6 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.gridding.above_ground import NOTHING
@@ -18,13 +17,11 @@ from ptd.matched.crowns import BLOCK, Crowns, crowns
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units import length_text
+from tiler.grid.arrays import Bools, Float32, Float64
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import label_block, padded
 from tiler.grid.steps import Counts
 from tiler.store import TileStore
-
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 ABOVE_M = 1.0
 """Height above the highest return of its pixel from which terrain counts as wrong."""
@@ -163,14 +160,13 @@ def min_pixels(pixel_m2: Fraction) -> int:
     return math.ceil(MIN_PLACE_M2 / pixel_m2)
 
 
-def _listed(wrong: npt.NDArray[np.bool_], least: int) -> npt.NDArray[np.bool_]:
+def _listed(wrong: Bools, least: int) -> Bools:
     """Return the mask of the places with at least ``least`` pixels and of those at a side of the block."""
     labels, sides = label_block(wrong, corners=True)
     listed = np.bincount(labels.ravel()) >= least
     listed[[label for side in sides.values() for label, _ in side]] = True
     listed[0] = False
-    kept: npt.NDArray[np.bool_] = listed[labels]
-    return kept
+    return listed[labels]
 
 
 TOO_WIDE = 0.8
@@ -298,7 +294,7 @@ def _part(
     return np.concatenate(rows)
 
 
-def thinned(heights: npt.NDArray[np.float32], times: int) -> Float64:
+def thinned(heights: Float32, times: int) -> Float64:
     """Return the height of one pixel per ``times`` by ``times``. Unlike averaging, thinning keeps steep edges."""
     return heights[times // 2 :: times, times // 2 :: times].astype(np.float64)
 

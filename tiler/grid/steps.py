@@ -9,19 +9,17 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.core.lattice import Bounds, CoordFrame
 from tiler.core.points import PointBlock
 from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.arrays import Bools, Float32, Float64, Floating
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import padded
 from tiler.grid.records import BlockWork, Facets, GroundSelection, checksum
 from tiler.store import TileStore, coarse_values, coarse_window, read_cells
 
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 Counts = Mapping[str, Any]
 """What a block adds to the summary of its raster, as JSON can hold it. It is the record of the block."""
 
@@ -110,7 +108,7 @@ class MakeBlock(BlockWork):
         Rasters that have no block, so that none is looked for in the store.
     """
 
-    work: Callable[..., tuple[npt.NDArray[np.floating] | None, Counts]]
+    work: Callable[..., tuple[Floating | None, Counts]]
     reads: Mapping[str, Read]
     values: Mapping[str, Any]
     sources: Sources
@@ -157,12 +155,12 @@ def _raster(store: TileStore, task: MakeBlock, read: Read) -> Float64:
     return np.where(values == np.float32(NODATA), np.nan, values.astype(np.float64))
 
 
-def _numbers(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
+def _numbers(store: TileStore, task: MakeBlock, read: Read) -> Float32:
     """Return a raster of numbers that has no nodata around a block, float32, 0 beyond the raster."""
     return read_cells(store, read.raster, task.spec, padded(task.block, read.margin))
 
 
-def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
+def _cells(store: TileStore, task: MakeBlock, read: Read) -> Float32:
     """Return a raster of coarse cells at the pixels around a block, float32, 0 beyond the raster."""
     window = padded(task.block, read.margin)
     return coarse_values(store, read.raster, task.sources.coarse, task.spec, window)
@@ -176,7 +174,7 @@ class PixelsUnder:
     name: str
     spec: RasterSpec
 
-    def read(self, block: Block) -> npt.NDArray[np.float32]:
+    def read(self, block: Block) -> Float32:
         """Return the pixels of a block, float32 (height, width), 0 beyond the raster."""
         return read_cells(self.store, self.name, self.spec, block)
 

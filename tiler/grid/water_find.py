@@ -8,14 +8,15 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.area import Area
 from tiler.core.products import BEYOND
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
-from tiler.grid.coarse import Bools, Float64, Piece, box_around, cells_of, components, padded
+from tiler.grid.arrays import Bools, Float64, Int64
+from tiler.grid.coarse import Piece, box_around, cells_of, components, padded
 from tiler.grid.records import GroundSelection
 from tiler.grid.river import area_of
 from tiler.grid.steps import Counts
@@ -115,8 +116,6 @@ def describe_body(
     dict
         ``body``: the water without a level and with the number 0 (`Water.to_json`), or None if it is too small.
     """
-    import shapely
-
     coarse = cells.coarse
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
     border_cells = [np.empty((0, 2), np.int64)]
@@ -157,8 +156,6 @@ def _whole(store: TileStore, body: BodyCells, bays: Any, lower_level_m: float | 
 
     If ``lower_level_m`` is not None, higher levels are lowered to it.
     """
-    import shapely
-
     side = float(body.coarse.lattice.size)
     min_area = body.island_m2 / float(store.meta.frame.metres_xy) ** 2
     polygons: list[Any] = []
@@ -174,8 +171,6 @@ def _detailed(
     store: TileStore, body: BodyCells, whole: Any, lower_level_m: float | None
 ) -> Any:
     """Return the shape of a body with the details of its shore, without specks."""
-    import shapely
-
     side = float(body.coarse.lattice.size)
     details = [_details(store, body, block, lower_level_m) for block, _ in _blocks(store, body)]
     water = shapely.union_all([whole, *(shore.wet for shore in details)])
@@ -220,7 +215,7 @@ def _survey_border(body: Bools, beyond: Bools) -> tuple[Bools, int]:
     return border_mask[1:-1, 1:-1], n_sides
 
 
-def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+def _exits(cells: Int64) -> list[Int64]:
     """Group the cells of water at the border of the survey, int64 (n, 2), into exits."""
     if not len(cells):
         return []
@@ -228,17 +223,13 @@ def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
     return [cells[sorted(group)] for group in components(range(len(cells)), near)]
 
 
-def _bays(
-    store: TileStore, body: BodyCells, exits: list[npt.NDArray[np.int64]], max_width: float
-) -> Any:
+def _bays(store: TileStore, body: BodyCells, exits: list[Int64], max_width: float) -> Any:
     """Return the bays at the exits of the water, as a shape in absolute counts.
 
     Bays are places outside the survey between the cells of one exit. They are the union of
     triangles between the corners of these cells, minus the land. Triangles with edges longer
     than ``max_width`` cells are left out.
     """
-    import shapely
-
     coarse, side = body.coarse, float(body.coarse.lattice.size)
     corners = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
     triangles_by_exit = [np.empty(0, object)]
@@ -264,7 +255,7 @@ def _bays(
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
     west, north = coarse.west + 0.5, coarse.north - 0.5
 
-    def to_counts(cells: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def to_counts(cells: Float64) -> Float64:
         """Convert columns and rows (n, 2) to x and y in absolute counts."""
         return np.stack((west + cells[:, 0], north - cells[:, 1]), axis=1) * side
 
@@ -387,8 +378,6 @@ def _part(block: Block, rows: slice, cols: slice) -> Block:
 
 def _without_specks(shape: Any, min_area: float) -> Any:
     """Remove the parts of a shape with an area below ``min_area``, but keep the largest part."""
-    import shapely
-
     parts = shapely.get_parts(shape)
     areas = shapely.area(parts)
     return shapely.union_all(parts[(areas >= min_area) | (areas == areas.max(initial=0.0))])
@@ -396,8 +385,6 @@ def _without_specks(shape: Any, min_area: float) -> Any:
 
 def _without_islands(shape: Any, min_area: float) -> Any:
     """Return a shape without holes that have an area below ``min_area``."""
-    import shapely
-
     polygons = []
     for polygon in shapely.get_parts(shape):
         holes = [ring for ring in polygon.interiors if shapely.Polygon(ring).area >= min_area]
@@ -407,8 +394,6 @@ def _without_islands(shape: Any, min_area: float) -> Any:
 
 def _area(shape: Any, side: float) -> Area:
     """Return the polygons of a body of water as an `Area` with a simplified shore."""
-    import shapely
-
     # Vertices on straight lines are removed first, so that they do not influence the result.
     shape = shapely.normalize(shapely.simplify(shape, 0.0))
     return area_of(shapely.simplify(shape, SIMPLER * side))

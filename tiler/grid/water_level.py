@@ -16,13 +16,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
+from tiler.grid.arrays import Bools
 from tiler.grid.coarse import padded
 from tiler.grid.records import LevelRecord
 from tiler.grid.river import (
@@ -40,8 +41,6 @@ from tiler.grid.river import (
 )
 from tiler.grid.water_plants import REED, is_hidden
 from tiler.store import TileStore
-
-Floats = npt.NDArray[np.float64]
 
 SHORE_PIXELS = 2
 """Pixels up to this distance from the water are its shore, in pixels."""
@@ -180,7 +179,7 @@ def _heights_of(
     return Beside(columns[:3], columns[3:5], columns[5]), water
 
 
-def _sample(spec: RasterSpec, window: Block, step: int) -> npt.NDArray[np.bool_]:
+def _sample(spec: RasterSpec, window: Block, step: int) -> Bools:
     """Return a mask of every ``step``-th pixel along rows and columns, on a lattice that is the same in all windows."""
     mask = np.zeros((window.height, window.width), np.bool_)
     # The rows and columns of these pixels in the lattice are multiples of ``step``.
@@ -266,7 +265,7 @@ class Beside(NamedTuple):
     distance: Counts
 
 
-def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
+def pockets(body: Water, beside: Beside, noise: float) -> Bools:
     """Return the mask of the pixels in pockets, bool (n,).
 
     Parameters
@@ -298,8 +297,6 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
 
 def with_pixels(body: Water, centres: Counts, pixel: float) -> Water:
     """Return a body with additional pixels. ``centres`` (2, n) and the side ``pixel`` of a pixel are in counts."""
-    import shapely
-
     x, y = centres
     half_side = OVERLAP * pixel
     joined = shapely.box(x - half_side, y - half_side, x + half_side, y + half_side)

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from tiler.grid.coarse import AROUND, Bools, Float64, Piece, distances, opened
+from tiler.grid.arrays import Bools, Float32, Float64
+from tiler.grid.coarse import AROUND, Piece, distances, opened
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
@@ -33,7 +34,6 @@ from tiler.grid.water_extent import extended_to_shore, smoothed, water_heights
 from tiler.grid.water_search import (
     MARGIN,
     AreasAround,
-    Float32,
     Joins,
     Kept,
     SearchRead,

@@ -13,21 +13,12 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.coarse import (
-    Bools,
-    Float64,
-    Labels,
-    Piece,
-    areas_within,
-    box_around,
-    label_block,
-    padded,
-)
+from tiler.grid.arrays import Bools, Float32, Float64, Int32
+from tiler.grid.coarse import Piece, areas_within, box_around, label_block, padded
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     RING_M,
@@ -51,7 +42,6 @@ SMOOTHING_CELLS = 8
 """Cells farther away than this, in cells, do not change the smoothed height of a cell."""
 Slices = tuple[slice, slice]
 WHOLE: Slices = (slice(None), slice(None))
-Float32 = npt.NDArray[np.float32]
 Joins = Sequence[tuple[Piece, Piece]]
 Kept = Sequence[tuple[Piece, float]]
 
@@ -139,7 +129,7 @@ def find_areas(
     return labels.astype(np.float64), {**counts, "n_merged": n_merged}
 
 
-def label_areas(cells: Bools, *masks: Bools) -> tuple[Labels, dict[str, Any]]:
+def label_areas(cells: Bools, *masks: Bools) -> tuple[Int32, dict[str, Any]]:
     """Label the connected areas of a block.
 
     Returns
@@ -267,7 +257,7 @@ class AreasAround:
 
     cells: WaterCells
     ground: Float64
-    numbers: Labels
+    numbers: Int32
     names: list[Piece]
     window: Block
     block: Block
@@ -296,7 +286,7 @@ class AreasAround:
             slice(left - origin.col, right - origin.col),
         )
 
-    def block_values(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def block_values(self, values: Float32) -> Float32:
         """Return the values of the cells of the block from values of the window. Cells beyond the window are 0."""
         block_values = np.zeros((self.block.height, self.block.width), np.float32)
         block_values[self._common_part(self.block)] = values[self._common_part(self.window)]

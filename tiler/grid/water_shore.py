@@ -18,14 +18,15 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.raster import within as within_window
+from tiler.grid.arrays import AnyArray, Bools, Float64
 from tiler.grid.block_surroundings import pixel_indices
-from tiler.grid.coarse import AROUND, Bools, Float64, padded, within, within_square
+from tiler.grid.coarse import AROUND, padded, within, within_square
 from tiler.grid.ground import read_ground_and_objects
 from tiler.grid.records import GroundSelection
 from tiler.grid.river import MIN_PIXELS, SMOOTH_M
@@ -191,7 +192,6 @@ def shore_polygons(field: Float64, coarse: RasterSpec, window: Block) -> list[An
 
     ``field`` is a result of `heights_above_water`.
     """
-    import shapely
     from contourpy import FillType, contour_generator
 
     side = float(coarse.lattice.size)
@@ -303,8 +303,6 @@ def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
     The shape is extended over their neighbours in the mask ``among``. Otherwise it would end
     half a cell before the centres of these neighbours, and leave a gap.
     """
-    import shapely
-
     neighbours = among & scipy.ndimage.binary_dilation(cells, AROUND)
     field = np.where(cells | neighbours, -1.0, 1.0)
     # The shape extends one coarse cell and one fine cell beyond the block.
@@ -318,8 +316,7 @@ def highest_near(level: Float64) -> Float64:
 
     Some levels are too low, because a few points lie below the water surface.
     """
-    highest: Float64 = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
-    return highest
+    return scipy.ndimage.maximum_filter(level, NEAR_SIDE)
 
 
 def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
@@ -328,7 +325,7 @@ def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
     Parameters are those of `tiler.grid.water_shore.heights_above_water`.
     """
 
-    def total(values: npt.NDArray[Any]) -> Float64:
+    def total(values: AnyArray) -> Float64:
         """Return the sum of whole numbers in the square around each cell."""
         mean = scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE)
         return np.asarray(np.rint(mean * NEAR_SIDE**2))
@@ -368,7 +365,7 @@ def finer_field(field: Float64) -> Float64:
     return field
 
 
-def _each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _each_finer(values: AnyArray) -> AnyArray:
     """Repeat the values of coarse cells in their fine cells."""
     return values.repeat(FINER, axis=0).repeat(FINER, axis=1)
 

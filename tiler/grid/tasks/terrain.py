@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.core.edits import OF_PIXELS
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
 from tiler.core.records import BucketRecord
+from tiler.grid.arrays import Int64
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.ground import max_points_in_bucket
 from tiler.grid.records import GridBlock
@@ -39,7 +39,6 @@ WORTH_DIVIDING = 0.95
 so far."""
 
 Records = Mapping[Cell, BucketRecord]
-Ints = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -150,8 +149,8 @@ class _Group:
         Number of pixels of the rectangle around the blocks.
     """
 
-    blocks: Ints
-    buckets: Ints
+    blocks: Int64
+    buckets: Int64
     points: int
     pixels: int
 
@@ -281,7 +280,7 @@ class _Layout:
                 )
         return min(divisions)[-1] if divisions else []
 
-    def _group(self, blocks: Ints, buckets: Ints) -> _Group:
+    def _group(self, blocks: Int64, buckets: Int64) -> _Group:
         """Return the group of some blocks. All buckets of its window must be among ``buckets``."""
         row, col = self._start[blocks].min(axis=0).tolist()
         height, width = (self._stop[blocks].max(axis=0) - (row, col)).tolist()

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 
+import numpy as np
+
 from tiler.config import AUTO_WATER
 from tiler.core.area import AreaIndex
 from tiler.core.breaklines import rings_of_areas
@@ -290,8 +292,6 @@ def _result(body: Water, pixels: int, pixel_m2: float) -> WaterResult:
 
 def _stations(body: Water) -> list[StationResult]:
     """Return the stations of a river, in units of the CRS."""
-    import numpy as np
-
     if not body.stations:
         return []
     along = lengths_along(np.array([station[:2] for station in body.stations]))
