@@ -78,7 +78,7 @@ def grid_blocks(
     """
     parts = []
     for block, heights, record in heights_of_blocks(store, works):
-        edited = _edit_heights(store, block.rule.edits, block.spec, block.block, heights)
+        edited = edit_heights(store, block.rule.edits, block.spec, block.block, heights)
         if edited:
             filled = _n_filled(heights)
             record = replace(record, filled=filled, nodata=heights.size - filled, edited=edited)
@@ -87,10 +87,10 @@ def grid_blocks(
     return JoinedRecord(parts)
 
 
-def _edit_heights(
+def edit_heights(
     store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Float32
 ) -> list[tuple[str, int]]:
-    """Set the heights of edits. Return for each edit its number and the number of changed pixels in the block."""
+    """Set the heights of the edits under a key of the store, if there are any. Return `Edits.set_heights`."""
     edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
     return [] if edits is None else edits.set_heights(spec, block, heights)
 

@@ -26,8 +26,7 @@ from ptd.passes import Points
 from tiler.core.lattice import COUNTS_PER_UNIT, Lattice
 from tiler.core.points import PointBlock
 from tiler.core.products import NODATA
-from tiler.core.raster import Block, RasterSpec
-from tiler.grid.arrays import Bools, Float64, Int64
+from tiler.grid.arrays import Bools, Float64
 from tiler.grid.block_surroundings import PointsNear, linear
 from tiler.grid.coarse import distances, opened
 from tiler.grid.steps import Counts, Position, canopy_window
@@ -111,7 +110,7 @@ def _crowns(cells: PointBlock, hidden: Bools, place: Position, side: Fraction) -
             places = index[0][hidden], index[1][hidden]
             np.fmax.at(tops, places, cells.xyz[2][hidden] / COUNTS_PER_UNIT)
     _fill_gaps(tops, there)
-    pixel_rows, pixel_columns = (lattice.index(centres) for centres in _centres(spec, block))
+    pixel_columns, pixel_rows = (lattice.index(centres) for centres in spec.axes(block))
     return tops[np.ix_(pixel_rows - south, pixel_columns - west)]
 
 
@@ -124,14 +123,6 @@ def _fill_gaps(tops: Float64, there: Bools) -> None:
         for values in (np.where(covered, tops, 0.0), covered.astype(np.float64))
     )
     tops[gaps] = total[gaps] / n[gaps]
-
-
-def _centres(spec: RasterSpec, block: Block) -> tuple[Int64, Int64]:
-    """Return the centres of a block's rows and columns in absolute counts, rounded down."""
-    p, q = spec.lattice.p, 2 * spec.lattice.q
-    rows = spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)
-    columns = spec.west + block.col + np.arange(block.width, dtype=np.int64)
-    return ((2 * rows + 1) * p) // q, ((2 * columns + 1) * p) // q
 
 
 TREES_MEAN_M, GROUND_MEAN_M = 8.0, 2.0

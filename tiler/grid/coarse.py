@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import scipy
@@ -42,6 +42,20 @@ def padded(block: Block, pad: int) -> Block:
     return Block(
         block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad
     )
+
+
+def padded_within(block: Block, pad: int, spec: RasterSpec) -> Block:
+    """Return a block and ``pad`` pixels around it, cut at the border of the raster."""
+    top, left = max(block.row - pad, 0), max(block.col - pad, 0)
+    bottom = min(block.row + block.height + pad, spec.height)
+    right = min(block.col + block.width + pad, spec.width)
+    return Block(top, left, bottom - top, right - left)
+
+
+def pixels_touching(spec: RasterSpec, bounds: Bounds) -> Block:
+    """Return the pixels that overlap bounds, which may lie beyond the raster."""
+    cover = RasterSpec.covering(spec.lattice, bounds)
+    return Block(spec.north - cover.north, cover.west - spec.west, cover.height, cover.width)
 
 
 def block_runs(
@@ -104,14 +118,7 @@ def blocks_of(runs: Runs, spec: RasterSpec, size: int) -> Iterator[Block]:
 
 def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block, pad: int = 0) -> Block:
     """Return the pixels of a raster that coarse cells touch, padded by ``pad`` within the raster."""
-    bounds: Bounds = coarse.block_bounds(cells)
-    index = spec.lattice.index_of
-    left, right = index(bounds.x0) - spec.west, index(bounds.x1 - 1) + 1 - spec.west
-    top, bottom = spec.north - 1 - index(bounds.y1 - 1), spec.north - index(bounds.y0)
-    left, top = max(left - pad, 0), max(top - pad, 0)
-    return Block(
-        top, left, min(bottom + pad, spec.height) - top, min(right + pad, spec.width) - left
-    )
+    return padded_within(pixels_touching(spec, coarse.block_bounds(cells)), pad, spec)
 
 
 def blocks_under(
@@ -278,29 +285,24 @@ class Joined:
         return tuple(join for place in places for join in self._joins.get(place, ()))
 
 
-def join_pieces(
-    blocks: Mapping[tuple[int, int], Mapping[str, Side]],
-    counts: Mapping[tuple[int, int], int],
-    corners: bool,
-) -> Joined:
+def join_pieces(blocks: Mapping[tuple[int, int], Mapping[str, Any]], corners: bool) -> Joined:
     """Join the areas of all blocks of a raster.
 
     Parameters
     ----------
     blocks : mapping
-        First row and column of each block -> its sides, see `label_block`.
-    counts : mapping
-        Number of labels of each block.
+        First row and column of each block -> its ``sides``, see `label_block`, and the number of its ``labels``.
     corners : bool
         Whether cells that touch at a corner belong together.
     """
     pieces = [
         Piece(*first_cell, label)
-        for first_cell in sorted(counts)
-        for label in range(1, counts[first_cell] + 1)
+        for first_cell in sorted(blocks)
+        for label in range(1, blocks[first_cell]["labels"] + 1)
     ]
+    sides = {first_cell: counts["sides"] for first_cell, counts in blocks.items()}
     return Joined(
-        {area[0]: tuple(area) for area in components(pieces, touching(blocks, corners))}
+        {area[0]: tuple(area) for area in components(pieces, touching(sides, corners))}
     )
 
 
@@ -412,15 +414,7 @@ def opened(cells: Bools, radius: float) -> Bools:
 
 def within_square(cells: Bools, radius: int) -> Bools:
     """Return a mask of the cells with a set cell within ``radius`` rows and columns."""
-    near = cells.copy()
-    for step in range(1, radius + 1):
-        near[step:] |= cells[:-step]
-        near[:-step] |= cells[step:]
-    rows = near.copy()
-    for step in range(1, radius + 1):
-        near[:, step:] |= rows[:, :-step]
-        near[:, :-step] |= rows[:, step:]
-    return near
+    return scipy.ndimage.maximum_filter(cells, 2 * radius + 1, mode="constant")
 
 
 def distances(cells: Bools, radius: float) -> Float64:

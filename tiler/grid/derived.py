@@ -32,11 +32,12 @@ from tiler.core.products import (
     VOID,
     WATER,
 )
-from tiler.core.raster import NODATA, Block
+from tiler.core.raster import NODATA
 from tiler.grid.arrays import Bools, Float32, Float64, Int32
 from tiler.grid.block import full_halo, rasterise_window
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.canopy import OPEN
+from tiler.grid.coarse import pixels_touching
 from tiler.grid.records import Facets
 from tiler.grid.steps import Counts, Position
 from tiler.grid.voids import hole_cells, holes_of_block
@@ -199,10 +200,7 @@ def surface_heights(
 
 def _vertices(points: PointsNear, window: Bounds, reach: int, spike: Fraction) -> Int32:
     """Return the pixels' returns in a window, local counts (3, n). Pixels at its border are processed whole."""
-    lattice, spec = points.spec.lattice, points.spec
-    west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
-    south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
-    block = Block(spec.north - north, west - spec.west, north - south, east - west)
+    block = pixels_touching(points.spec, window)
     returns = points.returns(block, reach, spike)[0].reshape(-1, 3).T
     returns = returns[:, returns[2] != NOTHING]
     inside = PointBlock(returns).inside(window, points.frame.origin)

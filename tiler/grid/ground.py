@@ -27,9 +27,8 @@ _NOISE_CLASSES = np.isin(np.arange(256), NOISE)
 _NOISE_LABELS = np.isin(np.arange(256) & ~UNCERTIFIED_BIT, NOISE)
 """Table of the labels of the filter that are noise."""
 
-Choose = Callable[[Cell, Int32], Index]
-"""Function from a bucket and some of its points, int32 (3, n), to indices of the chosen
-points."""
+Choose = Callable[[Int32], Index]
+"""Function from points, int32 (3, n), to indices of the chosen points."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,10 @@ def classed(
 
 
 def read_ground(
-    store: TileStore, rule: GroundSelection, bounds: Bounds, choose: Choose | None = None
+    store: TileStore,
+    rule: GroundSelection,
+    bounds: Bounds,
+    choose: Callable[[Cell, Int32], Index] | None = None,
 ) -> Ground:
     """Read the ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order.
 
@@ -115,7 +117,7 @@ def read_ground(
     rule : GroundSelection
     bounds : Bounds
     choose : callable, optional
-        Function that chooses the ground points of a bucket to keep, so that the others need no memory.
+        Function from a bucket and its ground points to indices of those to keep, so that the others need no memory.
     """
     parts, read, marked = [np.empty((3, 0), np.int32)], 0, 0
     for part in classed(store, rule, bounds):
@@ -290,24 +292,17 @@ def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[G
     # Cells that the window cuts are read whole, so that the same point is chosen in them for
     # all windows.
     origin = store.meta.frame.origin
-    choose = _choice(work.thin, work.percent, origin)
+    choose: Choose = partial(central_points, origin=origin, lattice=work.thin)
+    if work.percent is not None:
+        choose = partial(ranked_points, origin=origin, lattice=work.thin, percent=work.percent)
     by_bucket = partial(_whole_cells, choose, work.thin, store.meta.bucket, origin)
     ground = read_ground(store, work.rule, work.thin.around(window), by_bucket)
     xyz = ground.xyz[:, choose(ground.xyz)]
     return ground, xyz[:, PointBlock(xyz).inside(window, origin)]
 
 
-def _choice(
-    cell: Lattice, percent: int | None, origin: tuple[int, int]
-) -> Callable[[Int32], Index]:
-    """Return the function that chooses the point of each cell for the TIN."""
-    if percent is None:
-        return partial(central_points, origin=origin, lattice=cell)
-    return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
-
-
 def _whole_cells(
-    choose: Callable[[Int32], Index],
+    choose: Choose,
     thin: Lattice,
     buckets: Lattice,
     origin: tuple[int, int],

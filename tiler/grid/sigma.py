@@ -322,18 +322,12 @@ def standard_error_m(found: Measures, mask: Floating, kind: str | None) -> Float
     """
     parts = terms(found, mask)
     variances = [
-        _weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)
+        sum(weight * parts[term] for term, weight in asdict(weights).items())
+        for name, weights in WEIGHTS.items()
+        if kind in (name, None)
     ]
     sigma: Float64 = np.sqrt(np.maximum.reduce(variances))
     return sigma
-
-
-def _weighed(parts: Mapping[str, Float64], weights: Weights) -> Float64:
-    """Return the variance in square metres."""
-    total = np.zeros_like(parts["always"])
-    for name, weight in asdict(weights).items():
-        total += weight * parts[name]
-    return total
 
 
 def sigma(

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -179,18 +177,6 @@ class PixelsUnder:
         return read_cells(self.store, self.name, self.spec, block)
 
 
-def _pixels(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
-    return PixelsUnder(store, read.raster, task.sources.pixels)
-
-
-def _coarse(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
-    return PixelsUnder(store, read.raster, task.sources.coarse)
-
-
-def _same_cells(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
-    return PixelsUnder(store, read.raster, task.spec)
-
-
 def _points(store: TileStore, task: MakeBlock, read: Read) -> PointsNear:
     return PointsNear(store, task.sources.rule, task.spec, task.block, read.raster)
 
@@ -234,33 +220,19 @@ def _area(store: TileStore, task: MakeBlock, read: Read) -> Bools:
 def _failed(_: TileStore, task: MakeBlock, __: Read) -> Bools:
     """Return a mask of the pixels whose centres lie in a tile that failed."""
     mask = np.zeros((task.block.height, task.block.width), np.bool_)
+    x, y = task.spec.centres(task.block)
     for bounds in task.sources.failed:
-        mask[_within(bounds, task.spec, task.block)] = True
+        mask |= (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
     return mask
-
-
-def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slice]:
-    """Return the rows and columns of a block's pixels whose centres lie within bounds."""
-
-    def first(edge: int) -> int:
-        """Return the index of the first pixel whose centre is at an edge or beyond it."""
-        return math.ceil(edge / spec.lattice.size - Fraction(1, 2))
-
-    def clipped(start: int, stop: int, count: int) -> slice:
-        return slice(min(max(start, 0), count), min(max(stop, 0), count))
-
-    top, left = spec.north - block.row, spec.west + block.col
-    rows = clipped(top - first(bounds.y1), top - first(bounds.y0), block.height)
-    return rows, clipped(first(bounds.x0) - left, first(bounds.x1) - left, block.width)
 
 
 READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "raster": _raster,
     "numbers": _numbers,
     "cells": _cells,
-    "pixels": _pixels,
-    "same-cells": _same_cells,
-    "coarse": _coarse,
+    "pixels": lambda store, task, read: PixelsUnder(store, read.raster, task.sources.pixels),
+    "same-cells": lambda store, task, read: PixelsUnder(store, read.raster, task.spec),
+    "coarse": lambda store, task, read: PixelsUnder(store, read.raster, task.sources.coarse),
     "points": _points,
     "waters": _waters,
     "edits": _edits,

@@ -29,6 +29,7 @@ from tiler.grid.coarse import (
     cells_in,
     covered,
     label_block,
+    padded_within,
 )
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells, coarse_window
@@ -212,27 +213,18 @@ def _rim_of_part(
     heights: PixelsUnder, cells: PixelsUnder, spec: RasterSpec, void: Void, core: Block
 ) -> Int64:
     """Return the absolute counts (3, n) of the rim's pixels in ``core``, including those beside holes outside it."""
-    top, left = max(core.row - 1, 0), max(core.col - 1, 0)
-    bottom, right = (
-        min(core.row + core.height + 1, spec.height),
-        min(core.col + core.width + 1, spec.width),
-    )
-    wide = Block(top, left, bottom - top, right - left)
+    wide = padded_within(core, 1, spec)
     in_void = _pixels_in_void(cells, spec, void, wide)
     if not in_void.any():
         return np.empty((3, 0), np.int64)
     values = heights.read(wide)
     known = values != np.float32(NODATA)
     rim = scipy.ndimage.binary_dilation(in_void & ~known, AROUND) & known
-    rows, cols = np.nonzero(rim)
-    rows, cols = rows + wide.row, cols + wide.col
-    inside = (rows >= core.row) & (rows < core.row + core.height)
-    inside &= (cols >= core.col) & (cols < core.col + core.width)
-    rows, cols = rows[inside], cols[inside]
-    p, q = spec.lattice.p, 2 * spec.lattice.q
-    x, y = ((2 * (spec.west + cols) + 1) * p) // q, ((2 * (spec.north - 1 - rows) + 1) * p) // q
-    z = np.rint(values[rows - wide.row, cols - wide.col].astype(np.float64) * COUNTS_PER_UNIT)
-    return np.stack((x, y, z.astype(np.int64)))
+    in_core = within(core, wide)
+    rows, cols = np.nonzero(rim[in_core])
+    x, y = spec.axes(core)
+    z = np.rint(values[in_core][rows, cols].astype(np.float64) * COUNTS_PER_UNIT)
+    return np.stack((x[cols], y[rows], z.astype(np.int64)))
 
 
 CELL_PIXELS = 32

@@ -23,6 +23,7 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int64
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
 from tiler.grid.coarse import blocks_under, distances, opened, padded
+from tiler.grid.coverage import merged
 from tiler.grid.ground import surface_points
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells
@@ -198,13 +199,7 @@ class WaterCells:
 
         def fours(values: AnyArray, fill: Any) -> AnyArray:
             """Return the four values of each square, along a third axis."""
-            padded = np.pad(values, pads, constant_values=fill)
-            rows, cols = padded.shape
-            return (
-                padded.reshape(rows // 2, 2, cols // 2, 2)
-                .swapaxes(1, 2)
-                .reshape(rows // 2, cols // 2, 4)
-            )
+            return merged(np.pad(values, pads, constant_values=fill), 2)
 
         ground = fours(self.ground, np.nan)
         known = ~np.isnan(ground)
@@ -418,12 +413,6 @@ def _low_shore(ground: Float64, shore: Bools, cells: Int64) -> Float64:
 def relief(ground: Float64) -> Float64:
     """Return the range of heights of each cell and its neighbours, infinite if one of these cells has no ground."""
     unknown = np.isnan(ground)
-    high, low = np.where(unknown, np.inf, ground), np.where(unknown, -np.inf, ground)
-    for values, extreme in ((high, np.maximum), (low, np.minimum)):
-        pairs = extreme(values[1:], values[:-1])
-        extreme(values[1:], pairs, out=values[1:])
-        extreme(values[:-1], pairs, out=values[:-1])
-        pairs = extreme(values[:, 1:], values[:, :-1])
-        extreme(values[:, 1:], pairs, out=values[:, 1:])
-        extreme(values[:, :-1], pairs, out=values[:, :-1])
-    return high - low
+    highest = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), 3)
+    lowest = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), 3)
+    return highest - lowest

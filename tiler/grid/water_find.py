@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -158,9 +159,10 @@ def _whole(store: TileStore, body: BodyCells, bays: Any, lower_level_m: float | 
     """
     side = float(body.coarse.lattice.size)
     min_area = body.island_m2 / float(store.meta.frame.metres_xy) ** 2
-    polygons: list[Any] = []
-    for block, _ in _blocks(store, body):
-        polygons += _polygons(store, body, block, lower_level_m)
+    of_blocks = (
+        _polygons(store, body, block, lower_level_m) for block, _ in _blocks(store, body)
+    )
+    polygons = list(chain.from_iterable(of_blocks))
     water = _without_islands(shapely.union_all(polygons), min_area)
     # Small islands are removed before bays are added. So land that is enclosed only after a bay
     # was added stays, unless it is a speck.
@@ -188,7 +190,7 @@ def _lower_level(store: TileStore, body: BodyCells) -> float | None:
         window = padded(block, 3)
         wet = cells_of(store, body.water, body.coarse, window, body.pieces)
         in_block = np.pad(body_mask, 2)
-        cells = read_search_cells(store, body.sources, body.coarse, window, 1)
+        cells = read_search_cells(store, body.sources, body.coarse, window)
         crowns = read_cells(store, body.crowns, body.coarse, window)
         is_measured = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
         is_measured &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
@@ -254,12 +256,9 @@ def _bays(store: TileStore, body: BodyCells, exits: list[Int64], max_width: floa
         land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
     west, north = coarse.west + 0.5, coarse.north - 0.5
-
-    def to_counts(cells: Float64) -> Float64:
-        """Convert columns and rows (n, 2) to x and y in absolute counts."""
-        return np.stack((west + cells[:, 0], north - cells[:, 1]), axis=1) * side
-
-    return shapely.transform(bays, to_counts)
+    return shapely.transform(
+        bays, lambda at: np.stack((west + at[:, 0], north - at[:, 1]), axis=1) * side
+    )
 
 
 def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[str, float]:
@@ -308,7 +307,7 @@ def _surroundings(
     box = box_around(wet, REACH_CELLS)
     rows, cols = box
     around = Block(window.row + rows.start, window.col + cols.start, *wet[box].shape)
-    cells = read_search_cells(store, body.sources, body.coarse, around, 1)
+    cells = read_search_cells(store, body.sources, body.coarse, around)
     crowns = read_cells(store, body.crowns, body.coarse, around)
     smooth = smoothed(cells.ground)
     level = water_heights(

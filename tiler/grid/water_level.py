@@ -21,10 +21,10 @@ import shapely
 
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT
-from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, within
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.arrays import Bools
-from tiler.grid.coarse import padded
+from tiler.grid.coarse import padded, padded_within
 from tiler.grid.records import LevelRecord
 from tiler.grid.river import (
     MIN_PIXELS,
@@ -148,7 +148,7 @@ def _heights_of(
     water_parts = [np.empty((3, 0), np.int64)]
     pad = int(POCKET_PIXELS * spec.lattice.size) + 1
     for block in spec.blocks_within(area.bounds.pad(pad), BLOCK_PIXELS):
-        window = _padded(spec, block, POCKET_PIXELS)
+        window = padded_within(block, POCKET_PIXELS, spec)
         if not area.touches(spec.block_bounds(window)):
             continue
         inside = spec.inside(window, area)
@@ -161,8 +161,7 @@ def _heights_of(
         heights = store.read_block(raster, window)
         # Windows overlap, so only the pixels of the block itself are used.
         known = np.zeros_like(is_beside)
-        top, left = block.row - window.row, block.col - window.col
-        known[top : top + block.height, left : left + block.width] = True
+        known[within(block, window)] = True
         known &= heights != np.float32(NODATA)
         x, y = spec.centres(window)
         xyz = np.stack(
@@ -215,14 +214,6 @@ def heights_of_cells(
         z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
         xyz_parts.append(np.stack((x, y, z))[:, used])
     return np.concatenate(xyz_parts, axis=1)
-
-
-def _padded(spec: RasterSpec, block: Block, margin: int) -> Block:
-    """Return a block with a margin, cut at the border of the raster."""
-    top, left = max(block.row - margin, 0), max(block.col - margin, 0)
-    bottom = min(block.row + block.height + margin, spec.height)
-    right = min(block.col + block.width + margin, spec.width)
-    return Block(top, left, bottom - top, right - left)
 
 
 def _profile(

@@ -189,8 +189,8 @@ def count_plane_rims(
         if any(any(rim) for rim in rims):
             named_rims.append([list(name), *(list(rim) for rim in rims)])
         is_near = distances(plane_mask, DAM_M / cells.size_m + 1) * cells.size_m <= DAM_M
-        for other in np.unique(numbers[evident_water & counted & is_near]):
-            beside.append([list(name), list(near.names[other - 1])])
+        others_near = np.unique(numbers[evident_water & counted & is_near])
+        beside += [[list(name), list(near.names[other - 1])] for other in others_near]
     return None, {"rims": named_rims, "beside": beside}
 
 

@@ -21,9 +21,9 @@ import numpy as np
 import scipy
 
 from tiler.core.raster import Block
-from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int32, Int64, UInt8
+from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int32, Int64
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
-from tiler.grid.coarse import box_around, padded, within, within_square
+from tiler.grid.coarse import AROUND, box_around, padded, within, within_square
 from tiler.grid.ground import read_ground_and_objects
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
@@ -325,14 +325,11 @@ def roughness(xyz: Int32, cells: Int64, size: int) -> Float64:
 
 def _mostly(chosen: Bools, known: Bools) -> Bools:
     """Return a mask of the cells for which more than half of the known cells around are chosen, in 3 by 3 cells."""
-
-    def number(mask: Bools) -> UInt8:
-        """Return the number of cells of a mask in the 3 by 3 cells around each cell."""
-        cells = np.pad(mask.astype(np.uint8), 1)
-        rows = cells[:-2] + cells[1:-1] + cells[2:]
-        return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])
-
-    return np.asarray(2 * number(chosen & known) > number(known))
+    n_chosen, n_known = (
+        scipy.ndimage.correlate(cells.astype(np.uint8), AROUND, mode="constant")
+        for cells in (chosen & known, known)
+    )
+    return np.asarray(2 * n_chosen > n_known)
 
 
 def beneath_crowns(cells: WaterCells, crowns: AnyArray, wet: Bools, level: Float64) -> Bools:
@@ -373,18 +370,13 @@ def _ground_share(crowns: AnyArray, side: int) -> Float64:
     """
     odd_side = side // 2 * 2 + 1
 
-    def share(mask: Bools) -> Float64:
-        """Return the share of the cells of a mask in the square around each cell."""
-        return np.asarray(
-            scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
-        )
-
     has_ground = (crowns == CROWN_WITH_GROUND) | (crowns == CROWN_WITH_GROUND + REED)
     has_crown = has_ground | is_hidden(crowns)
-    ground_share = share(has_ground)
-    return np.divide(
-        ground_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown
+    ground_share, crown_share = (
+        scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
+        for mask in (has_ground, has_crown)
     )
+    return np.divide(ground_share, crown_share, out=np.zeros(crowns.shape), where=has_crown)
 
 
 def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:

@@ -213,26 +213,17 @@ def inner_window(block: Block, margin: int) -> Slices:
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
-def _ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Float64:
-    """Read the heights of the terrain in a window in metres, NaN for cells without a height."""
-    heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
-    heights[heights == NODATA] = np.nan
-    heights *= float(store.meta.frame.units.vertical)
-    return heights
-
-
 def read_search_cells(
-    store: TileStore, sources: SearchRasters, spec: RasterSpec, window: Block, n_merged: int
+    store: TileStore, sources: SearchRasters, spec: RasterSpec, window: Block
 ) -> WaterCells:
-    """Read returns, classes and ground in a window, and merge squares of ``n_merged`` by ``n_merged`` cells.
-
-    ``n_merged`` is a power of two.
-    """
+    """Read returns, classes and ground in a window."""
+    frame = store.meta.frame
     points = read_cells(store, sources.occupancy, spec, window)
+    heights = read_cells(store, sources.ground, spec, window, NODATA).astype(np.float64)
+    ground = np.where(heights == NODATA, np.nan, heights) * float(frame.units.vertical)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
-    size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    ground = _ground_in(store, sources.ground, spec, window)
-    return WaterCells(np.abs(points), points < 0, ground, domain, size_m).merged(n_merged)
+    size_m = float(spec.lattice.size * frame.metres_xy)
+    return WaterCells(np.abs(points), points < 0, ground, domain, size_m)
 
 
 @dataclass(frozen=True)

@@ -138,14 +138,6 @@ def _cut_cells(cells: WaterCells, above: Float64, wet: Bools) -> Bools:
     return is_cut
 
 
-def _quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
-    """Return a mask of the outermost cells of upright banks. Parameters are those of `heights_above_water`."""
-    is_quay = np.zeros_like(wet)
-    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size_m):
-        is_quay |= upright
-    return is_quay
-
-
 def _upright_sides(
     above: Float64, wet: Bools, size_m: float
 ) -> Iterator[tuple[int, int, Bools]]:
@@ -324,15 +316,15 @@ def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
 
     Parameters are those of `tiler.grid.water_shore.heights_above_water`.
     """
-
-    def total(values: AnyArray) -> Float64:
-        """Return the sum of whole numbers in the square around each cell."""
-        mean = scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE)
-        return np.asarray(np.rint(mean * NEAR_SIDE**2))
-
-    n_points = total(np.where(wet, 0.0, cells.returns))
-    is_dense = n_points >= FINER**2 * ENOUGH_POINTS * total(~wet)
-    return np.asarray(is_dense & within(_quays(cells, wet, level), math.sqrt(2)))
+    # Sums of whole numbers in the square around each cell.
+    n_points, n_land = (
+        np.rint(scipy.ndimage.uniform_filter(n.astype(np.float64), NEAR_SIDE) * NEAR_SIDE**2)
+        for n in (np.where(wet, 0.0, cells.returns), ~wet)
+    )
+    is_dense = n_points >= FINER**2 * ENOUGH_POINTS * n_land
+    sides = _upright_sides(cells.ground - level, wet, cells.size_m)
+    is_quay = np.logical_or.reduce([upright for _, _, upright in sides])
+    return np.asarray(is_dense & within(is_quay, math.sqrt(2)))
 
 
 def _finer_raster(coarse: RasterSpec) -> RasterSpec:

@@ -156,7 +156,8 @@ def find_deck(
         view = _view(xyz, seeds, centre, along, spacing_m)
         if view is None:
             return None, "not smooth"
-        free = _longest_run(view.edges.both_free())
+        left, right = view.edges.free.T
+        free = _longest_run(left & right)
         if free is None:
             return None, "no part stands free on both sides"
         slope = _slope(view, free)
@@ -206,11 +207,8 @@ def _slope(view: _View, free: Index) -> float:
     """Return the mean slope of both edges of a free part relative to the s axis, or 0 for less than three slices."""
     if len(free) < 3:
         return 0.0
-    slopes = []
-    for side in (0, 1):
-        slope, _ = np.polyfit(view.starts[free], view.edges.edge[free, side], 1)
-        slopes.append(slope)
-    return float(np.mean(slopes))
+    edges = view.edges.edge[free].T
+    return float(np.mean([np.polyfit(view.starts[free], edge, 1)[0] for edge in edges]))
 
 
 def _wrong_size(length: float, width: float, n_slices: int) -> str:
@@ -361,10 +359,6 @@ class _DeckEdges:
     edge: Float64
     free: Bools
     level: Float64
-
-    def both_free(self) -> Bools:
-        """Return a mask of the slices with two free edges."""
-        return self.free[:, 0] & self.free[:, 1]
 
 
 def _find_edges(

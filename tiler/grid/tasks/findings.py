@@ -170,11 +170,8 @@ def places_of(
         Area of a pixel.
     """
     found = {(block.row, block.col): counts for block, counts in of_blocks.items()}
-    sides = {at: counts["sides"] for at, counts in found.items()}
-    numbers = {at: counts["labels"] for at, counts in found.items()}
-    joined = join_pieces(sides, numbers, corners=True)
     least, places = min_pixels(pixel_m2), []
-    for pieces in joined.areas.values():
+    for pieces in join_pieces(found, corners=True).areas.values():
         parts = [found[piece.row, piece.col]["places"][piece.label - 1] for piece in pieces]
         n_pixels, spans, heights = zip(*parts, strict=True)
         pixels = int(sum(n_pixels))

@@ -122,8 +122,7 @@ def _where_water_is_sought(context: GridContext) -> Collection[Place] | None:
 
 
 def _near_canopies(context: GridContext) -> set[Place]:
-    found = context.counts(CANOPY_CELLS, Grid.CANOPY).items()
-    places = [(block.row, block.col) for block, counts in found if counts["filled"]]
+    places = context.places_with(CANOPY_CELLS, "filled", Grid.CANOPY)
     return set(near_places(context.canopy_cells, places))
 
 
@@ -207,15 +206,12 @@ def _fitting(layout: _Layout, max_points: int) -> list[_Group]:
     while todo:
         group = todo.pop()
         halves = layout.halves(group)
-        if halves and (_too_large(group, max_points) or _total_cost(halves) < group.cost):
+        too_large = group.points > max_points or group.pixels > MAX_PIXELS
+        if halves and (too_large or _total_cost(halves) < group.cost):
             todo += halves
         else:
             groups.append(group)
     return groups
-
-
-def _too_large(group: _Group, max_points: int) -> bool:
-    return group.points > max_points or group.pixels > MAX_PIXELS
 
 
 def _balanced(layout: _Layout, groups: list[_Group], workers: int) -> list[_Group]:
