@@ -36,7 +36,7 @@ from tiler.export.cloud_frame import (
     write_copc_front,
     write_front,
 )
-from tiler.export.output_files import CloudCopy, CloudOverview, CloudRecord
+from tiler.export.output_files import CloudCopy, CloudRecord, NewClasses
 from tiler.io.atomic_files import (
     clear_partial,
     partial_path,
@@ -390,7 +390,7 @@ def collect_labels(
 
 def final_labels(
     store: TileStore,
-    cloud: CloudCopy | CloudOverview,
+    cloud: NewClasses,
     cell: Cell,
     rows: npt.NDArray[np.intp] | slice = slice(None),
     xyz: npt.NDArray[np.int32] | None = None,
@@ -457,7 +457,7 @@ def _corrected(
 
 def _with_water(
     store: TileStore,
-    cloud: CloudCopy | CloudOverview,
+    cloud: NewClasses,
     cell: Cell,
     labels: npt.NDArray[np.uint8],
     xyz: npt.NDArray[np.int32] | None,

@@ -103,9 +103,7 @@ def write_front(
 
 def _end_of_records(header: LasHeader) -> int:
     """Return the position after the last VLR, or after the header if there is no VLR."""
-    if header.vlrs:
-        return header.vlrs[-1].end
-    return header.header_size
+    return header.vlrs[-1].end if header.vlrs else header.header_size
 
 
 def _patch(target: BinaryIO, position: int, form: str, *values: float) -> None:

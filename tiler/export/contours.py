@@ -21,6 +21,8 @@ from tiler.core.records import NOT_IN_DIGEST
 from tiler.core.units import METRE
 from tiler.export.contour_lines import (
     SHORT,
+    Floats,
+    Ints,
     Joiner,
     contour_block,
     default_interval,
@@ -35,8 +37,6 @@ from tiler.export.rasters import in_sheet
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 Shapes = npt.NDArray[Any]
 
 LINE = 1
@@ -113,10 +113,7 @@ class _Terrain:
             return Block(0, 0, self.spec.height, self.spec.width)
         top = self.spec.north - sheet.spec.north
         left = sheet.spec.west - self.spec.west
-        bottom = min(top + sheet.spec.height + margin, self.spec.height)
-        right = min(left + sheet.spec.width + margin, self.spec.width)
-        top, left = max(top - margin, 0), max(left - margin, 0)
-        return Block(top, left, max(bottom - top, 0), max(right - left, 0))
+        return self.around(Block(top, left, sheet.spec.height, sheet.spec.width), margin)
 
     def heights(self, block: Block) -> Floats:
         """Return the heights of a block in units of the CRS, NaN outside the area and for pixels without one."""
@@ -124,19 +121,12 @@ class _Terrain:
         is_valid = (values != np.float32(NODATA)) & self.spec.inside(block, self.area)
         return np.where(is_valid, values.astype(np.float64), np.nan)
 
-    def around(self, block: Block, reach: int) -> tuple[Floats, int, int]:
-        """Return the heights of a block with a margin, and the row and column of the block in them.
-
-        The margin is ``reach`` pixels, and less at the edge of the raster.
-        """
+    def around(self, block: Block, reach: int) -> Block:
+        """Return the pixels of a block and ``reach`` pixels around it that are in the raster."""
         top, left = max(block.row - reach, 0), max(block.col - reach, 0)
         bottom = min(block.row + block.height + reach, self.spec.height)
         right = min(block.col + block.width + reach, self.spec.width)
-        return (
-            self.heights(Block(top, left, bottom - top, right - left)),
-            block.row - top,
-            block.col - left,
-        )
+        return Block(top, left, max(bottom - top, 0), max(right - left, 0))
 
     def land_smoothed(self, block: Block, sigma: float) -> Floats:
         """Return the heights of a block, averaged on land, where heights of water have no weight.
@@ -144,9 +134,8 @@ class _Terrain:
         Water keeps the heights of its outermost pixels and is NaN inside. So lines run around
         water, and end at the shore of a river that falls through their level.
         """
-        margin = max(smoothing_reach(sigma), 1)
-        heights, top, left = self.around(block, margin)
-        wide = Block(block.row - top, block.col - left, *heights.shape)
+        wide = self.around(block, max(smoothing_reach(sigma), 1))
+        heights = self.heights(wide)
         waters = self.store.waters(self.source.waters, self.spec.block_bounds(wide))
         if waters is None:
             smooth_heights = smoothed(heights, sigma)
@@ -158,7 +147,7 @@ class _Terrain:
             smooth_heights[scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = (
                 np.nan
             )
-        return smooth_heights[top : top + block.height, left : left + block.width]
+        return smooth_heights[within(block, wide)]
 
     def relief(self) -> tuple[float, float]:
         """Return the two heights between which nearly all of the terrain lies (see `USUAL`), or NaN if it is empty."""
@@ -198,9 +187,7 @@ class _Terrain:
         near = scipy.ndimage.binary_dilation(
             waters.inside(self.spec, wide), np.ones((size, size), np.bool_)
         )
-        rows, cols = within(block, wide)
-        wet_mask: npt.NDArray[np.bool_] = near[rows, cols]
-        return wet_mask
+        return near[within(block, wide)]
 
     @property
     def decimals(self) -> int:
@@ -255,8 +242,7 @@ def write_contours(
     shape = None if sheet is None else sheet_shape(store, sheet.spec, sheet.clip)
     joiner, lines, vertices, held, short = Joiner(), 0, 0, 0, 0
     waiting: list[tuple[int, Floats]] = []
-    crs = terrain.store.meta.frame.crs_wkt
-    with new_file(to) as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, store.meta.frame.crs_wkt) as file:
 
         def write() -> None:
             nonlocal lines, vertices
@@ -401,23 +387,20 @@ def write_spots(
     interval = interval or _interval(terrain, *terrain.relief(), noise)
     window, clip = terrain.window(sheet, 0), None if sheet is None else sheet.clip
     counts = {HIGH: 0, LOW: 0}
-    crs = terrain.store.meta.frame.crs_wkt
-    with new_file(to) as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, store.meta.frame.crs_wkt) as file:
         for part in terrain.spec.window(window).blocks(BLOCK):
             block = replace(part, row=part.row + window.row, col=part.col + window.col)
-            around, top, left = terrain.around(block, 2 * reach)
+            wide = terrain.around(block, 2 * reach)
+            around = terrain.heights(wide)
+            inner = within(block, wide)
             here = in_sheet(store, terrain.spec, clip, block)
             here &= ~terrain.wet(block, NO_SPOT)
             for kind in counts:
-                rows, cols = _spots_of_block(around, kind, reach, float(interval))
-                in_block = (rows >= top) & (rows < top + block.height)
-                in_block &= (cols >= left) & (cols < left + block.width)
-                rows, cols = rows[in_block], cols[in_block]
-                is_here = here[rows - top, cols - left]
-                rows, cols = rows[is_here], cols[is_here]
+                is_spot = here & _spots_of_block(around, kind, reach, float(interval))[inner]
+                rows, cols = np.nonzero(is_spot)
                 counts[kind] += len(rows)
-                pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1)
-                columns = _columns_of_spots(around[rows, cols], kind, terrain.decimals)
+                pixels = np.stack((cols + block.col, rows + block.row), axis=1)
+                columns = _columns_of_spots(around[inner][is_spot], kind, terrain.decimals)
                 coordinates = terrain.places(pixels.astype(np.float64))
                 file.add("spots", "Point", shapely.points(coordinates), columns)
     return SpotsRecord(
@@ -436,11 +419,11 @@ def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, np
 
 
 def _spots_of_block(
-    heights: npt.NDArray[np.float64], kind: str, reach: int, least: float
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return rows and columns of the pixels that are the highest or lowest in the square around them.
+    heights: Floats, kind: str, reach: int, least: float
+) -> npt.NDArray[np.bool_]:
+    """Return a mask of the pixels that are the highest or lowest in the square around them.
 
-    Of a flat top, only one pixel is returned.
+    Of a flat top, it has only one pixel.
 
     Parameters
     ----------
@@ -464,5 +447,4 @@ def _spots_of_block(
     # raster is kept.
     number = np.where(chosen, np.arange(heights.size).reshape(heights.shape), heights.size)
     first = scipy.ndimage.minimum_filter(number, size, mode="nearest") == number
-    rows, cols = np.nonzero(chosen & first)
-    return rows, cols
+    return np.asarray(chosen & first)

@@ -91,7 +91,34 @@ class SheetFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CloudCopy:
+class NewClasses:
+    """New classes of points in the store.
+
+    Attributes
+    ----------
+    labels : str
+        Name of the final labels in the store.
+    cells : tuple of Cell
+        Buckets that contain the points.
+    area, edits, waters : str or None
+        Keys in the store of the area, of edits, and of bodies of water whose points become water.
+    low_is_noise : bool
+        True if returns from far below the level of water become low noise.
+    reclass : str
+        Rule that selects the classes that change, see `tiler.core.points.written_classes`.
+    """
+
+    labels: str
+    cells: tuple[Cell, ...]
+    area: str | None = None
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    low_is_noise: bool = False
+    reclass: str = ONLY_GROUND
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudCopy(NewClasses):
     """Copy of a source with its new classes.
 
     Attributes
@@ -102,18 +129,8 @@ class CloudCopy:
         Number of the source in the store.
     out : str
         Path or URL of the classified cloud.
-    labels : str
-        Name of the final labels in the store.
-    cells : tuple of Cell
-        Buckets that contain points of the source.
     salvage : bool
         True if the readable part of a damaged source is used.
-    area, edits, waters : str or None
-        Keys in the store of the area, of edits, and of bodies of water whose points become water.
-    low_is_noise : bool
-        True if returns from far below the level of water become low noise.
-    reclass : str
-        Rule that selects the classes that change, see `tiler.core.points.written_classes`.
     stamp : list or None
         Fingerprint of the source in the plan, which distinguishes a file that was only touched from a changed file.
     ranges : tuple of (int, int)
@@ -132,41 +149,13 @@ class CloudCopy:
     path: str
     source: int
     out: str
-    labels: str
-    cells: tuple[Cell, ...]
     salvage: bool = False
-    area: str | None = None
-    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-    low_is_noise: bool = False
-    reclass: str = ONLY_GROUND
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
     ranges: tuple[tuple[int, int], ...] = ()
     copc: bool = False
     pieces: tuple[KeptPiece, ...] = field(default=(), metadata=NOT_IN_DIGEST)
     threads: int = field(default=1, metadata=NOT_IN_DIGEST)
     wkt: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class CloudOverview:
-    """Overview of the classified clouds, made from the points in the store.
-
-    Attributes
-    ----------
-    labels, area, edits, waters, low_is_noise, reclass : see `CloudCopy`
-        Points outside the area are left out.
-    cells : tuple of Cell
-        Buckets that contain points of the clouds.
-    """
-
-    labels: str
-    cells: tuple[Cell, ...]
-    area: str | None = None
-    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
-    low_is_noise: bool = False
-    reclass: str = ONLY_GROUND
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,7 +30,7 @@ from tiler.export.cloud_frame import (
     write_copc_back,
     write_copc_front,
 )
-from tiler.export.output_files import CloudOverview, FileRecord, OutFile, new_file
+from tiler.export.output_files import FileRecord, NewClasses, OutFile, new_file
 from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path
 from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.reader import Records, record_dtype
@@ -55,7 +55,7 @@ _BITS = (
 """Flags of `tiler.core.points`, and their bits in formats 6 to 10."""
 
 
-def write_overview(store: TileStore, *, overview: CloudOverview, to: OutFile) -> FileRecord:
+def write_overview(store: TileStore, *, overview: NewClasses, to: OutFile) -> FileRecord:
     """Write one point per cell of the classified clouds, with its class there, as COPC.
 
     The cells are the smallest ones with which the overview has at most 1/`THINNING` of all points, and at most
@@ -64,7 +64,7 @@ def write_overview(store: TileStore, *, overview: CloudOverview, to: OutFile) ->
     Parameters
     ----------
     store : TileStore
-    overview : CloudOverview
+    overview : NewClasses
     to : OutFile
 
     Returns
@@ -120,7 +120,7 @@ def _write(path: Path, header: LasHeader, frame: CoordFrame, records: Records) -
         os.fsync(target.fileno())
 
 
-def _thinned(store: TileStore, overview: CloudOverview, header: LasHeader) -> Records:
+def _thinned(store: TileStore, overview: NewClasses, header: LasHeader) -> Records:
     """Return the records of the points of an overview, in the order of their cells."""
     frame, dtype = store.meta.frame, record_dtype(header.point_format, header.record_length)
     buckets = store.buckets()
@@ -143,7 +143,7 @@ def _thinned(store: TileStore, overview: CloudOverview, header: LasHeader) -> Re
 
 
 def _of_bucket(
-    store: TileStore, overview: CloudOverview, cell: Cell, side: int, dtype: np.dtype[np.void]
+    store: TileStore, overview: NewClasses, cell: Cell, side: int, dtype: np.dtype[np.void]
 ) -> Records:
     """Return records of the points of a bucket, one per cell."""
     block = store.read_bucket(cell, ("xyz", "classification", "flags", "returns"))

@@ -100,14 +100,8 @@ def write_outline(
         "void_m2": void,
         "void_percent": 100 * void / np.maximum(land + void, 1e-9),
     }
-    crs = store.meta.frame.crs_wkt
-    with new_file(to) as new, geopackage(new.path, crs) as file:
-        file.add(
-            "outline",
-            "Polygon",
-            list(parts),
-            {k: np.asarray(v, np.float64) for k, v in columns.items()},
-        )
+    with new_file(to) as new, geopackage(new.path, store.meta.frame.crs_wkt) as file:
+        file.add("outline", "Polygon", list(parts), columns)
     size = float(spec.lattice.size / COUNTS_PER_UNIT)
     return OutlineFileRecord(
         **new.record.to_json(), polygons=len(parts), rings=rings_of(parts, size)
@@ -177,8 +171,7 @@ def write_bridges(store: TileStore, *, to: OutFile, decks: tuple[DrawnDeck, ...]
     ]
     sizes = np.array([deck[1:] for deck in decks], np.float64).reshape(-1, 4)
     columns = dict(zip(("length_m", "width_m", "clearance_m"), sizes.T, strict=False))
-    crs = store.meta.frame.crs_wkt
-    with new_file(to) as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, store.meta.frame.crs_wkt) as file:
         file.add(
             "bridges",
             "Polygon",
@@ -278,8 +271,7 @@ def write_sheet_index(
 
     Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
-    crs = store.meta.frame.crs_wkt
-    with new_file(to) as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, store.meta.frame.crs_wkt) as file:
         for product in dict.fromkeys(sheet.product for sheet in sheets):
             product_sheets = [sheet for sheet in sheets if sheet.product == product]
             edges = np.array([sheet.spec.edges for sheet in product_sheets])

@@ -44,7 +44,7 @@ from tiler.export.output_files import (
 )
 from tiler.io.atomic_files import clear_partial, partial_path, replace_different, sync_folder
 from tiler.io.raster_files import CACHE_BYTES, RasterMetadata, plain_geotiff, raster_errors
-from tiler.store import TileStore
+from tiler.store import TileStore, read_cells
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
 
@@ -215,17 +215,10 @@ def _write_plain(
 
 def _read(store: TileStore, part: RasterPart, block: Block) -> npt.NDArray[np.float32]:
     """Return a block of the file. Pixels beyond the raster of the store have the value ``fill``."""
-    spec, whole = part.spec, part.whole
-    if whole is None:
-        return store.read_block(part.raster, block)
+    spec, whole = part.spec, part.whole or part.spec
     row, col = block.row + whole.north - spec.north, block.col + spec.west - whole.west
-    top, left = max(row, 0), max(col, 0)
-    bottom, right = min(row + block.height, whole.height), min(col + block.width, whole.width)
-    values = np.full((block.height, block.width), part.fill, np.float32)
-    if top < bottom and left < right:
-        there = store.read_block(part.raster, Block(top, left, bottom - top, right - left))
-        values[top - row : bottom - row, left - col : right - col] = there
-    return values
+    window = replace(block, row=row, col=col)
+    return read_cells(store, part.raster, whole, window, part.fill)
 
 
 def _raster_metadata(frame: CoordFrame, info: ProductInfo) -> RasterMetadata:

@@ -179,12 +179,11 @@ def _file_tasks(
 
 def _cut_tasks(gridding: Gridded, made: Commits, out: str, noise_m: float) -> Iterator[Task]:
     """Yield the tasks that cut the vector products to sheets, with the intervals of those that were written."""
-    records = {
-        name: made[f"{name}.gpkg"][1]
+    found = {
+        name: float(made[f"{name}.gpkg"][1]["interval"])
         for name in gridding.plan.config.drawn
         if f"{name}.gpkg" in made
     }
-    found = {name: float(record["interval"]) for name, record in records.items()}
     yield from sheet_tasks(gridding, out, noise_m, found)
 
 
@@ -338,16 +337,11 @@ def _basis(gridding: Gridded) -> str:
 
 def _files(tasks: list[Task]) -> dict[str, str]:
     """Return the path or URL of the file that each task writes, by the key of the task."""
-    return {task.key: _file(task) for task in tasks}
-
-
-def _file(task: Task) -> str:
-    values = task.arguments
-    return str(values["cloud"].out if _is_cloud(task) else values["to"].location)
-
-
-def _is_cloud(task: Task) -> bool:
-    return "cloud" in task.arguments
+    values = {task.key: task.arguments for task in tasks}
+    return {
+        key: str(of_task["cloud"].out if "cloud" in of_task else of_task["to"].location)
+        for key, of_task in values.items()
+    }
 
 
 def _write(
@@ -359,7 +353,8 @@ def _write(
     """
     files = _files(tasks)
     invalidate_changed_outputs(job, stage, files)
-    kernels = class_kernels(job.plan) if any(_is_cloud(task) for task in tasks) else None
+    has_clouds = any("cloud" in task.arguments for task in tasks)
+    kernels = class_kernels(job.plan) if has_clouds else None
     written = run_stage(job, stage, tasks, kernels, writes_out=True)
     sizes, digests = dict(job.results.outputs), dict(job.results.digests)
     notes: dict[str, None] = {}

@@ -65,8 +65,7 @@ def write_water(store: TileStore, *, to: OutFile, waters: str) -> WaterFileRecor
         ),
     }
     rivers = [(b.number, b.flow) for b in bodies if b.flow is not None]
-    crs = store.meta.frame.crs_wkt
-    with new_file(to) as new, geopackage(new.path, crs) as file:
+    with new_file(to) as new, geopackage(new.path, store.meta.frame.crs_wkt) as file:
         file.add(POLYGONS, "MultiPolygon", shapes, columns)
         lines = [shapely.LineString(flow / COUNTS_PER_UNIT) for _, flow in rivers]
         file.add(
@@ -107,24 +106,19 @@ def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -
 
 def _add_breaklines(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -> None:
     """Write shores at their level, lines of flow, and structures, as layer ``breaklines``."""
-    lines: list[Any] = []
-    numbers, kinds = list[int](), list[str]()
-    dam_lines = dams(bodies, frame)
-    for body, body_dams in zip(bodies, dam_lines, strict=True):
-        body_lines = [
-            ("shore", _lifted_ring(body, ring))
-            for rings in body.area.polygons
-            for ring in rings
-        ]
+    rows: list[tuple[int, str, Any]] = []
+    for body, body_dams in zip(bodies, dams(bodies, frame), strict=True):
+        rings = [ring for polygon in body.area.polygons for ring in polygon]
+        closed = (np.concatenate((ring, ring[:1])) for ring in rings)
+        rows += [(body.number, "shore", _lifted(body, ring)) for ring in closed]
         if body.flow is not None:
-            body_lines.append(("flow", body.flow))
-            body_lines += [("structure", line) for line in structures(body)]
-        body_lines += [("structure", line) for line in body_dams]
-        for kind, line in body_lines:
-            lines.append(shapely.LineString(line / COUNTS_PER_UNIT))
-            numbers.append(body.number)
-            kinds.append(kind)
-    columns = {"number": np.array(numbers, np.int64), "kind": np.array(kinds, object)}
+            rows.append((body.number, "flow", body.flow))
+        rows += [(body.number, "structure", line) for line in (*structures(body), *body_dams)]
+    lines = [shapely.LineString(line / COUNTS_PER_UNIT) for _, _, line in rows]
+    columns = {
+        "number": np.array([number for number, _, _ in rows], np.int64),
+        "kind": np.array([kind for _, kind, _ in rows], object),
+    }
     file.add(BREAKLINES, "LineString Z", lines, columns)
 
 
@@ -182,15 +176,10 @@ def dams(bodies: Sequence[Water], frame: CoordFrame) -> list[list[npt.NDArray[np
     return lines
 
 
-def _lifted(body: Water, line: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _lifted(body: Water, line: npt.NDArray[np.float64] | Counts) -> npt.NDArray[np.float64]:
     """Return a line in counts at the level of the water."""
     xy = np.rint(line).astype(np.int64)
     return np.column_stack((xy, body.heights(xy[:, 0], xy[:, 1])))
-
-
-def _lifted_ring(body: Water, ring: Counts) -> Any:
-    """Return the closed ring at the level of the water."""
-    return _lifted(body, np.concatenate((ring, ring[:1])))
 
 
 def _shape(body: Water) -> Any:

@@ -15,7 +15,6 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.gridding.nearest import inverse_distance
 from ptd.tin import KnownWindow, Pixels, Tin, TinRaster, rasterise
@@ -25,6 +24,7 @@ from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.core.records import JoinedRecord
 from tiler.errors import ProcessingError
+from tiler.grid.arrays import Float32, Float64, Int32
 from tiler.grid.ground import max_points_in_bucket, surface_ground
 from tiler.grid.records import Facets, GridBlock, TerrainRecord, checksum
 from tiler.store import TileStore
@@ -78,7 +78,7 @@ def grid_blocks(
     """
     parts = []
     for block, heights, record in heights_of_blocks(store, works):
-        edited = _edit_heights(store, block.rule.edits, block.spec, block.block, heights)
+        edited = edit_heights(store, block.rule.edits, block.spec, block.block, heights)
         if edited:
             filled = _n_filled(heights)
             record = replace(record, filled=filled, nodata=heights.size - filled, edited=edited)
@@ -87,26 +87,21 @@ def grid_blocks(
     return JoinedRecord(parts)
 
 
-Heights = npt.NDArray[np.float32]
-Counts = npt.NDArray[np.int32]
-Index = npt.NDArray[np.intp]
-
-
-def _edit_heights(
-    store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
+def edit_heights(
+    store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Float32
 ) -> list[tuple[str, int]]:
-    """Set the heights of edits. Return for each edit its number and the number of changed pixels in the block."""
+    """Set the heights of the edits under a key of the store, if there are any. Return `Edits.set_heights`."""
     edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
 
-def _n_filled(heights: Heights) -> int:
+def _n_filled(heights: Float32) -> int:
     return int(np.count_nonzero(heights != np.float32(NODATA)))
 
 
 def heights_of_blocks(
     store: TileStore, works: Sequence[GridBlock]
-) -> Iterator[tuple[GridBlock, Heights, TerrainRecord]]:
+) -> Iterator[tuple[GridBlock, Float32, TerrainRecord]]:
     """Compute heights and records of blocks that differ only in their positions, without checksums.
 
     The blocks share a TIN if it is not too wide or too full. Otherwise each block has its own
@@ -132,7 +127,7 @@ def _most_halo(work: GridBlock) -> int:
 
 def _heights(
     store: TileStore, works: Sequence[GridBlock], halo: int, tries: int
-) -> Iterator[tuple[GridBlock, Heights, TerrainRecord]]:
+) -> Iterator[tuple[GridBlock, Float32, TerrainRecord]]:
     """Yield the heights of blocks in attempt number ``tries``, which uses this halo."""
     whole = replace(works[0], block=hull_of(work.block for work in works))
     if len(works) > 1 and _too_full(store, whole, halo):
@@ -164,7 +159,7 @@ def _heights(
         yield work, heights, record
 
 
-def _nothing(block: Block, halo: int) -> tuple[Heights, TerrainRecord]:
+def _nothing(block: Block, halo: int) -> tuple[Float32, TerrainRecord]:
     """Return heights and record of a block far from all points: it has no heights."""
     heights = np.full((block.height, block.width), NODATA, np.float32)
     record = TerrainRecord(
@@ -203,7 +198,7 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
 
 def _in_quarters(
     store: TileStore, work: GridBlock, tries: int
-) -> tuple[Heights, TerrainRecord]:
+) -> tuple[Float32, TerrainRecord]:
     row, col, height, width = astuple(work.block)
     heights = np.empty((height, width), np.float32)
     records = []
@@ -231,7 +226,7 @@ def _in_quarters(
     return heights, total
 
 
-def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, TerrainRecord]:
+def block_heights(store: TileStore, work: GridBlock) -> tuple[Float32, TerrainRecord]:
     """Return heights and record of any block, without the checksum (see `heights_of_blocks`)."""
     ((_, heights, record),) = heights_of_blocks(store, (work,))
     return heights, record
@@ -270,7 +265,7 @@ def rasterise_window(
     origin: tuple[int, int],
     facets: Facets,
     window: Bounds,
-    xyz: npt.NDArray[np.int32],
+    xyz: Int32,
 ) -> TinRaster:
     """Return the heights of a block in counts, NaN for none, and a mask of its uncertified pixels.
 
@@ -312,7 +307,7 @@ def rasterise_window(
         ) from error
 
 
-def heights_in_units(counts: npt.NDArray[np.float64]) -> Heights:
+def heights_in_units(counts: Float64) -> Float32:
     """Convert heights in counts (NaN for none) to vertical units of the CRS (`NODATA` for none)."""
     heights = (counts / COUNTS_PER_UNIT).astype(np.float32)
     heights[np.isnan(counts)] = NODATA

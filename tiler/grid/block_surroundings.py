@@ -11,28 +11,21 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.gridding.above_ground import HighestReturns
 from ptd.gridding.ground_cells import CellWindow, add_counts, cell_numbers
 from ptd.gridding.nearest import nearest_points
-from tiler.core.edits import FLAT, OF_PIXELS, Edit
+from tiler.core.edits import FLAT, Edit
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, CoordFrame
 from tiler.core.points import WATER
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.water import Waters
-from tiler.grid.block import pixels_of
+from tiler.grid.arrays import Bools, Float32, Float64, Floating, Index, Int32, Int64
+from tiler.grid.block import edit_heights, pixels_of
 from tiler.grid.coarse import padded
 from tiler.grid.ground import classed, read_ground, read_ground_and_objects, surface_points
 from tiler.grid.records import GroundSelection
 from tiler.store import TileStore, read_cells
-
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-Int32 = npt.NDArray[np.int32]
-Heights = npt.NDArray[np.float32]
-Index = npt.NDArray[np.intp]
 
 CELLS_AT_ONCE = 64
 """Number of rows of cells whose pixels are summed at a time, which saves memory."""
@@ -181,7 +174,7 @@ class WatersNear:
             return np.zeros((self.block.height, self.block.width), np.bool_)
         return self.waters.inside(self.spec, self.block)
 
-    def set_heights(self, heights: Heights, where: Bools) -> list[tuple[str, int]]:
+    def set_heights(self, heights: Float32, where: Bools) -> list[tuple[str, int]]:
         """Set the heights of the water's pixels in the mask ``where``, see `Waters.set_heights`."""
         if self.waters is None:
             return []
@@ -212,12 +205,9 @@ class EditsNear:
             mask |= self.spec.inside(self.block, edit.area)
         return mask
 
-    def set_heights(self, heights: Heights) -> list[tuple[str, int]]:
+    def set_heights(self, heights: Float32) -> list[tuple[str, int]]:
         """Set the heights of edits, see `Edits.set_heights`."""
-        if self.key is None:
-            return []
-        edits = self.store.edits(self.key, self.spec.block_bounds(self.block), OF_PIXELS)
-        return [] if edits is None else edits.set_heights(self.spec, self.block, heights)
+        return edit_heights(self.store, self.key, self.spec, self.block, heights)
 
 
 class PixelCells:
@@ -249,7 +239,7 @@ class PixelCells:
         self.rows = np.arange(block.height) + (block.row - self.window.row)
         self.columns = np.arange(block.width) + (block.col - self.window.col)
 
-    def means(self, values: npt.NDArray[np.floating], known: Bools) -> Float64:
+    def means(self, values: Floating, known: Bools) -> Float64:
         """Return the mean of the known pixels of each cell, NaN where none is known.
 
         Values are rounded to counts, as sums of whole numbers are the same for any start of the block.
@@ -264,8 +254,7 @@ class PixelCells:
             counts = np.rint(counts * COUNTS_PER_UNIT)
             total[cells] = self.sums(counts.astype(np.int64))
             n[cells] = self.sums(known[pixels].astype(np.int64))
-        means: Float64 = np.where(n > 0, total / np.maximum(n, 1) / COUNTS_PER_UNIT, np.nan)
-        return means
+        return np.where(n > 0, total / np.maximum(n, 1) / COUNTS_PER_UNIT, np.nan)
 
     def sums(self, pixels: Int64) -> Int64:
         """Return the sum of the pixels of each cell."""
@@ -288,7 +277,6 @@ class PixelCells:
 
 def linear(values: Float64, before: Index, share: Float64) -> Float64:
     """Interpolate linearly between rows of values."""
-    interpolated: Float64 = (
+    return (
         values[before] * (1 - share)[:, np.newaxis] + values[before + 1] * share[:, np.newaxis]
     )
-    return interpolated

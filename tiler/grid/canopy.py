@@ -17,7 +17,6 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.frame import Scale
@@ -27,14 +26,11 @@ from ptd.passes import Points
 from tiler.core.lattice import COUNTS_PER_UNIT, Lattice
 from tiler.core.points import PointBlock
 from tiler.core.products import NODATA
-from tiler.core.raster import Block, RasterSpec
+from tiler.grid.arrays import Bools, Float64
 from tiler.grid.block_surroundings import PointsNear, linear
 from tiler.grid.coarse import distances, opened
 from tiler.grid.steps import Counts, Position, canopy_window
 from tiler.store import Steps, between_centres
-
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 GAP = 2
 """Half the width in cells of gaps without points that are filled like the cells around them."""
@@ -114,12 +110,11 @@ def _crowns(cells: PointBlock, hidden: Bools, place: Position, side: Fraction) -
             places = index[0][hidden], index[1][hidden]
             np.fmax.at(tops, places, cells.xyz[2][hidden] / COUNTS_PER_UNIT)
     _fill_gaps(tops, there)
-    pixel_rows, pixel_columns = (lattice.index(centres) for centres in _centres(spec, block))
-    values: Float64 = tops[np.ix_(pixel_rows - south, pixel_columns - west)]
-    return values
+    pixel_columns, pixel_rows = (lattice.index(centres) for centres in spec.axes(block))
+    return tops[np.ix_(pixel_rows - south, pixel_columns - west)]
 
 
-def _fill_gaps(tops: npt.NDArray[np.float64], there: npt.NDArray[np.bool_]) -> None:
+def _fill_gaps(tops: Float64, there: Bools) -> None:
     """Give gaps without points in a canopy the mean height of the crowns around them."""
     covered, square = np.isfinite(tops), np.ones((2 * GAP + 1, 2 * GAP + 1))
     gaps = ~there & scipy.ndimage.binary_closing(covered, square.astype(np.bool_))
@@ -128,16 +123,6 @@ def _fill_gaps(tops: npt.NDArray[np.float64], there: npt.NDArray[np.bool_]) -> N
         for values in (np.where(covered, tops, 0.0), covered.astype(np.float64))
     )
     tops[gaps] = total[gaps] / n[gaps]
-
-
-def _centres(
-    spec: RasterSpec, block: Block
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the centres of a block's rows and columns in absolute counts, rounded down."""
-    p, q = spec.lattice.p, 2 * spec.lattice.q
-    rows = spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)
-    columns = spec.west + block.col + np.arange(block.width, dtype=np.int64)
-    return ((2 * rows + 1) * p) // q, ((2 * columns + 1) * p) // q
 
 
 TREES_MEAN_M, GROUND_MEAN_M = 8.0, 2.0

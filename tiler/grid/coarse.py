@@ -17,17 +17,12 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.grid.arrays import AnyArray, Bools, Float64, Floating, Int32
 from tiler.store import TileStore, read_cells
-
-Bools = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.int32]
-Float64 = npt.NDArray[np.float64]
 
 Runs = list[list[int]]
 """Runs of neighbouring blocks: first row of pixels, first columns of first and last block (see
@@ -47,6 +42,20 @@ def padded(block: Block, pad: int) -> Block:
     return Block(
         block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad
     )
+
+
+def padded_within(block: Block, pad: int, spec: RasterSpec) -> Block:
+    """Return a block and ``pad`` pixels around it, cut at the border of the raster."""
+    top, left = max(block.row - pad, 0), max(block.col - pad, 0)
+    bottom = min(block.row + block.height + pad, spec.height)
+    right = min(block.col + block.width + pad, spec.width)
+    return Block(top, left, bottom - top, right - left)
+
+
+def pixels_touching(spec: RasterSpec, bounds: Bounds) -> Block:
+    """Return the pixels that overlap bounds, which may lie beyond the raster."""
+    cover = RasterSpec.covering(spec.lattice, bounds)
+    return Block(spec.north - cover.north, cover.west - spec.west, cover.height, cover.width)
 
 
 def block_runs(
@@ -109,14 +118,7 @@ def blocks_of(runs: Runs, spec: RasterSpec, size: int) -> Iterator[Block]:
 
 def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block, pad: int = 0) -> Block:
     """Return the pixels of a raster that coarse cells touch, padded by ``pad`` within the raster."""
-    bounds: Bounds = coarse.block_bounds(cells)
-    index = spec.lattice.index_of
-    left, right = index(bounds.x0) - spec.west, index(bounds.x1 - 1) + 1 - spec.west
-    top, bottom = spec.north - 1 - index(bounds.y1 - 1), spec.north - index(bounds.y0)
-    left, top = max(left - pad, 0), max(top - pad, 0)
-    return Block(
-        top, left, min(bottom + pad, spec.height) - top, min(right + pad, spec.width) - left
-    )
+    return padded_within(pixels_touching(spec, coarse.block_bounds(cells)), pad, spec)
 
 
 def blocks_under(
@@ -144,7 +146,7 @@ class Piece(NamedTuple):
     label: int
 
 
-def label_block(cells: Bools, corners: bool) -> tuple[Labels, dict[str, Side]]:
+def label_block(cells: Bools, corners: bool) -> tuple[Int32, dict[str, Side]]:
     """Label the areas of a block.
 
     Parameters
@@ -170,7 +172,7 @@ def label_block(cells: Bools, corners: bool) -> tuple[Labels, dict[str, Side]]:
     return labels.astype(np.int32), {name: _runs(line) for name, line in sides.items()}
 
 
-def _runs(line: npt.NDArray[Any]) -> Side:
+def _runs(line: AnyArray) -> Side:
     starts = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
     lengths = np.diff(starts, append=len(line))
     return [
@@ -178,11 +180,10 @@ def _runs(line: npt.NDArray[Any]) -> Side:
     ]
 
 
-def _side_labels(side: Side) -> Labels:
+def _side_labels(side: Side) -> Int32:
     """Return the label of each cell along a side of a block."""
     labels, lengths = np.array(side, np.int32).T
-    cell_labels: Labels = np.repeat(labels, lengths)
-    return cell_labels
+    return np.repeat(labels, lengths)
 
 
 def touching(
@@ -215,7 +216,7 @@ def touching(
     return touching_pairs
 
 
-def _facing(mine: Labels, theirs: Labels, corners: bool) -> Iterable[tuple[int, int]]:
+def _facing(mine: Int32, theirs: Int32, corners: bool) -> Iterable[tuple[int, int]]:
     """Return the pairs of labels that face each other across the border of two blocks."""
     lines = [(mine, theirs)]
     if corners:
@@ -284,35 +285,30 @@ class Joined:
         return tuple(join for place in places for join in self._joins.get(place, ()))
 
 
-def join_pieces(
-    blocks: Mapping[tuple[int, int], Mapping[str, Side]],
-    counts: Mapping[tuple[int, int], int],
-    corners: bool,
-) -> Joined:
+def join_pieces(blocks: Mapping[tuple[int, int], Mapping[str, Any]], corners: bool) -> Joined:
     """Join the areas of all blocks of a raster.
 
     Parameters
     ----------
     blocks : mapping
-        First row and column of each block -> its sides, see `label_block`.
-    counts : mapping
-        Number of labels of each block.
+        First row and column of each block -> its ``sides``, see `label_block`, and the number of its ``labels``.
     corners : bool
         Whether cells that touch at a corner belong together.
     """
     pieces = [
         Piece(*first_cell, label)
-        for first_cell in sorted(counts)
-        for label in range(1, counts[first_cell] + 1)
+        for first_cell in sorted(blocks)
+        for label in range(1, blocks[first_cell]["labels"] + 1)
     ]
+    sides = {first_cell: counts["sides"] for first_cell, counts in blocks.items()}
     return Joined(
-        {area[0]: tuple(area) for area in components(pieces, touching(blocks, corners))}
+        {area[0]: tuple(area) for area in components(pieces, touching(sides, corners))}
     )
 
 
 def areas_within(
-    labels: Labels, window: Block, joins: Iterable[tuple[Piece, Piece]]
-) -> tuple[Labels, list[Piece]]:
+    labels: Int32, window: Block, joins: Iterable[tuple[Piece, Piece]]
+) -> tuple[Int32, list[Piece]]:
     """Find the areas in a window of a raster of labels.
 
     Parameters
@@ -356,7 +352,7 @@ def cells_of(
     return cells_in(read_cells(store, name, coarse, window), window, pieces)
 
 
-def cells_in(labels: npt.NDArray[np.floating], window: Block, pieces: Iterable[Piece]) -> Bools:
+def cells_in(labels: Floating, window: Block, pieces: Iterable[Piece]) -> Bools:
     """Return a mask of the cells of some pieces in a window of labels."""
     cell_mask = np.zeros(labels.shape, np.bool_)
     of_block: dict[tuple[int, int], list[int]] = defaultdict(list)
@@ -418,15 +414,7 @@ def opened(cells: Bools, radius: float) -> Bools:
 
 def within_square(cells: Bools, radius: int) -> Bools:
     """Return a mask of the cells with a set cell within ``radius`` rows and columns."""
-    near = cells.copy()
-    for step in range(1, radius + 1):
-        near[step:] |= cells[:-step]
-        near[:-step] |= cells[step:]
-    rows = near.copy()
-    for step in range(1, radius + 1):
-        near[:, step:] |= rows[:, :-step]
-        near[:, :-step] |= rows[:, step:]
-    return near
+    return scipy.ndimage.maximum_filter(cells, 2 * radius + 1, mode="constant")
 
 
 def distances(cells: Bools, radius: float) -> Float64:

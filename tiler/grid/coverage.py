@@ -12,17 +12,15 @@ Gaps that are closed, but wider than four times the spacing of the points around
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int64, UInt8
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import (
-    Bools,
     Piece,
     block_runs,
     box_around,
@@ -34,9 +32,6 @@ from tiler.grid.coarse import (
 )
 from tiler.grid.steps import Counts, Position
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-
 LEVELS = 5
 """Number of levels: single cells, and cells merged 2 x 2, 4 x 4, ..."""
 BINS_PER_OCTAVE = 16
@@ -46,16 +41,13 @@ Histogram = list[list[int]]
 """Bin and number of cells, for the cells with returns."""
 
 
-def merged(values: npt.NDArray[Any], times: int) -> npt.NDArray[Any]:
+def merged(values: AnyArray, times: int) -> AnyArray:
     """Return the cells in squares of ``times`` by ``times``, shape (height / times, width / times, times ** 2)."""
     rows, cols = (side // times for side in values.shape)
-    squares: npt.NDArray[Any] = (
-        values.reshape(rows, times, cols, times).swapaxes(1, 2).reshape(rows, cols, -1)
-    )
-    return squares
+    return values.reshape(rows, times, cols, times).swapaxes(1, 2).reshape(rows, cols, -1)
 
 
-def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
+def histograms(counts: Int64) -> list[Histogram]:
     """Return histograms of the returns per cell of a block, one for each level of merging.
 
     Parameters
@@ -192,7 +184,7 @@ def open_areas(
     }
 
 
-def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]:
+def gaps_of(occupied: Bools, gap: float, most: float) -> Float64:
     """Return the widest gap that belongs to the survey in each window, in cells (see `gap_of`).
 
     Each window is examined together with the eight windows around it.
@@ -239,7 +231,7 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
     return min(gap, most)
 
 
-def spacings_of(counts: Float32, gaps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def spacings_of(counts: Float32, gaps: Float64) -> Float64:
     """Return the mean spacing of the points in each window and the eight around it, in cells; infinite without points.
 
     The area of the points is that of occupied squares of half a gap's width, as in `gap_of`.
@@ -263,7 +255,7 @@ def spacings_of(counts: Float32, gaps: npt.NDArray[np.float64]) -> npt.NDArray[n
     return spacings
 
 
-def bare_cells(occupied: Bools, spacings: npt.NDArray[np.float64], pad: int) -> Bools:
+def bare_cells(occupied: Bools, spacings: Float64, pad: int) -> Bools:
     """Return a mask of the cells of a block in gaps without points that are wider than `BARE_SPACINGS` spacings.
 
     Parameters
@@ -287,7 +279,7 @@ def bare_cells(occupied: Bools, spacings: npt.NDArray[np.float64], pad: int) -> 
     return bare[inner]
 
 
-def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bools:
+def closed_cells(occupied: Bools, gaps: Float64, pad: int) -> Bools:
     """Return a mask of the cells of a block that have points or lie in a gap that belongs to the survey.
 
     Parameters
@@ -357,7 +349,7 @@ def survey(
     }
 
 
-def survey_values(closed: Bools, enclosed: Bools, bare: Bools) -> npt.NDArray[np.uint8]:
+def survey_values(closed: Bools, enclosed: Bools, bare: Bools) -> UInt8:
     """Return the values of the cells of a survey, see `tiler.core.products.BEYOND`.
 
     Parameters
@@ -370,5 +362,4 @@ def survey_values(closed: Bools, enclosed: Bools, bare: Bools) -> npt.NDArray[np
     values = np.select(
         [inner & ~closed, inner & bare, inner, whole], [VOID, BARE, SURVEYED, BORDER], BEYOND
     )
-    survey: npt.NDArray[np.uint8] = values.astype(np.uint8)
-    return survey
+    return values.astype(np.uint8)

@@ -14,7 +14,6 @@ import math
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.gridding.above_ground import NOTHING
 from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
@@ -33,17 +32,15 @@ from tiler.core.products import (
     VOID,
     WATER,
 )
-from tiler.core.raster import NODATA, Block
+from tiler.core.raster import NODATA
+from tiler.grid.arrays import Bools, Float32, Float64, Int32
 from tiler.grid.block import full_halo, rasterise_window
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.canopy import OPEN
+from tiler.grid.coarse import pixels_touching
 from tiler.grid.records import Facets
 from tiler.grid.steps import Counts, Position
 from tiler.grid.voids import hole_cells, holes_of_block
-
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 FIRST_SHARE = 4
 """Divisor of the cap for the first search of points, as few blocks need the whole cap."""
@@ -87,7 +84,7 @@ def mask(
     terrain: Float64,
     delivered: Float64,
     canopy: Float64,
-    survey: npt.NDArray[np.float32],
+    survey: Float32,
     points: PointsNear,
     waters: WatersNear,
     failed: Bools,
@@ -131,7 +128,7 @@ def mask(
 def surface(
     points: PointsNear,
     terrain: Float64,
-    survey: npt.NDArray[np.float32],
+    survey: Float32,
     waters: WatersNear,
     facets: Facets,
     *,
@@ -169,8 +166,7 @@ def surface(
 
 def raised_to(heights: Float64, terrain: Float64) -> Float64:
     """Return the heights, at least those of the terrain where both are known."""
-    raised: Float64 = np.where(np.isnan(terrain), heights, np.maximum(heights, terrain))
-    return raised
+    return np.where(np.isnan(terrain), heights, np.maximum(heights, terrain))
 
 
 def surface_heights(
@@ -204,10 +200,7 @@ def surface_heights(
 
 def _vertices(points: PointsNear, window: Bounds, reach: int, spike: Fraction) -> Int32:
     """Return the pixels' returns in a window, local counts (3, n). Pixels at its border are processed whole."""
-    lattice, spec = points.spec.lattice, points.spec
-    west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
-    south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
-    block = Block(spec.north - north, west - spec.west, north - south, east - west)
+    block = pixels_touching(points.spec, window)
     returns = points.returns(block, reach, spike)[0].reshape(-1, 3).T
     returns = returns[:, returns[2] != NOTHING]
     inside = PointBlock(returns).inside(window, points.frame.origin)
@@ -216,7 +209,7 @@ def _vertices(points: PointsNear, window: Bounds, reach: int, spike: Fraction) -
 
 def outline(
     heights: Float64,
-    survey: npt.NDArray[np.float32],
+    survey: Float32,
     area: Bools,
     edits: EditsNear,
     waters: WatersNear | None = None,
@@ -225,7 +218,7 @@ def outline(
     *,
     cut: bool,
     finds_water: bool,
-) -> tuple[npt.NDArray[np.float32], Counts]:
+) -> tuple[Float32, Counts]:
     """Return a model that ends at the outline of the survey, with level water.
 
     Facets span a concave border of the survey, so land

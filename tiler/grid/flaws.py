@@ -9,7 +9,6 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.gridding.above_ground import NOTHING
@@ -18,13 +17,11 @@ from ptd.matched.crowns import BLOCK, Crowns, crowns
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units import length_text
+from tiler.grid.arrays import Bools, Float32, Float64
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
-from tiler.grid.coarse import label_block, padded
+from tiler.grid.coarse import label_block, padded, padded_within
 from tiler.grid.steps import Counts
 from tiler.store import TileStore
-
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 ABOVE_M = 1.0
 """Height above the highest return of its pixel from which terrain counts as wrong."""
@@ -163,14 +160,13 @@ def min_pixels(pixel_m2: Fraction) -> int:
     return math.ceil(MIN_PLACE_M2 / pixel_m2)
 
 
-def _listed(wrong: npt.NDArray[np.bool_], least: int) -> npt.NDArray[np.bool_]:
+def _listed(wrong: Bools, least: int) -> Bools:
     """Return the mask of the places with at least ``least`` pixels and of those at a side of the block."""
     labels, sides = label_block(wrong, corners=True)
     listed = np.bincount(labels.ravel()) >= least
     listed[[label for side in sides.values() for label, _ in side]] = True
     listed[0] = False
-    kept: npt.NDArray[np.bool_] = listed[labels]
-    return kept
+    return listed[labels]
 
 
 TOO_WIDE = 0.8
@@ -245,21 +241,16 @@ def roofs_in_terrain(
         for part in spec.blocks_within(spec.block_bounds(padded(block, pad)), core)
     }
     for block in sorted(parts, key=north_west):
-        top, left = max(block.row - pad, 0), max(block.col - pad, 0)
-        bottom = min(block.row + block.height + pad, spec.height)
-        right = min(block.col + block.width + pad, spec.width)
-        part = _part(
-            store, name, waters, spec, Block(top, left, bottom - top, right - left), times
-        )
+        window = padded_within(block, pad, spec)
+        part = _part(store, name, waters, spec, window, times)
         heights = np.where(part == np.float32(NODATA), np.nan, part) * float(
             frame.units.vertical
         )
         for roof in remaining_roofs(heights, pixel * times, TOO_WIDE * building_m):
             if roof.width_m > widest:
-                widest, where = (
-                    roof.width_m,
-                    (top + int(roof.row * times), left + int(roof.column * times)),
-                )
+                widest = roof.width_m
+                row, column = int(roof.row * times), int(roof.column * times)
+                where = window.row + row, window.col + column
     if where is None:
         return None
     x, y = _place(spec, *where)
@@ -298,7 +289,7 @@ def _part(
     return np.concatenate(rows)
 
 
-def thinned(heights: npt.NDArray[np.float32], times: int) -> Float64:
+def thinned(heights: Float32, times: int) -> Float64:
     """Return the height of one pixel per ``times`` by ``times``. Unlike averaging, thinning keeps steep edges."""
     return heights[times // 2 :: times, times // 2 :: times].astype(np.float64)
 
@@ -335,13 +326,11 @@ def crowns_in_block(store: TileStore, name: str, spec: RasterSpec, block: Block)
     times = _thinning(store, spec)
     if times is None:
         return Crowns(0, [])
-    heights = store.read_block(name, block)[times // 2 :: times, times // 2 :: times]
-    metres = np.where(heights == np.float32(NODATA), np.nan, heights.astype(np.float64))
+    heights = thinned(store.read_block(name, block), times)
+    metres = np.where(heights == np.float32(NODATA), np.nan, heights)
     cells = crowns(metres * float(store.meta.frame.units.vertical))
-    half = BLOCK * times // 2
-    pixels = []
-    for row, column in cells.found:
-        pixels.append((block.row + row * times + half, block.col + column * times + half))
+    top, left = (first + BLOCK * times // 2 for first in (block.row, block.col))
+    pixels = [(top + row * times, left + column * times) for row, column in cells.found]
     return Crowns(cells.n_tested, pixels)
 
 
@@ -354,9 +343,7 @@ def crown_advice(parts: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
         pixels += part.found
     if len(pixels) < max(MIN_SHARE * looked_at, MIN_BLOCKS):
         return None
-    row, column = pixels[len(pixels) // 2]
-    a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
-    x, y = x + a * column, y + e * row
+    x, y = _place(spec, *pixels[len(pixels) // 2])
     text = (
         f"{100 * len(pixels) / looked_at:.0f} % of the terrain looks like crowns of a closed canopy and may be metres "
         f"too high, as around x {x:.0f}, y {y:.0f}; remove these areas (--edits, action void) or survey them with LiDAR"

@@ -12,29 +12,23 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.gridding.above_ground import near_objects
 from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints, ground_with
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import NOISE, UNCERTIFIED_BIT, WITHHELD_FLAG, PointBlock
 from tiler.errors import StoreError
+from tiler.grid.arrays import Bools, Index, Int32, Int64, UInt8
 from tiler.grid.records import GridBlock, GroundSelection
 from tiler.store import TileStore
-
-Bools = npt.NDArray[np.bool_]
-Counts = npt.NDArray[np.int32]
-Index = npt.NDArray[np.intp]
-Int64 = npt.NDArray[np.int64]
 
 _NOISE_CLASSES = np.isin(np.arange(256), NOISE)
 """Table of the classes of the input that are noise."""
 _NOISE_LABELS = np.isin(np.arange(256) & ~UNCERTIFIED_BIT, NOISE)
 """Table of the labels of the filter that are noise."""
 
-Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
-"""Function from a bucket and some of its points, int32 (3, n), to indices of the chosen
-points."""
+Choose = Callable[[Int32], Index]
+"""Function from points, int32 (3, n), to indices of the chosen points."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ class Ground:
         Number of uncertified ground points (`UNCERTIFIED_BIT`).
     """
 
-    xyz: npt.NDArray[np.int32]
+    xyz: Int32
     read: int
     marked: int
 
@@ -74,8 +68,8 @@ class Classed:
     """
 
     cell: Cell
-    xyz: npt.NDArray[np.int32]
-    classes: npt.NDArray[np.uint8]
+    xyz: Int32
+    classes: UInt8
     is_ground: Bools
     is_object: Bools
 
@@ -110,7 +104,10 @@ def classed(
 
 
 def read_ground(
-    store: TileStore, rule: GroundSelection, bounds: Bounds, choose: Choose | None = None
+    store: TileStore,
+    rule: GroundSelection,
+    bounds: Bounds,
+    choose: Callable[[Cell, Int32], Index] | None = None,
 ) -> Ground:
     """Read the ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order.
 
@@ -120,7 +117,7 @@ def read_ground(
     rule : GroundSelection
     bounds : Bounds
     choose : callable, optional
-        Function that chooses the ground points of a bucket to keep, so that the others need no memory.
+        Function from a bucket and its ground points to indices of those to keep, so that the others need no memory.
     """
     parts, read, marked = [np.empty((3, 0), np.int32)], 0, 0
     for part in classed(store, rule, bounds):
@@ -135,7 +132,7 @@ def read_ground(
 
 def read_ground_and_objects(
     store: TileStore, rule: GroundSelection, bounds: Bounds
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+) -> tuple[Int32, Int32]:
     """Return the ground points in ``bounds``, and those that are neither ground nor noise, int32 (3, n)."""
     ground, others = [np.empty((3, 0), np.int32)], [np.empty((3, 0), np.int32)]
     for part in classed(store, rule, bounds, objects=True):
@@ -146,7 +143,7 @@ def read_ground_and_objects(
 
 def read_classes(
     store: TileStore, rule: GroundSelection, cell: Cell, needs_input: bool = False
-) -> tuple[PointBlock, npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
+) -> tuple[PointBlock, UInt8, Bools]:
     """Read the points of a bucket with their flags. Return them with their classes and a mask of the ground points.
 
     The points include the classes of the input if ``needs_input`` is set, or if the ground
@@ -172,7 +169,7 @@ def read_classes(
 
 def _objects_at_edges(
     store: TileStore, rule: GroundSelection, bounds: Bounds
-) -> dict[Cell, npt.NDArray[np.int32]]:
+) -> dict[Cell, Int32]:
     """Return points of objects, by bucket, that are near enough to its edge to erode ground beyond it."""
     radius, origin = math.ceil(rule.erode), store.meta.frame.origin
     objects_by_cell = {}
@@ -189,10 +186,10 @@ def _beside_objects(
     store: TileStore,
     rule: GroundSelection,
     cell: Cell,
-    ground: npt.NDArray[np.int32],
-    own: npt.NDArray[np.int32],
-    edges: Mapping[Cell, npt.NDArray[np.int32]],
-) -> npt.NDArray[np.bool_]:
+    ground: Int32,
+    own: Int32,
+    edges: Mapping[Cell, Int32],
+) -> Bools:
     """Return a mask of the ground points near objects of the bucket (``own``) or of a neighbour."""
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
     neighbour_objects = [
@@ -204,20 +201,18 @@ def _beside_objects(
 
 def _is_object(
     block: PointBlock,
-    classes: npt.NDArray[np.uint8],
-    is_ground: npt.NDArray[np.bool_],
+    classes: UInt8,
+    is_ground: Bools,
     rule: GroundSelection,
     store: TileStore,
     cell: Cell,
-) -> npt.NDArray[np.bool_]:
+) -> Bools:
     """Return a mask of the points that are neither ground nor noise, from results of `read_classes`."""
     labels = None if rule.labels is None else classes
     return ~is_ground & _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
 
 
-def _is_noise(
-    block: PointBlock, labels: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell
-) -> npt.NDArray[np.bool_]:
+def _is_noise(block: PointBlock, labels: UInt8 | None, store: TileStore, cell: Cell) -> Bools:
     """Return a mask of the points that are noise by the input, or by the filter if there are labels."""
     noise: Bools = _NOISE_CLASSES[_required(block.classification, store, cell)]
     return noise if labels is None else noise | _NOISE_LABELS[labels]
@@ -258,7 +253,7 @@ def count_edited_points(
 
 def surface_points(
     store: TileStore, rule: GroundSelection, cell: Cell
-) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
+) -> tuple[PointBlock, Bools]:
     """Read all points of a bucket. Return them with a mask of the surface points.
 
     Surface points are not withheld or skipped, and are not noise by the input or by the filter.
@@ -269,18 +264,14 @@ def surface_points(
     return block, chosen
 
 
-def _used(
-    block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell
-) -> npt.NDArray[np.bool_]:
+def _used(block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell) -> Bools:
     """Return a mask of the points that are not excluded by a flag."""
     flags = _required(block.flags, store, cell)
-    mask: npt.NDArray[np.bool_] = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
+    mask: Bools = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
     return mask
 
 
-def _required(
-    column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell
-) -> npt.NDArray[np.uint8]:
+def _required(column: UInt8 | None, store: TileStore, cell: Cell) -> UInt8:
     if column is None:
         raise StoreError(
             f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"
@@ -293,7 +284,7 @@ def max_points_in_bucket(points: int, buckets: Lattice, thin: Lattice | None) ->
     return points if thin is None else min(points, math.ceil(buckets.size / thin.size + 1) ** 2)
 
 
-def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Ground, Counts]:
+def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Ground, Int32]:
     """Read the ground points of a window. Return them, and the coordinates of the points for the TIN."""
     if work.thin is None:
         ground = read_ground(store, work.rule, window)
@@ -301,29 +292,22 @@ def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[G
     # Cells that the window cuts are read whole, so that the same point is chosen in them for
     # all windows.
     origin = store.meta.frame.origin
-    choose = _choice(work.thin, work.percent, origin)
+    choose: Choose = partial(central_points, origin=origin, lattice=work.thin)
+    if work.percent is not None:
+        choose = partial(ranked_points, origin=origin, lattice=work.thin, percent=work.percent)
     by_bucket = partial(_whole_cells, choose, work.thin, store.meta.bucket, origin)
     ground = read_ground(store, work.rule, work.thin.around(window), by_bucket)
     xyz = ground.xyz[:, choose(ground.xyz)]
     return ground, xyz[:, PointBlock(xyz).inside(window, origin)]
 
 
-def _choice(
-    cell: Lattice, percent: int | None, origin: tuple[int, int]
-) -> Callable[[Counts], Index]:
-    """Return the function that chooses the point of each cell for the TIN."""
-    if percent is None:
-        return partial(central_points, origin=origin, lattice=cell)
-    return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
-
-
 def _whole_cells(
-    choose: Callable[[Counts], Index],
+    choose: Choose,
     thin: Lattice,
     buckets: Lattice,
     origin: tuple[int, int],
     cell: Cell,
-    xyz: Counts,
+    xyz: Int32,
 ) -> Index:
     """Return the points that may be in the TIN: one per cell that is wholly in the bucket, and all of other cells."""
     whole = PointBlock(xyz).inside(thin.within(buckets.bounds(cell)), origin)
@@ -331,7 +315,7 @@ def _whole_cells(
     return np.append(inner[choose(xyz[:, inner])], np.flatnonzero(~whole))
 
 
-def central_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> Index:
+def central_points(xyz: Int32, origin: tuple[int, int], lattice: Lattice) -> Index:
     """Return the indices of the points nearest to the centre of each cell, ties in the order of (x, y, z).
 
     The nearest point does not lower the surface on average, as the lowest point would.
@@ -353,9 +337,7 @@ def central_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> In
     return order[_starts(ix[order], iy[order])]
 
 
-def ranked_points(
-    xyz: Counts, origin: tuple[int, int], lattice: Lattice, percent: int
-) -> Index:
+def ranked_points(xyz: Int32, origin: tuple[int, int], lattice: Lattice, percent: int) -> Index:
     """Return the indices of the points at a percentile of the heights of each cell.
 
     Percentile 50 is the (lower) median, 0 the lowest point. A measured point, unlike a mean,
@@ -396,7 +378,7 @@ def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Inde
 
 
 def _in_cells(
-    xyz: Counts, origin: tuple[int, int], lattice: Lattice
+    xyz: Int32, origin: tuple[int, int], lattice: Lattice
 ) -> tuple[Int64, Int64, Int64, Int64]:
     """Return the absolute x and y of points, and the column and row of their cells."""
     x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))

@@ -14,17 +14,15 @@ import scipy
 from ptd.gridding.ground_cells import CellWindow, add_counts
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block
+from tiler.grid.arrays import Bools, Float64, Int64
 from tiler.grid.block_surroundings import PixelCells, PointsNear
 from tiler.grid.ground import classed
 from tiler.grid.object_candidates import (
     MOST_CHANCE,
     RING_CELLS,
     TOUCHING,
-    Bools,
     Box,
     Candidates,
-    Float64,
-    Int64,
     Level,
     Limits,
     candidates,
@@ -177,8 +175,7 @@ def _nested_with(found: Candidates, levels: list[Level], some: Bools) -> Bools:
         label = level.labels[found.row, found.column]
         widest = np.where(label > 0, (np.full_like(label, i), label), widest)
     number = widest[0] * (widest[1].max(initial=0) + 1) + widest[1]
-    is_among: Bools = np.isin(number, number[some])
-    return is_among
+    return np.isin(number, number[some])
 
 
 def _hull(judged: _Judged) -> Box:

@@ -15,17 +15,13 @@ All that decides on a candidate lies within a fixed distance of it (`reach_cells
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
-Labels = npt.NDArray[np.int32]
-Index = npt.NDArray[np.intp]
+from tiler.grid.arrays import AnyArray, Bools, Float64, Index, Int32, Int64
+
 Box = tuple[slice, ...]
 
 WINDOW_M = 40.0
@@ -197,11 +193,10 @@ def _opened(heights: Float64, known: Bools, cell_m: float) -> Float64:
         np.where(known, heights, np.inf), side, mode="constant", cval=np.inf
     )
     lowest[np.isinf(lowest)] = -np.inf
-    opened: Float64 = scipy.ndimage.maximum_filter(lowest, side, mode="constant", cval=-np.inf)
-    return opened
+    return scipy.ndimage.maximum_filter(lowest, side, mode="constant", cval=-np.inf)
 
 
-def _labels_above(above: Float64, level: float, cell_m: float) -> Labels:
+def _labels_above(above: Float64, level: float, cell_m: float) -> Int32:
     """Label the parts above a level that are large enough and not too long."""
     label, n = scipy.ndimage.label(above > level, TOUCHING)
     longest = int(WIDEST_M / cell_m)
@@ -210,27 +205,26 @@ def _labels_above(above: Float64, level: float, cell_m: float) -> Labels:
     for number, (rows, columns) in enumerate(scipy.ndimage.find_objects(label), start=1):
         extent = max(rows.stop - rows.start, columns.stop - columns.start)
         is_kept[number] &= extent <= longest
-    kept: Labels = np.where(is_kept, np.arange(n + 1), 0).astype(np.int32)[label]
-    return kept
+    return np.where(is_kept, np.arange(n + 1), 0).astype(np.int32)[label]
 
 
-def _without_gaps(labels: npt.NDArray[np.integer]) -> Labels:
+def _without_gaps(labels: Int32 | Int64) -> Int32:
     """Number labels from 1, in their order. Cells with 0 keep it."""
     is_present = np.bincount(labels.ravel()) > 0
     is_present[0] = False
     numbers = np.where(is_present, np.cumsum(is_present), 0).astype(np.int32)
-    numbered: Labels = numbers[labels]
+    numbered: Int32 = numbers[labels]
     return numbered
 
 
-Zone = tuple[Index, Labels]
+Zone = tuple[Index, Int32]
 """Flat indices of cells, and the label of the candidate to which each belongs."""
 
 
 class Level(NamedTuple):
     """Candidates of a level: labels (0 elsewhere), number, and cells in, at the border of, beside and around them."""
 
-    labels: Labels
+    labels: Int32
     n: int
     inside: Zone
     border: Zone
@@ -238,7 +232,7 @@ class Level(NamedTuple):
     ring: Zone
 
     @classmethod
-    def of(cls, labels: Labels, known: Bools) -> Level:
+    def of(cls, labels: Int32, known: Bools) -> Level:
         """Return a level of its labels. The land around lies in cells that are ``known``."""
         n, flat = int(labels.max(initial=0)), labels.ravel()
         if n == 0:
@@ -256,12 +250,11 @@ class Level(NamedTuple):
         zones = ((inside, flat), (border, flat), (beside, near), (ring, wide))
         return cls(labels, n, *((cells, of[cells]) for cells, of in zones))
 
-    def mean(self, values: npt.NDArray[Any], zone: Zone) -> Float64:
+    def mean(self, values: AnyArray, zone: Zone) -> Float64:
         """Return the mean of the cells of a zone for each candidate, 0 if it has none."""
         cells, of = zone
         total = np.bincount(of, values.ravel()[cells], self.n + 1)
-        means: Float64 = total[1:] / np.maximum(np.bincount(of, minlength=self.n + 1)[1:], 1)
-        return means
+        return total[1:] / np.maximum(np.bincount(of, minlength=self.n + 1)[1:], 1)
 
 
 class Measures(NamedTuple):

@@ -9,12 +9,12 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import GROUND, UNCERTIFIED_BIT, WITHHELD_FLAG
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.records import NOT_IN_DIGEST, BlockRecord, Record
+from tiler.grid.arrays import Bools, Float32
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class GroundSelection:
     erode_rise: int = 0
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
-    def is_ground(self) -> npt.NDArray[np.bool_]:
+    def is_ground(self) -> Bools:
         """Return whether each class or label is ground: bool (256,)."""
         table = np.zeros(256, np.bool_)
         for value in self.classes:
@@ -194,6 +194,6 @@ class DeckRecord(Record):
     below: int
 
 
-def checksum(values: npt.NDArray[np.float32]) -> str:
+def checksum(values: Float32) -> str:
     """Return the BLAKE2b of the pixels, row by row. A task that reads the block depends on it."""
     return hashlib.blake2b(values.tobytes(), digest_size=16).hexdigest()

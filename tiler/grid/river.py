@@ -12,14 +12,15 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
+from affine import Affine
+from rasterio.features import rasterize
 
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.water import Counts, Station, lengths_along, lifted_line, places_along
-
-Floats = npt.NDArray[np.float64]
+from tiler.grid.arrays import Bools, Float64, Int64
 
 MAX_CELLS = 1_000_000
 """Largest number of cells of the raster for the search of the line."""
@@ -29,8 +30,6 @@ CELLS_ACROSS = 8
 
 def polygon_of(area: Area) -> Any:
     """Return the polygons of an area as one shape in absolute counts, by the even-odd rule."""
-    import shapely
-
     shapes = []
     for rings in area.polygons:
         shape = shapely.Polygon()
@@ -44,8 +43,6 @@ def polygon_of(area: Area) -> Any:
 
 def area_of(shape: Any) -> Area:
     """Return the polygons of a shape as an `Area` with coordinates rounded to counts."""
-    import shapely
-
     polygons = []
     for part in shapely.get_parts(shapely.make_valid(shape)):
         if part.geom_type == "Polygon":
@@ -58,18 +55,12 @@ def area_of(shape: Any) -> Area:
 
 def mean_width(shape: Any) -> float:
     """Return twice the area per outer perimeter: the width of a long ribbon, or the radius of a disk."""
-    import shapely
-
     outer = sum(shapely.length(shapely.get_exterior_ring(p)) for p in shapely.get_parts(shape))
     return float(2 * shape.area / outer) if outer else 0.0
 
 
-def centreline(shape: Any) -> Floats | None:
+def centreline(shape: Any) -> Float64 | None:
     """Return the line through the middle of a polygon, float64 (n, 2), or None if the polygon is too small."""
-    import shapely
-    from affine import Affine
-    from rasterio.features import rasterize
-
     west, south, east, north = shape.bounds
     cell = max(
         mean_width(shape) / CELLS_ACROSS,
@@ -109,11 +100,11 @@ def centreline(shape: Any) -> Floats | None:
     ]
     x, y = west - cell + (smooth[0] + 0.5) * cell, north + cell - (smooth[1] + 0.5) * cell
     line = shapely.simplify(shapely.LineString(np.stack((x, y), axis=1)), cell / 2)
-    vertices: Floats = shapely.get_coordinates(line)
+    vertices: Float64 = shapely.get_coordinates(line)
     return vertices
 
 
-def _graph(wet: npt.NDArray[np.bool_], shore_distance: Floats) -> tuple[Any, Any, Any]:
+def _graph(wet: Bools, shore_distance: Float64) -> tuple[Any, Any, Any]:
     """Return rows and columns of cells, and two graphs of neighbouring cells.
 
     The first graph has the lengths of steps. In the second graph, steps near the shore cost
@@ -184,7 +175,7 @@ class Profile(NamedTuple):
 
 
 def profile_along(
-    line: Floats, shore: Counts, water: Counts, spacing: float, scale: Scale = MILLIMETRES
+    line: Float64, shore: Counts, water: Counts, spacing: float, scale: Scale = MILLIMETRES
 ) -> Profile:
     """Estimate the level of a river along its line. The level never rises downstream.
 
@@ -223,12 +214,12 @@ def profile_along(
     return Profile(flow[::-1].copy(), turned)
 
 
-def bank_level(heights: npt.NDArray[np.int64]) -> float:
+def bank_level(heights: Int64) -> float:
     """Return the water level below a bank."""
     return float(np.percentile(heights, BANK_PERCENT))
 
 
-def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
+def water_level(heights: Int64, scale: Scale) -> float | None:
     """Return the level of water from its own heights, or None if they are too few or not smooth.
 
     If heights differ by more than waves do, for example between strips flown at different water
@@ -243,11 +234,9 @@ def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
 
 
 def _stations(
-    line: Floats, shore: Counts, water: Counts, spacing: float, scale: Scale
-) -> tuple[Floats, list[Station], Floats]:
+    line: Float64, shore: Counts, water: Counts, spacing: float, scale: Scale
+) -> tuple[Float64, list[Station], Float64]:
     """Return the stations to use: distances along the line in counts, stations, and weights."""
-    import shapely
-
     shape = shapely.LineString(line)
     shore_along, water_along = (places_along(line, xyz[0], xyz[1]) for xyz in (shore, water))
     left = _left_of(line, shore, shore_along)
@@ -275,7 +264,7 @@ def _stations(
 
 
 def _station(
-    x: int, y: int, own: npt.NDArray[np.int64], banks: list[npt.NDArray[np.int64]], scale: Scale
+    x: int, y: int, own: Int64, banks: list[Int64], scale: Scale
 ) -> tuple[Station | None, float]:
     """Return a station and the weight of its level, or None and 0 without evidence."""
     levels = [round(bank_level(bank)) if len(bank) >= MIN_PIXELS else None for bank in banks]
@@ -292,7 +281,7 @@ def _station(
     return None, 0.0
 
 
-def _decisive(found: list[Station | None]) -> npt.NDArray[np.bool_]:
+def _decisive(found: list[Station | None]) -> Bools:
     """Return a mask of the stations to use: stations with returns of the water, and others far from them."""
     has_returns = np.array([station is not None and station.seen > 0 for station in found])
     near = has_returns
@@ -302,7 +291,7 @@ def _decisive(found: list[Station | None]) -> npt.NDArray[np.bool_]:
     return np.asarray(has_returns | (known & ~near))
 
 
-def _left_of(line: Floats, xyz: Counts, along: Floats) -> npt.NDArray[np.bool_]:
+def _left_of(line: Float64, xyz: Counts, along: Float64) -> Bools:
     """Return a mask of the points to the left of a line. ``along`` is the distance of each point along the line."""
     lengths = lengths_along(line)
     segment = np.clip(np.searchsorted(lengths, along, side="right") - 1, 0, len(line) - 2)
@@ -312,18 +301,16 @@ def _left_of(line: Floats, xyz: Counts, along: Floats) -> npt.NDArray[np.bool_]:
     )
 
 
-def _weighted_median(values: Floats, weights: Floats) -> float:
+def _weighted_median(values: Float64, weights: Float64) -> float:
     order = np.argsort(values, kind="stable")
     cumulative = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(cumulative, cumulative[-1] / 2)])
 
 
 def _with_steps(
-    along: Floats, levels: Floats, line: Floats, water: Counts, scale: Scale
-) -> tuple[Floats, Floats]:
+    along: Float64, levels: Float64, line: Float64, water: Counts, scale: Scale
+) -> tuple[Float64, Float64]:
     """Return distances along the line and levels, with two of each where the water has a step."""
-    import shapely
-
     distances, heights = [along[:1]], [levels[:1]]
     inside = shapely.line_locate_point(
         shapely.LineString(line), shapely.points(water[0], water[1])
@@ -347,8 +334,8 @@ def _step_at(
     end: float,
     before: float,
     after: float,
-    inside: Floats,
-    z: npt.NDArray[np.int64],
+    inside: Float64,
+    z: Int64,
 ) -> float:
     """Return the distance along the line at which the water's heights change from one level to the other."""
     here = np.flatnonzero((inside > start) & (inside < end))

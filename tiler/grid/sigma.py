@@ -15,7 +15,6 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.gridding.ground_cells import CellWindow, box_sums, cell_counts, plane_variance
 from ptd.gridding.shape import gradients
@@ -23,13 +22,10 @@ from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.products import CANOPY, COVERED_SHARE, EDGES_M, FILLED, GROUPS, WATER
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.results import SigmaGroup, SigmaResult
+from tiler.grid.arrays import Bools, Float64, Floating, Int64
 from tiler.grid.block_surroundings import PixelCells, PointsNear, linear
 from tiler.grid.canopy import BEND_M
 from tiler.grid.steps import Counts
-
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Bools = npt.NDArray[np.bool_]
 
 LAND_CELL_M = 3.4
 """Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17
@@ -63,7 +59,7 @@ class _Land:
         self._heights = heights[top : top + window.height, left : left + window.width]
         self._means = self._cells.means(self._heights, ~np.isnan(self._heights))
 
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> Bools:
         """Return a mask of the block's pixels that have a height."""
         return ~np.isnan(self._heights[np.ix_(self._cells.rows, self._cells.columns)])
 
@@ -187,7 +183,7 @@ def _lattice(frame: CoordFrame, pixel: Fraction) -> Lattice:
     return Lattice(max(frame.counts(CELL_M), pixel / 2))
 
 
-def _share(ground: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], half: int) -> Float64:
+def _share(ground: Int64, objects: Int64, half: int) -> Float64:
     """Return the share of objects among the points in windows around cells, 0 without points."""
     n_objects = box_sums(objects, half, MARGIN)
     n = n_objects + box_sums(ground, half, MARGIN)
@@ -223,8 +219,7 @@ class _Cells:
 
     def at_pixels(self, cells: Float64) -> Float64:
         """Return the values of cells, without their margin, at the block's pixels."""
-        pixel_values: Float64 = cells[self._pixels]
-        return pixel_values
+        return cells[self._pixels]
 
 
 LASER, MATCHED = "lidar", "dim"
@@ -292,7 +287,7 @@ WEIGHTS: Mapping[str, Weights] = {
 """Weights by kind of cloud, fitted by ``tests/benchmarks/sigma_constants.py``."""
 
 
-def terms(found: Measures, mask: npt.NDArray[np.floating]) -> dict[str, Float64]:
+def terms(found: Measures, mask: Floating) -> dict[str, Float64]:
     """Return the terms of the variance by the names of `Weights`, without their weights.
 
     In water, gaps and objects do not count, as its level comes from the shores.
@@ -314,9 +309,7 @@ def terms(found: Measures, mask: npt.NDArray[np.floating]) -> dict[str, Float64]
     }
 
 
-def standard_error_m(
-    found: Measures, mask: npt.NDArray[np.floating], kind: str | None
-) -> Float64:
+def standard_error_m(found: Measures, mask: Floating, kind: str | None) -> Float64:
     """Return the standard error of heights in metres.
 
     Parameters
@@ -329,18 +322,12 @@ def standard_error_m(
     """
     parts = terms(found, mask)
     variances = [
-        _weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)
+        sum(weight * parts[term] for term, weight in asdict(weights).items())
+        for name, weights in WEIGHTS.items()
+        if kind in (name, None)
     ]
     sigma: Float64 = np.sqrt(np.maximum.reduce(variances))
     return sigma
-
-
-def _weighed(parts: Mapping[str, Float64], weights: Weights) -> Float64:
-    """Return the variance in square metres."""
-    total = np.zeros_like(parts["always"])
-    for name, weight in asdict(weights).items():
-        total += weight * parts[name]
-    return total
 
 
 def sigma(

@@ -15,7 +15,7 @@ import numpy as np
 from tiler.config import NO_WATER
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.core.records import BlockRecord, records_of
+from tiler.core.records import records_of
 from tiler.core.results import Implausible, OutlineResult, TerrainResult
 from tiler.core.selection import WITHHELD
 from tiler.core.units import length_text
@@ -35,7 +35,7 @@ from tiler.observe.events import Note, Warned
 from tiler.plan import KEEP
 from tiler.plan.model import MAX_GROUND
 from tiler.runs.compiling import grid_kernels
-from tiler.runs.found import Gridded, IngestResult, Labelled, final_raster
+from tiler.runs.found import Gridded, IngestResult, Labelled
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import Join, run_stage
 from tiler.schedule import Task, calling
@@ -81,7 +81,7 @@ def grid(
     advise(job, labelled, gridding.spec, gridding.made["dtm"], gridding.waters.stored_key)
     if job.plan.config.water != NO_WATER:
         report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
-    job.results.dtm = replace(job.results.dtm, filled=_delivered_heights(gridding, "dtm"))
+    job.results.dtm = replace(job.results.dtm, filled=gridding.delivered_heights("dtm"))
     _report_outline(job, gridding)
     report_voids(job, gridding, gridding.made["dtm-outlined"])
     for raster in rasters:
@@ -107,11 +107,11 @@ def _settle_surface(job: Job) -> None:
 
 def _holes(job: Job) -> list[Bounds]:
     """Return the bounds in absolute counts where tiles or buckets failed."""
-    holes = []
-    for task in job.record.failed:
-        if task.stage.startswith(("assemble", "filter")) and task.bounds:
-            holes.append(Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in task.bounds)))
-    return holes
+    return [
+        Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in task.bounds))
+        for task in job.record.failed
+        if task.stage.startswith(("assemble", "filter")) and task.bounds
+    ]
 
 
 def _make(
@@ -155,12 +155,6 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
             raise ProcessingError(
                 f"{name}: blocks of an earlier run cannot be removed: {outcome.error}"
             )
-
-
-def _delivered_heights(gridding: GridContext, model: str) -> int:
-    """Return the number of pixels with a height in the raster that is delivered as a model."""
-    made = gridding.made[final_raster(model, gridding.plan.config)]
-    return sum(record.filled for record in records_of(BlockRecord, made))
 
 
 def _report_outline(job: Job, gridding: GridContext) -> None:

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.core.lattice import Bounds, CoordFrame
 from tiler.core.points import PointBlock
 from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.arrays import Bools, Float32, Float64, Floating
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import padded
 from tiler.grid.records import BlockWork, Facets, GroundSelection, checksum
 from tiler.store import TileStore, coarse_values, coarse_window, read_cells
 
-Bools = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 Counts = Mapping[str, Any]
 """What a block adds to the summary of its raster, as JSON can hold it. It is the record of the block."""
 
@@ -110,7 +106,7 @@ class MakeBlock(BlockWork):
         Rasters that have no block, so that none is looked for in the store.
     """
 
-    work: Callable[..., tuple[npt.NDArray[np.floating] | None, Counts]]
+    work: Callable[..., tuple[Floating | None, Counts]]
     reads: Mapping[str, Read]
     values: Mapping[str, Any]
     sources: Sources
@@ -157,12 +153,12 @@ def _raster(store: TileStore, task: MakeBlock, read: Read) -> Float64:
     return np.where(values == np.float32(NODATA), np.nan, values.astype(np.float64))
 
 
-def _numbers(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
+def _numbers(store: TileStore, task: MakeBlock, read: Read) -> Float32:
     """Return a raster of numbers that has no nodata around a block, float32, 0 beyond the raster."""
     return read_cells(store, read.raster, task.spec, padded(task.block, read.margin))
 
 
-def _cells(store: TileStore, task: MakeBlock, read: Read) -> npt.NDArray[np.float32]:
+def _cells(store: TileStore, task: MakeBlock, read: Read) -> Float32:
     """Return a raster of coarse cells at the pixels around a block, float32, 0 beyond the raster."""
     window = padded(task.block, read.margin)
     return coarse_values(store, read.raster, task.sources.coarse, task.spec, window)
@@ -176,21 +172,9 @@ class PixelsUnder:
     name: str
     spec: RasterSpec
 
-    def read(self, block: Block) -> npt.NDArray[np.float32]:
+    def read(self, block: Block) -> Float32:
         """Return the pixels of a block, float32 (height, width), 0 beyond the raster."""
         return read_cells(self.store, self.name, self.spec, block)
-
-
-def _pixels(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
-    return PixelsUnder(store, read.raster, task.sources.pixels)
-
-
-def _coarse(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
-    return PixelsUnder(store, read.raster, task.sources.coarse)
-
-
-def _same_cells(store: TileStore, task: MakeBlock, read: Read) -> PixelsUnder:
-    return PixelsUnder(store, read.raster, task.spec)
 
 
 def _points(store: TileStore, task: MakeBlock, read: Read) -> PointsNear:
@@ -236,33 +220,19 @@ def _area(store: TileStore, task: MakeBlock, read: Read) -> Bools:
 def _failed(_: TileStore, task: MakeBlock, __: Read) -> Bools:
     """Return a mask of the pixels whose centres lie in a tile that failed."""
     mask = np.zeros((task.block.height, task.block.width), np.bool_)
+    x, y = task.spec.centres(task.block)
     for bounds in task.sources.failed:
-        mask[_within(bounds, task.spec, task.block)] = True
+        mask |= (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
     return mask
-
-
-def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slice]:
-    """Return the rows and columns of a block's pixels whose centres lie within bounds."""
-
-    def first(edge: int) -> int:
-        """Return the index of the first pixel whose centre is at an edge or beyond it."""
-        return math.ceil(edge / spec.lattice.size - Fraction(1, 2))
-
-    def clipped(start: int, stop: int, count: int) -> slice:
-        return slice(min(max(start, 0), count), min(max(stop, 0), count))
-
-    top, left = spec.north - block.row, spec.west + block.col
-    rows = clipped(top - first(bounds.y1), top - first(bounds.y0), block.height)
-    return rows, clipped(first(bounds.x0) - left, first(bounds.x1) - left, block.width)
 
 
 READERS: dict[str, Callable[[TileStore, MakeBlock, Read], Any]] = {
     "raster": _raster,
     "numbers": _numbers,
     "cells": _cells,
-    "pixels": _pixels,
-    "same-cells": _same_cells,
-    "coarse": _coarse,
+    "pixels": lambda store, task, read: PixelsUnder(store, read.raster, task.sources.pixels),
+    "same-cells": lambda store, task, read: PixelsUnder(store, read.raster, task.spec),
+    "coarse": lambda store, task, read: PixelsUnder(store, read.raster, task.sources.coarse),
     "points": _points,
     "waters": _waters,
     "edits": _edits,

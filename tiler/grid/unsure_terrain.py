@@ -15,12 +15,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.gridding.ground_cells import box_sums
+from tiler.grid.arrays import Bools, Float64, Index, Int32, Int64
 from tiler.grid.coarse import distances
-from tiler.grid.object_candidates import MOST_CHANCE, TOUCHING, Bools, Box, Float64, Int64
+from tiler.grid.object_candidates import MOST_CHANCE, TOUCHING, Box
 from tiler.grid.sigma import LASER, MATCHED
 
 SQUARE_M = 48.0
@@ -196,7 +196,7 @@ def measured(
     cell_m: float,
     least_measure: float,
     corner: tuple[int, int],
-) -> tuple[npt.NDArray[np.int32], Float64, Float64]:
+) -> tuple[Int32, Float64, Float64]:
     """Return labels of candidates, the sum of the squares of each, and its six measures in the order of `Weights`."""
     gap = distances(ground > 0, FARTHEST_CELLS)
     gap = np.sqrt(np.maximum(np.minimum(gap, FARTHEST_CELLS) - 0.5, 0.0) * cell_m)
@@ -216,8 +216,7 @@ def measured(
     of = labels.ravel()[at] - 1
 
     def mean(values: Float64) -> Float64:
-        means: Float64 = np.bincount(of, values, area.size) / area
-        return means
+        return np.bincount(of, values, area.size) / area
 
     columns = (
         np.log(mean(shape.rise.ravel()[at]) + LEAST_RISE),
@@ -236,9 +235,7 @@ def square_cells(cell_m: float) -> int:
     return int(SQUARE_M / cell_m)
 
 
-def _labels_in_squares(
-    cells: Bools, corner: tuple[int, int], side: int
-) -> npt.NDArray[np.int32]:
+def _labels_in_squares(cells: Bools, corner: tuple[int, int], side: int) -> Int32:
     """Label connected cells within each square, by labelling the squares with gaps between them."""
     at = (
         first % side + np.arange(size) for first, size in zip(corner, cells.shape, strict=True)
@@ -250,12 +247,11 @@ def _labels_in_squares(
     return scipy.ndimage.label(apart, TOUCHING)[0][place].astype(np.int32)
 
 
-def _slope(heights: Float64, at: npt.NDArray[np.intp], cell_m: float) -> Float64:
+def _slope(heights: Float64, at: Index, cell_m: float) -> Float64:
     """Return the slope at cells that do not lie at the border, given by flat indices, 0 beside unknown heights."""
     flat, columns = heights.ravel(), heights.shape[1]
     down, right = (flat[at + step] - flat[at - step] for step in (columns, 1))
-    slope: Float64 = np.nan_to_num(np.hypot(down, right)) / (2 * cell_m)
-    return slope
+    return np.nan_to_num(np.hypot(down, right)) / (2 * cell_m)
 
 
 def _half(window_m: float, cell_m: float) -> int:
@@ -268,5 +264,4 @@ def _around(cells: Int64, half: int) -> Int64:
 
 def _smooth(values: Float64) -> Float64:
     """Return the means of three by three cells."""
-    means: Float64 = _around(np.rint(values * MM).astype(np.int64), 1) / (9 * MM)
-    return means
+    return _around(np.rint(values * MM).astype(np.int64), 1) / (9 * MM)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ptd.tin import Tin, rasterise
@@ -18,13 +17,11 @@ from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west, within
+from tiler.grid.arrays import Bools, Float32, Int32, Int64
 from tiler.grid.block import heights_in_units, pixels_of
 from tiler.grid.block_surroundings import EditsNear
 from tiler.grid.coarse import (
     AROUND,
-    Bools,
-    Floats,
-    Labels,
     Piece,
     block_runs,
     blocks_of,
@@ -32,11 +29,10 @@ from tiler.grid.coarse import (
     cells_in,
     covered,
     label_block,
+    padded_within,
 )
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells, coarse_window
-
-Int32 = npt.NDArray[np.int32]
 
 PART_PIXELS = BLOCK_PIXELS
 """Side in pixels of the parts that are processed one at a time."""
@@ -53,7 +49,7 @@ class Void:
     around: str
 
 
-def find_voids(heights: PixelsUnder, survey: Floats, place: Position) -> tuple[Labels, Counts]:
+def find_voids(heights: PixelsUnder, survey: Float32, place: Position) -> tuple[Int32, Counts]:
     """Label the holes of a raster of heights in one block of coarse cells.
 
     Cells of a hole contain, or lie within, a pixel
@@ -115,7 +111,7 @@ def _around_small_pixels(heights: PixelsUnder, place: Position) -> Bools:
     return empty
 
 
-def _within_large_pixels(heights: PixelsUnder, survey: Floats, place: Position) -> Bools:
+def _within_large_pixels(heights: PixelsUnder, survey: Float32, place: Position) -> Bools:
     """Return a mask of the cells of a block whose centre lies in an empty pixel with its centre in the survey."""
     coarse, spec, block = place.spec, place.sources.pixels, place.block
     empty = np.zeros((block.height, block.width), np.bool_)
@@ -141,7 +137,7 @@ def fill_voids(
     place: Position,
     *,
     voids: tuple[Void, ...] = (),
-) -> tuple[npt.NDArray[np.float32], Counts]:
+) -> tuple[Float32, Counts]:
     """Return one block of a model with its holes filled.
 
     Heights are linear on the TIN of the centres of all pixels around a hole, with heights
@@ -215,29 +211,20 @@ def _rim(
 
 def _rim_of_part(
     heights: PixelsUnder, cells: PixelsUnder, spec: RasterSpec, void: Void, core: Block
-) -> npt.NDArray[np.int64]:
+) -> Int64:
     """Return the absolute counts (3, n) of the rim's pixels in ``core``, including those beside holes outside it."""
-    top, left = max(core.row - 1, 0), max(core.col - 1, 0)
-    bottom, right = (
-        min(core.row + core.height + 1, spec.height),
-        min(core.col + core.width + 1, spec.width),
-    )
-    wide = Block(top, left, bottom - top, right - left)
+    wide = padded_within(core, 1, spec)
     in_void = _pixels_in_void(cells, spec, void, wide)
     if not in_void.any():
         return np.empty((3, 0), np.int64)
     values = heights.read(wide)
     known = values != np.float32(NODATA)
     rim = scipy.ndimage.binary_dilation(in_void & ~known, AROUND) & known
-    rows, cols = np.nonzero(rim)
-    rows, cols = rows + wide.row, cols + wide.col
-    inside = (rows >= core.row) & (rows < core.row + core.height)
-    inside &= (cols >= core.col) & (cols < core.col + core.width)
-    rows, cols = rows[inside], cols[inside]
-    p, q = spec.lattice.p, 2 * spec.lattice.q
-    x, y = ((2 * (spec.west + cols) + 1) * p) // q, ((2 * (spec.north - 1 - rows) + 1) * p) // q
-    z = np.rint(values[rows - wide.row, cols - wide.col].astype(np.float64) * COUNTS_PER_UNIT)
-    return np.stack((x, y, z.astype(np.int64)))
+    in_core = within(core, wide)
+    rows, cols = np.nonzero(rim[in_core])
+    x, y = spec.axes(core)
+    z = np.rint(values[in_core][rows, cols].astype(np.float64) * COUNTS_PER_UNIT)
+    return np.stack((x[cols], y[rows], z.astype(np.int64)))
 
 
 CELL_PIXELS = 32
@@ -321,5 +308,4 @@ def hole_cells(holes: Bools, block: Block, outside: Bools) -> list[list[int]]:
     nearest_first = np.lexsort((cols, rows, from_mean, number))
     nearest = nearest_first[np.searchsorted(number[nearest_first], np.arange(cells.shape[1]))]
     counts_and_extents[6:] = rows[nearest], cols[nearest]
-    listed: list[list[int]] = counts_and_extents.T.tolist()
-    return listed
+    return counts_and_extents.T.tolist()

@@ -15,21 +15,18 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.points import WATER
 from tiler.core.raster import BLOCK_PIXELS, NODATA
+from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int64
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
 from tiler.grid.coarse import blocks_under, distances, opened, padded
+from tiler.grid.coverage import merged
 from tiler.grid.ground import surface_points
 from tiler.grid.steps import Counts, PixelsUnder, Position
 from tiler.store import coarse_cells
-
-Floats = npt.NDArray[np.float64]
-Float32 = npt.NDArray[np.float32]
-Bools = npt.NDArray[np.bool_]
 
 NEAR_CELLS = 8
 """A cell without returns is water if the nearest cell with returns is water and at most this
@@ -43,7 +40,7 @@ def ground_cells(
     place: Position,
     *,
     is_wet: bool,
-) -> tuple[Floats, Counts]:
+) -> tuple[Float64, Counts]:
     """Return the mean height of each cell of a block in units of the CRS, `NODATA` without one.
 
     In cells that are water by the input, heights are those of the points of class water. In
@@ -83,14 +80,14 @@ def ground_cells(
     return mean, {}
 
 
-def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
+def _means(total: Float64, number: Int64) -> Float64:
     """Convert sums of heights in counts to means in units of the CRS, `NODATA` for cells without heights."""
     means = np.full(total.shape, NODATA)
     np.divide(total, number * COUNTS_PER_UNIT, out=means, where=number > 0)
     return means
 
 
-def _water_class_heights(points: PointsNear, returns: Float32) -> Floats:
+def _water_class_heights(points: PointsNear, returns: Float32) -> Float64:
     """Return the mean height of the points of class water for each cell that is water by the input, or `NODATA`.
 
     A cell without returns is water if the nearest cell with returns is water and near. It gets
@@ -190,9 +187,9 @@ class WaterCells:
         Side of a cell in metres.
     """
 
-    returns: npt.NDArray[np.float32]
+    returns: Float32
     given: Bools
-    ground: Floats
+    ground: Float64
     domain: Bools
     size_m: float
 
@@ -200,15 +197,9 @@ class WaterCells:
         """Merge squares of two by two cells. A remaining row or column is merged with empty cells."""
         pads = [(0, side % 2) for side in self.returns.shape]
 
-        def fours(values: npt.NDArray[Any], fill: Any) -> npt.NDArray[Any]:
+        def fours(values: AnyArray, fill: Any) -> AnyArray:
             """Return the four values of each square, along a third axis."""
-            padded = np.pad(values, pads, constant_values=fill)
-            rows, cols = padded.shape
-            return (
-                padded.reshape(rows // 2, 2, cols // 2, 2)
-                .swapaxes(1, 2)
-                .reshape(rows // 2, cols // 2, 4)
-            )
+            return merged(np.pad(values, pads, constant_values=fill), 2)
 
         ground = fours(self.ground, np.nan)
         known = ~np.isnan(ground)
@@ -230,7 +221,7 @@ class WaterCells:
     def finer(self, times: int) -> WaterCells:
         """Divide each cell into ``times`` by ``times`` cells with the same values."""
 
-        def repeated(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        def repeated(values: AnyArray) -> AnyArray:
             return values.repeat(times, axis=0).repeat(times, axis=1)
 
         return WaterCells(
@@ -238,7 +229,7 @@ class WaterCells:
             self.size_m / times,
         )  # fmt: skip
 
-    def with_ground(self, ground: Floats) -> WaterCells:
+    def with_ground(self, ground: Float64) -> WaterCells:
         """Return the same cells with other heights."""
         return replace(self, ground=ground)
 
@@ -401,7 +392,7 @@ def rim_of(
     )
 
 
-def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Floats:
+def _low_shore(ground: Float64, shore: Bools, cells: Int64) -> Float64:
     """Return a low percentile of the heights of the shore near some cells, float64 (n,).
 
     ``cells`` are rows and columns of these cells, int64 (n, 2).
@@ -419,15 +410,9 @@ def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Fl
     return low_heights
 
 
-def relief(ground: Floats) -> Floats:
+def relief(ground: Float64) -> Float64:
     """Return the range of heights of each cell and its neighbours, infinite if one of these cells has no ground."""
     unknown = np.isnan(ground)
-    high, low = np.where(unknown, np.inf, ground), np.where(unknown, -np.inf, ground)
-    for values, extreme in ((high, np.maximum), (low, np.minimum)):
-        pairs = extreme(values[1:], values[:-1])
-        extreme(values[1:], pairs, out=values[1:])
-        extreme(values[:-1], pairs, out=values[:-1])
-        pairs = extreme(values[:, 1:], values[:, :-1])
-        extreme(values[:, 1:], pairs, out=values[:, 1:])
-        extreme(values[:, :-1], pairs, out=values[:, :-1])
-    return high - low
+    highest = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), 3)
+    lowest = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), 3)
+    return highest - lowest

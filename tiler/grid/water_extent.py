@@ -7,22 +7,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.coarse import Bools, Float64, box_around, opened, padded, within
+from tiler.grid.arrays import AnyArray, Bools, Float32, Float64
+from tiler.grid.coarse import box_around, opened, padded, within
 from tiler.grid.river import area_of
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_plants import among_reed, beneath_crowns, has_no_bank
-from tiler.grid.water_search import (
-    SMOOTHING_CELLS,
-    Float32,
-    SearchRead,
-    inner_window,
-    label_areas,
-)
+from tiler.grid.water_search import SMOOTHING_CELLS, SearchRead, inner_window, label_areas
 
 LEVEL_M = 0.15
 """Water extends over ground that is at most this high above the water, in metres."""
@@ -173,7 +168,7 @@ def without_border_islands(
     """
     labels, _, inside = _land(water | ~cells.domain)
 
-    def total(weights: npt.NDArray[Any], mask: Any = ...) -> npt.NDArray[Any]:
+    def total(weights: AnyArray, mask: Any = ...) -> AnyArray:
         """Return the sum of weights for each piece of land."""
         return np.bincount(labels[mask].ravel(), weights[mask].ravel(), len(inside))
 
@@ -193,13 +188,13 @@ def without_border_islands(
     return np.asarray(water | filled[labels])
 
 
-def _sides(cells: Bools) -> npt.NDArray[np.float64]:
+def _sides(cells: Bools) -> Float64:
     """Return for each cell how many of its four neighbours are in the mask ``cells``."""
-    padded = np.pad(cells, 1).astype(np.float64)
-    return padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+    cross = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    return scipy.ndimage.correlate(cells.astype(np.float64), cross, mode="constant")
 
 
-def _land(water: Bools) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Bools]:
+def _land(water: Bools) -> tuple[AnyArray, AnyArray, Bools]:
     """Label the pieces of land.
 
     Return the label of each cell, and for each label its number of cells and whether water
@@ -331,8 +326,6 @@ def _finished(
 
 def _below_decks(decks: Decks, spec: RasterSpec, window: Block, margin: float) -> Bools:
     """Return a mask of the cells of a window below decks, and within ``margin`` cells of decks."""
-    import shapely
-
     is_below = np.zeros((window.height, window.width), np.bool_)
     for ring in decks:
         deck = shapely.Polygon(np.array(ring).reshape(-1, 2))

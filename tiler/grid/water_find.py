@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.area import Area
 from tiler.core.products import BEYOND
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
-from tiler.grid.coarse import Bools, Float64, Piece, box_around, cells_of, components, padded
+from tiler.grid.arrays import Bools, Float64, Int64
+from tiler.grid.coarse import Piece, box_around, cells_of, components, padded
 from tiler.grid.records import GroundSelection
 from tiler.grid.river import area_of
 from tiler.grid.steps import Counts
@@ -115,8 +117,6 @@ def describe_body(
     dict
         ``body``: the water without a level and with the number 0 (`Water.to_json`), or None if it is too small.
     """
-    import shapely
-
     coarse = cells.coarse
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
     border_cells = [np.empty((0, 2), np.int64)]
@@ -157,13 +157,12 @@ def _whole(store: TileStore, body: BodyCells, bays: Any, lower_level_m: float | 
 
     If ``lower_level_m`` is not None, higher levels are lowered to it.
     """
-    import shapely
-
     side = float(body.coarse.lattice.size)
     min_area = body.island_m2 / float(store.meta.frame.metres_xy) ** 2
-    polygons: list[Any] = []
-    for block, _ in _blocks(store, body):
-        polygons += _polygons(store, body, block, lower_level_m)
+    of_blocks = (
+        _polygons(store, body, block, lower_level_m) for block, _ in _blocks(store, body)
+    )
+    polygons = list(chain.from_iterable(of_blocks))
     water = _without_islands(shapely.union_all(polygons), min_area)
     # Small islands are removed before bays are added. So land that is enclosed only after a bay
     # was added stays, unless it is a speck.
@@ -174,8 +173,6 @@ def _detailed(
     store: TileStore, body: BodyCells, whole: Any, lower_level_m: float | None
 ) -> Any:
     """Return the shape of a body with the details of its shore, without specks."""
-    import shapely
-
     side = float(body.coarse.lattice.size)
     details = [_details(store, body, block, lower_level_m) for block, _ in _blocks(store, body)]
     water = shapely.union_all([whole, *(shore.wet for shore in details)])
@@ -193,7 +190,7 @@ def _lower_level(store: TileStore, body: BodyCells) -> float | None:
         window = padded(block, 3)
         wet = cells_of(store, body.water, body.coarse, window, body.pieces)
         in_block = np.pad(body_mask, 2)
-        cells = read_search_cells(store, body.sources, body.coarse, window, 1)
+        cells = read_search_cells(store, body.sources, body.coarse, window)
         crowns = read_cells(store, body.crowns, body.coarse, window)
         is_measured = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
         is_measured &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
@@ -220,7 +217,7 @@ def _survey_border(body: Bools, beyond: Bools) -> tuple[Bools, int]:
     return border_mask[1:-1, 1:-1], n_sides
 
 
-def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+def _exits(cells: Int64) -> list[Int64]:
     """Group the cells of water at the border of the survey, int64 (n, 2), into exits."""
     if not len(cells):
         return []
@@ -228,17 +225,13 @@ def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
     return [cells[sorted(group)] for group in components(range(len(cells)), near)]
 
 
-def _bays(
-    store: TileStore, body: BodyCells, exits: list[npt.NDArray[np.int64]], max_width: float
-) -> Any:
+def _bays(store: TileStore, body: BodyCells, exits: list[Int64], max_width: float) -> Any:
     """Return the bays at the exits of the water, as a shape in absolute counts.
 
     Bays are places outside the survey between the cells of one exit. They are the union of
     triangles between the corners of these cells, minus the land. Triangles with edges longer
     than ``max_width`` cells are left out.
     """
-    import shapely
-
     coarse, side = body.coarse, float(body.coarse.lattice.size)
     corners = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
     triangles_by_exit = [np.empty(0, object)]
@@ -263,12 +256,9 @@ def _bays(
         land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
     west, north = coarse.west + 0.5, coarse.north - 0.5
-
-    def to_counts(cells: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Convert columns and rows (n, 2) to x and y in absolute counts."""
-        return np.stack((west + cells[:, 0], north - cells[:, 1]), axis=1) * side
-
-    return shapely.transform(bays, to_counts)
+    return shapely.transform(
+        bays, lambda at: np.stack((west + at[:, 0], north - at[:, 1]), axis=1) * side
+    )
 
 
 def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[str, float]:
@@ -317,7 +307,7 @@ def _surroundings(
     box = box_around(wet, REACH_CELLS)
     rows, cols = box
     around = Block(window.row + rows.start, window.col + cols.start, *wet[box].shape)
-    cells = read_search_cells(store, body.sources, body.coarse, around, 1)
+    cells = read_search_cells(store, body.sources, body.coarse, around)
     crowns = read_cells(store, body.crowns, body.coarse, around)
     smooth = smoothed(cells.ground)
     level = water_heights(
@@ -387,8 +377,6 @@ def _part(block: Block, rows: slice, cols: slice) -> Block:
 
 def _without_specks(shape: Any, min_area: float) -> Any:
     """Remove the parts of a shape with an area below ``min_area``, but keep the largest part."""
-    import shapely
-
     parts = shapely.get_parts(shape)
     areas = shapely.area(parts)
     return shapely.union_all(parts[(areas >= min_area) | (areas == areas.max(initial=0.0))])
@@ -396,8 +384,6 @@ def _without_specks(shape: Any, min_area: float) -> Any:
 
 def _without_islands(shape: Any, min_area: float) -> Any:
     """Return a shape without holes that have an area below ``min_area``."""
-    import shapely
-
     polygons = []
     for polygon in shapely.get_parts(shape):
         holes = [ring for ring in polygon.interiors if shapely.Polygon(ring).area >= min_area]
@@ -407,8 +393,6 @@ def _without_islands(shape: Any, min_area: float) -> Any:
 
 def _area(shape: Any, side: float) -> Area:
     """Return the polygons of a body of water as an `Area` with a simplified shore."""
-    import shapely
-
     # Vertices on straight lines are removed first, so that they do not influence the result.
     shape = shapely.normalize(shapely.simplify(shape, 0.0))
     return area_of(shapely.simplify(shape, SIMPLER * side))

@@ -16,14 +16,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT
-from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, within
 from tiler.core.water import RIVER, Counts, Water
-from tiler.grid.coarse import padded
+from tiler.grid.arrays import Bools
+from tiler.grid.coarse import padded, padded_within
 from tiler.grid.records import LevelRecord
 from tiler.grid.river import (
     MIN_PIXELS,
@@ -40,8 +41,6 @@ from tiler.grid.river import (
 )
 from tiler.grid.water_plants import REED, is_hidden
 from tiler.store import TileStore
-
-Floats = npt.NDArray[np.float64]
 
 SHORE_PIXELS = 2
 """Pixels up to this distance from the water are its shore, in pixels."""
@@ -149,7 +148,7 @@ def _heights_of(
     water_parts = [np.empty((3, 0), np.int64)]
     pad = int(POCKET_PIXELS * spec.lattice.size) + 1
     for block in spec.blocks_within(area.bounds.pad(pad), BLOCK_PIXELS):
-        window = _padded(spec, block, POCKET_PIXELS)
+        window = padded_within(block, POCKET_PIXELS, spec)
         if not area.touches(spec.block_bounds(window)):
             continue
         inside = spec.inside(window, area)
@@ -162,8 +161,7 @@ def _heights_of(
         heights = store.read_block(raster, window)
         # Windows overlap, so only the pixels of the block itself are used.
         known = np.zeros_like(is_beside)
-        top, left = block.row - window.row, block.col - window.col
-        known[top : top + block.height, left : left + block.width] = True
+        known[within(block, window)] = True
         known &= heights != np.float32(NODATA)
         x, y = spec.centres(window)
         xyz = np.stack(
@@ -180,7 +178,7 @@ def _heights_of(
     return Beside(columns[:3], columns[3:5], columns[5]), water
 
 
-def _sample(spec: RasterSpec, window: Block, step: int) -> npt.NDArray[np.bool_]:
+def _sample(spec: RasterSpec, window: Block, step: int) -> Bools:
     """Return a mask of every ``step``-th pixel along rows and columns, on a lattice that is the same in all windows."""
     mask = np.zeros((window.height, window.width), np.bool_)
     # The rows and columns of these pixels in the lattice are multiples of ``step``.
@@ -216,14 +214,6 @@ def heights_of_cells(
         z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
         xyz_parts.append(np.stack((x, y, z))[:, used])
     return np.concatenate(xyz_parts, axis=1)
-
-
-def _padded(spec: RasterSpec, block: Block, margin: int) -> Block:
-    """Return a block with a margin, cut at the border of the raster."""
-    top, left = max(block.row - margin, 0), max(block.col - margin, 0)
-    bottom = min(block.row + block.height + margin, spec.height)
-    right = min(block.col + block.width + margin, spec.width)
-    return Block(top, left, bottom - top, right - left)
 
 
 def _profile(
@@ -266,7 +256,7 @@ class Beside(NamedTuple):
     distance: Counts
 
 
-def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
+def pockets(body: Water, beside: Beside, noise: float) -> Bools:
     """Return the mask of the pixels in pockets, bool (n,).
 
     Parameters
@@ -298,8 +288,6 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
 
 def with_pixels(body: Water, centres: Counts, pixel: float) -> Water:
     """Return a body with additional pixels. ``centres`` (2, n) and the side ``pixel`` of a pixel are in counts."""
-    import shapely
-
     x, y = centres
     half_side = OVERLAP * pixel
     joined = shapely.box(x - half_side, y - half_side, x + half_side, y + half_side)

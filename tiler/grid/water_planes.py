@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from tiler.grid.coarse import AROUND, Bools, Float64, Piece, distances, opened
+from tiler.grid.arrays import Bools, Float32, Float64
+from tiler.grid.coarse import AROUND, Piece, distances, opened
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
@@ -33,7 +34,6 @@ from tiler.grid.water_extent import extended_to_shore, smoothed, water_heights
 from tiler.grid.water_search import (
     MARGIN,
     AreasAround,
-    Float32,
     Joins,
     Kept,
     SearchRead,
@@ -189,8 +189,8 @@ def count_plane_rims(
         if any(any(rim) for rim in rims):
             named_rims.append([list(name), *(list(rim) for rim in rims)])
         is_near = distances(plane_mask, DAM_M / cells.size_m + 1) * cells.size_m <= DAM_M
-        for other in np.unique(numbers[evident_water & counted & is_near]):
-            beside.append([list(name), list(near.names[other - 1])])
+        others_near = np.unique(numbers[evident_water & counted & is_near])
+        beside += [[list(name), list(near.names[other - 1])] for other in others_near]
     return None, {"rims": named_rims, "beside": beside}
 
 

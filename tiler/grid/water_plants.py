@@ -16,20 +16,17 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.raster import Block
+from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int32, Int64
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
-from tiler.grid.coarse import Bools, Float64, box_around, padded, within, within_square
+from tiler.grid.coarse import AROUND, box_around, padded, within, within_square
 from tiler.grid.ground import read_ground_and_objects
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import WaterCells
-
-Float32 = npt.NDArray[np.float32]
 
 N_BANK_CELLS = 20
 """The bank is continued by a plane through this many of its cells with ground, the nearest
@@ -46,11 +43,9 @@ square cells. Those of two adjacent rows have 0.25, those of a single row 0."""
 AT_ONCE = 8192
 """Number of cells whose planes are fitted at a time, which limits memory to about 30 MiB."""
 
-Indices = npt.NDArray[np.int64]
-
 
 def continued_bank(
-    cells: Indices, bank: Indices, above: Float64, reach: float
+    cells: Int64, bank: Int64, above: Float64, reach: float
 ) -> tuple[Float64, Float64]:
     """Extrapolate the bank to other cells. Each cell has its own plane through the nearest cells of the bank.
 
@@ -83,9 +78,7 @@ def continued_bank(
     return height, slope
 
 
-def _nearest(
-    tree: scipy.spatial.cKDTree, cells: Indices, reach: float
-) -> tuple[npt.NDArray[np.bool_], Indices]:
+def _nearest(tree: scipy.spatial.cKDTree, cells: Int64, reach: float) -> tuple[Bools, Int64]:
     """Return the indices of the nearest cells of the bank, and a mask of those that are used: shape (n, k)."""
     k = range(1, N_BANK_CELLS + MAX_TIES + 1)
     found = tree.query(cells, k=k, distance_upper_bound=reach + 1e-6)
@@ -99,9 +92,7 @@ def _nearest(
     return near < tree.n, np.where(near < tree.n, near, 0)
 
 
-def _planes(
-    offsets: Indices, heights: Float64, used: npt.NDArray[np.bool_]
-) -> tuple[Float64, Float64]:
+def _planes(offsets: Int64, heights: Float64, used: Bools) -> tuple[Float64, Float64]:
     """Return height and slope of the planes through the used cells at offsets, at the offset 0."""
     number = np.maximum(used.sum(axis=1), 1)
 
@@ -166,7 +157,7 @@ def plants_near_water(
     place: Position,
     *,
     margin: int,
-) -> tuple[npt.NDArray[np.float32], Counts]:
+) -> tuple[Float32, Counts]:
     """Return the kinds of plants in the cells of a block that are near water.
 
     The value of a cell is `CROWN_WITH_GROUND` or `HIDDEN` for a crown, `REED` for reed, the sum
@@ -200,9 +191,7 @@ def crowns_margin(size_m: float) -> int:
     return math.ceil(CROWN_M / size_m) + 2
 
 
-def _crowns(
-    points: PointsNear, window: Block, examined: Bools, terrain: Float64
-) -> npt.NDArray[np.int64]:
+def _crowns(points: PointsNear, window: Block, examined: Bools, terrain: Float64) -> Int64:
     """Return the value of each cell of a window, see `plants_near_water`.
 
     Only the values of ``examined`` cells are right, because only buckets with such cells are
@@ -229,12 +218,12 @@ def _crowns(
 
 
 def plant_kinds(
-    xyz: npt.NDArray[np.int32],
-    cells: npt.NDArray[np.int64],
+    xyz: Int32,
+    cells: Int64,
     objects: Bools,
     terrain: Float64,
     metres_z: Fraction,
-) -> npt.NDArray[np.int64]:
+) -> Int64:
     """Return the value of each cell, int64 (h, w), see `plants_near_water`.
 
     Parameters
@@ -278,12 +267,12 @@ def plant_kinds(
     return np.where(rough_cells(objects, ROUGH_M), kinds, 0) + np.where(reed, REED, 0)
 
 
-def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
+def is_hidden(crowns: AnyArray) -> Bools:
     """Return a mask of the cells with crowns and without ground, from the values of `plants_near_water`."""
     return np.asarray((crowns == HIDDEN) | (crowns == HIDDEN + REED))
 
 
-def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Float64:
+def roughness(xyz: Int32, cells: Int64, size: int) -> Float64:
     """Return the RMS vertical distance of the points of each cell from the plane through them, float64 (size,).
 
     The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points, or
@@ -310,7 +299,7 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
         np.minimum.at(lowest[axis], cells, offsets[axis])
     x, y, z = offsets - lowest[:, cells]
 
-    def total(values: npt.NDArray[np.int64]) -> Float64:
+    def total(values: Int64) -> Float64:
         return np.bincount(cells, values.astype(np.float64), count).astype(np.float64)
 
     n = np.bincount(cells, minlength=count).astype(np.float64)
@@ -336,19 +325,14 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
 
 def _mostly(chosen: Bools, known: Bools) -> Bools:
     """Return a mask of the cells for which more than half of the known cells around are chosen, in 3 by 3 cells."""
-
-    def number(mask: Bools) -> npt.NDArray[np.uint8]:
-        """Return the number of cells of a mask in the 3 by 3 cells around each cell."""
-        cells = np.pad(mask.astype(np.uint8), 1)
-        rows = cells[:-2] + cells[1:-1] + cells[2:]
-        return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])
-
-    return np.asarray(2 * number(chosen & known) > number(known))
+    n_chosen, n_known = (
+        scipy.ndimage.correlate(cells.astype(np.uint8), AROUND, mode="constant")
+        for cells in (chosen & known, known)
+    )
+    return np.asarray(2 * n_chosen > n_known)
 
 
-def beneath_crowns(
-    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Float64
-) -> Bools:
+def beneath_crowns(cells: WaterCells, crowns: AnyArray, wet: Bools, level: Float64) -> Bools:
     """Return a mask of the cells beneath crowns that are water.
 
     Parameters
@@ -379,25 +363,20 @@ def beneath_crowns(
     return connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
 
 
-def _ground_share(crowns: npt.NDArray[Any], side: int) -> Float64:
+def _ground_share(crowns: AnyArray, side: int) -> Float64:
     """Return the share of cells with ground among the cells with crowns, in a square around each cell.
 
     The square has ``side`` rows and columns, or one more if that is even.
     """
     odd_side = side // 2 * 2 + 1
 
-    def share(mask: Bools) -> Float64:
-        """Return the share of the cells of a mask in the square around each cell."""
-        return np.asarray(
-            scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
-        )
-
     has_ground = (crowns == CROWN_WITH_GROUND) | (crowns == CROWN_WITH_GROUND + REED)
     has_crown = has_ground | is_hidden(crowns)
-    ground_share = share(has_ground)
-    return np.divide(
-        ground_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown
+    ground_share, crown_share = (
+        scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
+        for mask in (has_ground, has_crown)
     )
+    return np.divide(ground_share, crown_share, out=np.zeros(crowns.shape), where=has_crown)
 
 
 def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
@@ -421,9 +400,7 @@ It is not known well where a flatter bank reaches the level.
 """
 
 
-def among_reed(
-    cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Float64
-) -> Bools:
+def among_reed(cells: WaterCells, crowns: AnyArray, wet: Bools, level: Float64) -> Bools:
     """Return a mask of the cells with reed that are water.
 
     Reed that is connected with water is water up to the line at which the continued bank
@@ -448,7 +425,7 @@ def among_reed(
     return connected(reed, wet, reach)
 
 
-def has_no_bank(crowns: npt.NDArray[Any], above: Float64) -> Bools:
+def has_no_bank(crowns: AnyArray, above: Float64) -> Bools:
     """Return a mask of the cells whose ground height is not that of the bank. It is valid only for cells of water.
 
     In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes

@@ -13,21 +13,12 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.coarse import (
-    Bools,
-    Float64,
-    Labels,
-    Piece,
-    areas_within,
-    box_around,
-    label_block,
-    padded,
-)
+from tiler.grid.arrays import Bools, Float32, Float64, Int32
+from tiler.grid.coarse import Piece, areas_within, box_around, label_block, padded
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
     RING_M,
@@ -51,7 +42,6 @@ SMOOTHING_CELLS = 8
 """Cells farther away than this, in cells, do not change the smoothed height of a cell."""
 Slices = tuple[slice, slice]
 WHOLE: Slices = (slice(None), slice(None))
-Float32 = npt.NDArray[np.float32]
 Joins = Sequence[tuple[Piece, Piece]]
 Kept = Sequence[tuple[Piece, float]]
 
@@ -139,7 +129,7 @@ def find_areas(
     return labels.astype(np.float64), {**counts, "n_merged": n_merged}
 
 
-def label_areas(cells: Bools, *masks: Bools) -> tuple[Labels, dict[str, Any]]:
+def label_areas(cells: Bools, *masks: Bools) -> tuple[Int32, dict[str, Any]]:
     """Label the connected areas of a block.
 
     Returns
@@ -223,26 +213,17 @@ def inner_window(block: Block, margin: int) -> Slices:
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
-def _ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Float64:
-    """Read the heights of the terrain in a window in metres, NaN for cells without a height."""
-    heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
-    heights[heights == NODATA] = np.nan
-    heights *= float(store.meta.frame.units.vertical)
-    return heights
-
-
 def read_search_cells(
-    store: TileStore, sources: SearchRasters, spec: RasterSpec, window: Block, n_merged: int
+    store: TileStore, sources: SearchRasters, spec: RasterSpec, window: Block
 ) -> WaterCells:
-    """Read returns, classes and ground in a window, and merge squares of ``n_merged`` by ``n_merged`` cells.
-
-    ``n_merged`` is a power of two.
-    """
+    """Read returns, classes and ground in a window."""
+    frame = store.meta.frame
     points = read_cells(store, sources.occupancy, spec, window)
+    heights = read_cells(store, sources.ground, spec, window, NODATA).astype(np.float64)
+    ground = np.where(heights == NODATA, np.nan, heights) * float(frame.units.vertical)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
-    size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    ground = _ground_in(store, sources.ground, spec, window)
-    return WaterCells(np.abs(points), points < 0, ground, domain, size_m).merged(n_merged)
+    size_m = float(spec.lattice.size * frame.metres_xy)
+    return WaterCells(np.abs(points), points < 0, ground, domain, size_m)
 
 
 @dataclass(frozen=True)
@@ -267,7 +248,7 @@ class AreasAround:
 
     cells: WaterCells
     ground: Float64
-    numbers: Labels
+    numbers: Int32
     names: list[Piece]
     window: Block
     block: Block
@@ -296,7 +277,7 @@ class AreasAround:
             slice(left - origin.col, right - origin.col),
         )
 
-    def block_values(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def block_values(self, values: Float32) -> Float32:
         """Return the values of the cells of the block from values of the window. Cells beyond the window are 0."""
         block_values = np.zeros((self.block.height, self.block.width), np.float32)
         block_values[self._common_part(self.block)] = values[self._common_part(self.window)]

@@ -18,14 +18,15 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.raster import within as within_window
+from tiler.grid.arrays import AnyArray, Bools, Float64
 from tiler.grid.block_surroundings import pixel_indices
-from tiler.grid.coarse import AROUND, Bools, Float64, padded, within, within_square
+from tiler.grid.coarse import AROUND, padded, within, within_square
 from tiler.grid.ground import read_ground_and_objects
 from tiler.grid.records import GroundSelection
 from tiler.grid.river import MIN_PIXELS, SMOOTH_M
@@ -137,14 +138,6 @@ def _cut_cells(cells: WaterCells, above: Float64, wet: Bools) -> Bools:
     return is_cut
 
 
-def _quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
-    """Return a mask of the outermost cells of upright banks. Parameters are those of `heights_above_water`."""
-    is_quay = np.zeros_like(wet)
-    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size_m):
-        is_quay |= upright
-    return is_quay
-
-
 def _upright_sides(
     above: Float64, wet: Bools, size_m: float
 ) -> Iterator[tuple[int, int, Bools]]:
@@ -191,7 +184,6 @@ def shore_polygons(field: Float64, coarse: RasterSpec, window: Block) -> list[An
 
     ``field`` is a result of `heights_above_water`.
     """
-    import shapely
     from contourpy import FillType, contour_generator
 
     side = float(coarse.lattice.size)
@@ -303,8 +295,6 @@ def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
     The shape is extended over their neighbours in the mask ``among``. Otherwise it would end
     half a cell before the centres of these neighbours, and leave a gap.
     """
-    import shapely
-
     neighbours = among & scipy.ndimage.binary_dilation(cells, AROUND)
     field = np.where(cells | neighbours, -1.0, 1.0)
     # The shape extends one coarse cell and one fine cell beyond the block.
@@ -318,8 +308,7 @@ def highest_near(level: Float64) -> Float64:
 
     Some levels are too low, because a few points lie below the water surface.
     """
-    highest: Float64 = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
-    return highest
+    return scipy.ndimage.maximum_filter(level, NEAR_SIDE)
 
 
 def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
@@ -327,15 +316,15 @@ def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
 
     Parameters are those of `tiler.grid.water_shore.heights_above_water`.
     """
-
-    def total(values: npt.NDArray[Any]) -> Float64:
-        """Return the sum of whole numbers in the square around each cell."""
-        mean = scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE)
-        return np.asarray(np.rint(mean * NEAR_SIDE**2))
-
-    n_points = total(np.where(wet, 0.0, cells.returns))
-    is_dense = n_points >= FINER**2 * ENOUGH_POINTS * total(~wet)
-    return np.asarray(is_dense & within(_quays(cells, wet, level), math.sqrt(2)))
+    # Sums of whole numbers in the square around each cell.
+    n_points, n_land = (
+        np.rint(scipy.ndimage.uniform_filter(n.astype(np.float64), NEAR_SIDE) * NEAR_SIDE**2)
+        for n in (np.where(wet, 0.0, cells.returns), ~wet)
+    )
+    is_dense = n_points >= FINER**2 * ENOUGH_POINTS * n_land
+    sides = _upright_sides(cells.ground - level, wet, cells.size_m)
+    is_quay = np.logical_or.reduce([upright for _, _, upright in sides])
+    return np.asarray(is_dense & within(is_quay, math.sqrt(2)))
 
 
 def _finer_raster(coarse: RasterSpec) -> RasterSpec:
@@ -368,7 +357,7 @@ def finer_field(field: Float64) -> Float64:
     return field
 
 
-def _each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _each_finer(values: AnyArray) -> AnyArray:
     """Repeat the values of coarse cells in their fine cells."""
     return values.repeat(FINER, axis=0).repeat(FINER, axis=1)
 

@@ -46,11 +46,11 @@ def part(cells: np.ndarray, place: tuple[int, int]) -> np.ndarray:
 @given(rasters(), st.booleans())
 def test_joined_areas_are_those_of_the_whole(cells: np.ndarray, corners: bool) -> None:
     labelled = {place: label_block(part(cells, place), corners) for place in blocks(cells)}
-    joined = join_pieces(
-        {place: sides for place, (_, sides) in labelled.items()},
-        {place: int(labels.max()) for place, (labels, _) in labelled.items()},
-        corners,
-    )
+    counts = {
+        place: {"sides": sides, "labels": int(labels.max())}
+        for place, (labels, sides) in labelled.items()
+    }
+    joined = join_pieces(counts, corners)
     found = np.zeros(cells.shape, int)
     for number, area in enumerate(joined.areas.values(), start=1):
         for piece in area:
@@ -95,10 +95,11 @@ def test_what_is_enclosed_is_found_from_the_sides_of_blocks(
 def test_an_area_is_named_after_its_first_piece() -> None:
     cells = np.zeros((SIDE, 2 * SIDE), bool)
     cells[1] = True
-    sides = {
-        place: label_block(part(cells, place), corners=False)[1] for place in blocks(cells)
+    counts = {
+        place: {"sides": label_block(part(cells, place), corners=False)[1], "labels": 1}
+        for place in blocks(cells)
     }
-    (area,) = join_pieces(sides, dict.fromkeys(sides, 1), corners=False).areas.items()
+    (area,) = join_pieces(counts, corners=False).areas.items()
     assert area == (Piece(0, 0, 1), (Piece(0, 0, 1), Piece(0, SIDE, 1)))
 
 

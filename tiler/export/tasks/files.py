@@ -22,7 +22,7 @@ from tiler.export.classified import write_classified
 from tiler.export.cloud_frame import crs_to_write
 from tiler.export.output_files import (
     CloudCopy,
-    CloudOverview,
+    NewClasses,
     OutFile,
     ProductInfo,
     RasterFileRecord,
@@ -183,10 +183,6 @@ def nodata_of(plan: Plan, name: str) -> float | None:
 
 def _info(plan: Plan, name: str, inputs: str) -> ProductInfo:
     """Return the metadata of a file of a product, made from ``inputs`` (a digest)."""
-    return ProductInfo(name, _tags(plan, name, inputs), nodata_of(plan, name))
-
-
-def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
     config = plan.config
     datum = vertical_name(plan.frame.crs_wkt) if name in MODELS else None
     settings: dict[str, str | float] = {
@@ -197,7 +193,7 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
         "voids": config.voids,
         "spike_m": float(config.spike),
     }
-    return {
+    tags = {
         "TILER_VERSION": __version__,
         "TILER_METHOD": config.method,
         "TILER_PARAMETERS": json.dumps(plan.method.parameters, sort_keys=True),
@@ -205,6 +201,7 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
         "TILER_INPUTS": inputs,
         **({} if datum is None else {"VERTICAL_DATUM": datum}),
     }
+    return ProductInfo(name, tags, nodata_of(plan, name))
 
 
 def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
@@ -288,7 +285,7 @@ def overview_task(
     plan, waters, cells = context.plan, context.waters, sorted(labels)
     sources = list(sources)
     wet = _wet(plan, waters, cells)
-    overview = CloudOverview(
+    overview = NewClasses(
         labels=LABELS,
         cells=tuple(cells),
         area=plan.inputs.area_key,

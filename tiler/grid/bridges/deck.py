@@ -19,14 +19,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tiler.grid.arrays import Bools, Float64, Index
 from tiler.grid.bridges.deck_cells import DROP_M, MAX_WIDTH_M
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-
-Ints = npt.NDArray[np.intp]
 Surface = tuple[float, float, float, float]
 """Coefficients of height = a + b s + c s^2 + d t in metres, with s along a deck and t across
 it."""
@@ -98,7 +94,7 @@ class Deck:
         Number of points beneath the free part.
     """
 
-    ring: Floats
+    ring: Float64
     centre: tuple[float, float]
     along: tuple[float, float]
     surface: Surface
@@ -126,17 +122,17 @@ class _View:
         Edges of each slice.
     """
 
-    s: Floats
-    t: Floats
-    off: Floats
+    s: Float64
+    t: Float64
+    off: Float64
     surface: Surface
-    starts: Floats
+    starts: Float64
     slice_m: float
     edges: _DeckEdges
 
 
 def find_deck(
-    xyz: Floats, ground: Bools, seeds: Bools, across: tuple[float, float], spacing_m: float
+    xyz: Float64, ground: Bools, seeds: Bools, across: tuple[float, float], spacing_m: float
 ) -> tuple[Deck | None, str]:
     """Find the free part of a deck among points. Return it, or None and the reason why there is none.
 
@@ -160,7 +156,8 @@ def find_deck(
         view = _view(xyz, seeds, centre, along, spacing_m)
         if view is None:
             return None, "not smooth"
-        free = _longest_run(view.edges.both_free())
+        left, right = view.edges.free.T
+        free = _longest_run(left & right)
         if free is None:
             return None, "no part stands free on both sides"
         slope = _slope(view, free)
@@ -190,7 +187,7 @@ def find_deck(
 
 
 def _view(
-    xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float
+    xyz: Float64, seeds: Bools, centre: Float64, along: Float64, spacing: float
 ) -> _View | None:
     """Return the points in the coordinates of a deck, or None if the seeds do not form a surface."""
     s, t = _rotated(xyz[:, :2] - centre, along)
@@ -206,15 +203,12 @@ def _view(
     return _View(s, t, off, surface, numbers * slice_m, slice_m, edges)
 
 
-def _slope(view: _View, free: Ints) -> float:
+def _slope(view: _View, free: Index) -> float:
     """Return the mean slope of both edges of a free part relative to the s axis, or 0 for less than three slices."""
     if len(free) < 3:
         return 0.0
-    slopes = []
-    for side in (0, 1):
-        slope, _ = np.polyfit(view.starts[free], view.edges.edge[free, side], 1)
-        slopes.append(slope)
-    return float(np.mean(slopes))
+    edges = view.edges.edge[free].T
+    return float(np.mean([np.polyfit(view.starts[free], edge, 1)[0] for edge in edges]))
 
 
 def _wrong_size(length: float, width: float, n_slices: int) -> str:
@@ -224,7 +218,7 @@ def _wrong_size(length: float, width: float, n_slices: int) -> str:
     return "" if fits and n_slices >= MIN_SLICES else f"{length:.0f} m by {width:.0f} m"
 
 
-def _wrong_levels(levels: Floats) -> str:
+def _wrong_levels(levels: Float64) -> str:
     """Return why a deck cannot have these heights of the ground on its two sides, or an empty text if it can."""
     clearance = float(-levels.max())
     difference = float(abs(levels[0] - levels[1]))
@@ -238,7 +232,7 @@ def _wrong_levels(levels: Floats) -> str:
 
 
 def _wrong_end(
-    view: _View, ground: Bools, free_edges: Floats, end: int, step: int, clearance: float
+    view: _View, ground: Bools, free_edges: Float64, end: int, step: int, clearance: float
 ) -> str:
     """Check that the ground next to the deck rises beyond the slice ``end``, and that the road continues.
 
@@ -263,7 +257,7 @@ def _wrong_end(
     return "the road does not continue at an end"
 
 
-def _beneath(view: _View, free: Ints, free_edges: Floats) -> int:
+def _beneath(view: _View, free: Index, free_edges: Float64) -> int:
     """Count the points beneath the free part of a deck, at least `INNER_M` inside its edges."""
     inner = view.t > np.median(free_edges[:, 0]) + INNER_M
     inner &= view.t < np.median(free_edges[:, 1]) - INNER_M
@@ -271,7 +265,7 @@ def _beneath(view: _View, free: Ints, free_edges: Floats) -> int:
     return int((inner & (view.off < -DROP_M)).sum())
 
 
-def _ring(view: _View, free: Ints) -> Floats:
+def _ring(view: _View, free: Index) -> Float64:
     """Return the corners (s, t) of the outline of the free part, `WIDER_M` wider on each side than its points.
 
     The outline has two corners (left and right) per slice: at its middle, or at its outer end
@@ -285,17 +279,16 @@ def _ring(view: _View, free: Ints) -> Floats:
     return np.concatenate((right, left[::-1]))
 
 
-def _rotated(xy: Floats, along: Floats) -> tuple[Floats, Floats]:
+def _rotated(xy: Float64, along: Float64) -> tuple[Float64, Float64]:
     return xy @ along, xy @ np.array((-along[1], along[0]))
 
 
-def _height(surface: Surface, s: Floats, t: Floats) -> Floats:
+def _height(surface: Surface, s: Float64, t: Float64) -> Float64:
     a, b, c, d = surface
-    heights: Floats = a + b * s + c * s * s + d * t
-    return heights
+    return a + b * s + c * s * s + d * t
 
 
-def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
+def _fitted(s: Float64, t: Float64, z: Float64, seeds: Bools) -> Surface | None:
     """Fit a surface to the seeds, without outliers. Return None if too few seeds are near the surface."""
     all_rows = np.flatnonzero(seeds)
     deviations = np.abs(z[all_rows] - np.median(z[all_rows]))
@@ -313,7 +306,7 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
     return surface if len(rows) > 0.4 * seeds.sum() else None
 
 
-def _longest_run(free: Bools) -> Ints | None:
+def _longest_run(free: Bools) -> Index | None:
     """Return the indices of the free slices of the longest run, or None if there are fewer than two.
 
     A single slice that is not free does not end a run.
@@ -363,18 +356,13 @@ class _DeckEdges:
         Height of the ground next to the edge, relative to the deck (below 0 for lower ground). NaN if it is unknown.
     """
 
-    edge: Floats
+    edge: Float64
     free: Bools
-    level: Floats
-
-    def both_free(self) -> Bools:
-        """Return a mask of the slices with two free edges."""
-        is_free: Bools = self.free[:, 0] & self.free[:, 1]
-        return is_free
+    level: Float64
 
 
 def _find_edges(
-    s: Floats, t: Floats, off: Floats, numbers: Floats, slice_m: float, spacing: float
+    s: Float64, t: Float64, off: Float64, numbers: Float64, slice_m: float, spacing: float
 ) -> _DeckEdges:
     """Find the edges of a deck, and the heights next to the edges, in each slice.
 
@@ -411,7 +399,7 @@ def _find_edges(
     return _DeckEdges(edge, free, level)
 
 
-def _group_around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
+def _group_around_zero(t: Float64, gap: float) -> tuple[float, float] | None:
     """Return the first and last value of the group around 0 in sorted values, or None if there is no such group.
 
     Gaps wider than ``gap`` separate groups. The group has to have two values, and to come
@@ -426,7 +414,7 @@ def _group_around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
     return float(nearest[0]), float(nearest[-1])
 
 
-def _beside(away: Floats, off: Floats) -> tuple[bool, float]:
+def _beside(away: Float64, off: Float64) -> tuple[bool, float]:
     """Return whether an edge is free, and the level of the ground next to it (see `_DeckEdges`).
 
     ``away`` is the distance of points beyond the edge, and ``off`` is their height above the surface of the deck.

@@ -9,11 +9,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float32]
-Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
+from tiler.grid.arrays import Bools, Float32, Int64
 
 DIRECTIONS = 8
 """Number of directions that are tried as the direction across a deck.
@@ -63,8 +60,8 @@ class CoarseHeights:
         Side of a cell.
     """
 
-    top: Floats
-    low: Floats
+    top: Float32
+    low: Float32
     ground: Bools
     size_m: float
 
@@ -72,13 +69,13 @@ class CoarseHeights:
         """Convert a length to a number of cells, at least 1."""
         return max(math.ceil(length_m / self.size_m), 1)
 
-    def inside(self, rows: Ints, cols: Ints) -> Bools:
+    def inside(self, rows: Int64, cols: Int64) -> Bools:
         """Return a mask of the positions within the raster."""
         height, width = self.top.shape
         inside_mask: Bools = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
         return inside_mask
 
-    def at(self, values: Floats, rows: Ints, cols: Ints) -> Floats:
+    def at(self, values: Float32, rows: Int64, cols: Int64) -> Float32:
         """Return the values at positions, NaN beyond the raster."""
         inside = self.inside(rows, cols)
         cell_values = np.full(len(rows), np.nan, np.float32)
@@ -86,7 +83,7 @@ class CoarseHeights:
         return cell_values
 
 
-def candidate_cells(cells: CoarseHeights) -> tuple[Ints, Ints, Ints]:
+def candidate_cells(cells: CoarseHeights) -> tuple[Int64, Int64, Int64]:
     """Return row, column and direction of each cell that may be part of a deck.
 
     The direction points across the deck.
@@ -116,7 +113,7 @@ def _offset(direction: int, steps: int) -> tuple[int, int]:
 
 
 def _drops(
-    cells: CoarseHeights, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int
+    cells: CoarseHeights, rows: Int64, cols: Int64, height: Float32, direction: int, sign: int
 ) -> Bools:
     """Return a mask of the cells with a drop next to them, in a direction or (``sign`` -1) against it.
 
@@ -138,7 +135,7 @@ def _drops(
     return has_drop
 
 
-def _spans(cells: CoarseHeights, direction: int) -> tuple[Ints, Ints, Ints]:
+def _spans(cells: CoarseHeights, direction: int) -> tuple[Int64, Int64, Int64]:
     """Return the cells of all spans in a direction: row, column and number of the span of each cell.
 
     A span is a line of cells across a deck, from one drop to the other. The middle cell of a
@@ -184,7 +181,7 @@ def _spans(cells: CoarseHeights, direction: int) -> tuple[Ints, Ints, Ints]:
 
 
 def _has_road(
-    cells: CoarseHeights, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int
+    cells: CoarseHeights, marked: Bools, rows: Int64, cols: Int64, direction: int, sign: int
 ) -> Bools:
     """Return a mask of the cells from which a straight path along the deck leads to a road.
 

@@ -7,20 +7,18 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.core.lattice import Bounds
 from tiler.core.points import UNCERTIFIED_BIT, PointBlock
 from tiler.core.raster import Block, RasterSpec
+from tiler.grid.arrays import Bools, Int64
 from tiler.grid.bridges.deck import Deck, find_deck
 from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells
 from tiler.grid.ground import read_classes, surface_points
 from tiler.grid.records import DeckRecord, GroundSelection
-from tiler.grid.steps import Counts as Found
+from tiler.grid.steps import Counts
 from tiler.store import TileStore
 
-Bools = npt.NDArray[np.bool_]
-Counts = npt.NDArray[np.int64]
 CandidateCells = tuple[tuple[int, int, int], ...]
 """Row, column and direction of each cell of a candidate (see `candidate_cells`)."""
 
@@ -43,7 +41,7 @@ have."""
 
 def find_deck_cells(
     store: TileStore, *, spec: RasterSpec, block: Block, rule: GroundSelection
-) -> Found:
+) -> Counts:
     """Find the cells of a block of coarse cells that may be part of a deck.
 
     The rule for ground points has no edits, because the search for decks precedes all edits.
@@ -86,7 +84,7 @@ def examine_decks(
     rule: GroundSelection,
     spec: RasterSpec,
     candidates: tuple[CandidateCells, ...],
-) -> Found:
+) -> Counts:
     """Decide which candidates in a raster of coarse cells are decks of bridges.
 
     Returns
@@ -115,7 +113,7 @@ def _examine(
     spec: RasterSpec,
     cells: CandidateCells,
     window: Bounds,
-    points: Counts,
+    points: Int64,
     ground: Bools,
     metres: Any,
 ) -> tuple[DeckRecord | None, str]:
@@ -166,7 +164,7 @@ def examined_bounds(spec: RasterSpec, cells: CandidateCells, metres_per_count: f
 
 def _voxels(
     store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any
-) -> tuple[Counts, Bools]:
+) -> tuple[Int64, Bools]:
     """Return the centres of the voxels with points, (n, 3) in counts, and a mask of the voxels with ground points.
 
     Each voxel gets a number, so that the voxels of all buckets can be sorted.
@@ -209,7 +207,7 @@ def _points(
 
 def _cells(
     points: PointBlock, chosen: Bools, store: TileStore, spec: RasterSpec, window: Block
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+) -> tuple[Int64, Int64]:
     """Return row and column of the cell of each chosen point, counted from the first row and column of a window."""
     x, y = (
         points.xyz[axis][chosen].astype(np.int64) + store.meta.frame.origin[axis]

@@ -39,11 +39,9 @@ def report_canopy(job: Job, labelled: Labelled) -> None:
         return
     blocks, unit = labelled.canopy.blocks, float(job.plan.frame.units.horizontal)
     fullest = sorted(blocks, key=lambda block: (-blocks[block], block))[:MAX_POSITIONS]
-    centres = []
-    for column, row in fullest:
-        centres.append(
-            [round((column + 0.5) * BLOCK_M / unit, 1), round((row + 0.5) * BLOCK_M / unit, 1)]
-        )
+    centres = [
+        [round((index + 0.5) * BLOCK_M / unit, 1) for index in block] for block in fullest
+    ]
     job.results.canopy = replace(job.results.canopy, places=centres, rings=_rings(blocks, unit))
     if share < MIN_WARNED_SHARE:
         return

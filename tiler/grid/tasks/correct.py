@@ -113,10 +113,11 @@ def _user_edits(
         for number, *bucket_counts in stored["edits"]:
             counts[number] += bucket_counts
     has_no_labels = ground_rule(job.plan).labels is None
-    edits = []
-    for edit in job.plan.inputs.edits:
-        has_no_ground = has_no_labels or not counts[edit.number][-1]
-        edits.append(replace(edit, lowest=edit.action == TO_GROUND and has_no_ground))
+    has_ground = {number: not has_no_labels and n[-1] > 0 for number, n in counts.items()}
+    edits = [
+        replace(edit, lowest=edit.action == TO_GROUND and not has_ground[edit.number])
+        for edit in job.plan.inputs.edits
+    ]
     rings = rings_of_areas([edit.area for edit in edits])
     job.results.edits = [
         replace(_result(edit, counts[edit.number].tolist()), rings=rings_of_edit)

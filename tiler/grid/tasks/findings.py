@@ -10,7 +10,6 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 
 from ptd.matched.crowns import Crowns
@@ -30,6 +29,7 @@ from tiler.core.results import (
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.errors import CorruptStoreError, ProcessingError
+from tiler.grid.arrays import Index, Int64
 from tiler.grid.coarse import join_pieces, touching_cells
 from tiler.grid.flaws import (
     ABOVE_M,
@@ -170,11 +170,8 @@ def places_of(
         Area of a pixel.
     """
     found = {(block.row, block.col): counts for block, counts in of_blocks.items()}
-    sides = {at: counts["sides"] for at, counts in found.items()}
-    numbers = {at: counts["labels"] for at, counts in found.items()}
-    joined = join_pieces(sides, numbers, corners=True)
     least, places = min_pixels(pixel_m2), []
-    for pieces in joined.areas.values():
+    for pieces in join_pieces(found, corners=True).areas.values():
         parts = [found[piece.row, piece.col]["places"][piece.label - 1] for piece in pieces]
         n_pixels, spans, heights = zip(*parts, strict=True)
         pixels = int(sum(n_pixels))
@@ -379,9 +376,7 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
     ]
 
 
-def _central_cells(
-    void_of_cell: Any, n_holes: Any, positions: npt.NDArray[np.int64]
-) -> npt.NDArray[np.intp]:
+def _central_cells(void_of_cell: Any, n_holes: Any, positions: Int64) -> Index:
     """Return for each void its cell with most holes, of several the one next to their mean."""
     most = np.zeros(void_of_cell.max() + 1, np.int64)
     np.maximum.at(most, void_of_cell, n_holes)

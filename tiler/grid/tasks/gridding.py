@@ -18,13 +18,21 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import GROUND, LABELS
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.records import BlockRecord, records_of
 from tiler.core.water import Waters
 from tiler.grid.block import full_halo
 from tiler.grid.coarse import Joined, coarse_raster, join_pieces
 from tiler.grid.records import Facets, GroundSelection
 from tiler.grid.steps import Counts, Sources
 from tiler.plan import KEEP, Plan
-from tiler.runs.found import CanopyCells, Gridded, IngestResult, checksums, skip_flags
+from tiler.runs.found import (
+    CanopyCells,
+    Gridded,
+    IngestResult,
+    checksums,
+    final_raster,
+    skip_flags,
+)
 from tiler.store import Commits
 
 
@@ -91,18 +99,6 @@ ERODE_RISE_M = 1
 (``--erode``), in metres."""
 Place = tuple[int, int]
 """First row and column of a block."""
-
-
-def _raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
-    """Return the pixel grid around the stored points, or around their part in the area of the run.
-
-    The edges of pixels lie at multiples of the resolution. Points exactly on the outer edge of
-    the grid do not add pixels.
-    """
-    extent = assembled.bounds
-    if plan.inputs.area is not None:
-        extent = extent.intersection(plan.inputs.area.bounds)
-    return RasterSpec.enclosing(Lattice(plan.frame.counts(plan.grid.resolution)), extent)
 
 
 def ground_rule(plan: Plan) -> GroundSelection:
@@ -254,13 +250,25 @@ class GridContext:
         spec, made = self.spec_of(grid), self.made[raster].items()
         return {spec.block_named(name, side): stored for name, (_, stored) in made}
 
+    def delivered_heights(self, model: str) -> int:
+        """Return the number of pixels with a height in the raster that is delivered as a model."""
+        made = self.made[final_raster(model, self.plan.config)]
+        return sum(record.filled for record in records_of(BlockRecord, made))
+
+    def counts_at(self, raster: str, grid: Grid = Grid.COARSE) -> dict[Place, Counts]:
+        """Return the counts of each finished block of a raster by place."""
+        counts = self.counts(raster, grid).items()
+        return {(block.row, block.col): of_block for block, of_block in counts}
+
+    def places_with(self, raster: str, count: str, grid: Grid = Grid.COARSE) -> list[Place]:
+        """Return the places of the blocks of a raster in which a count is not 0."""
+        counts = self.counts_at(raster, grid).items()
+        return [place for place, of_block in counts if of_block[count]]
+
     def areas(self, raster: str, corners: bool = False) -> Joined:
         """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""
         if raster not in self._areas:
-            counts = {(b.row, b.col): stored for b, stored in self.counts(raster).items()}
-            sides = {place: stored["sides"] for place, stored in counts.items()}
-            labels = {place: stored["labels"] for place, stored in counts.items()}
-            self._areas[raster] = join_pieces(sides, labels, corners)
+            self._areas[raster] = join_pieces(self.counts_at(raster), corners)
         return self._areas[raster]
 
     @property
@@ -272,8 +280,16 @@ class GridContext:
 
     @property
     def spec(self) -> RasterSpec:
-        """Pixel grid of the products."""
-        return _raster_spec(self.plan, self.assembled)
+        """Pixel grid of the products around the stored points, or around their part in the area of the run.
+
+        The edges of pixels lie at multiples of the resolution. Points exactly on the outer edge of
+        the grid do not add pixels.
+        """
+        plan = self.plan
+        extent = self.assembled.bounds
+        if plan.inputs.area is not None:
+            extent = extent.intersection(plan.inputs.area.bounds)
+        return RasterSpec.enclosing(Lattice(plan.frame.counts(plan.grid.resolution)), extent)
 
     @property
     def coarse(self) -> RasterSpec:

@@ -37,7 +37,7 @@ from ptd.matched.cells import CELL_M
 from tiler.config import AUTO_WATER, VOID_CANOPY
 from tiler.core.products import MASK_VALUES, MODELS, OUTSIDE, PRODUCTS, Read
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.core.records import BlockRecord, digest_of, records_of
+from tiler.core.records import digest_of
 from tiler.core.results import SurfaceResult
 from tiler.grid import derived
 from tiler.grid.block import full_halo
@@ -79,8 +79,9 @@ from tiler.grid.tasks.steps import (
     all_of,
     any_of,
     block_names,
-    enclosed_by,
-    near_points,
+    blocks_with,
+    enclosed_by_survey,
+    near_blocks,
 )
 from tiler.grid.tasks.terrain import TERRAIN, TERRAIN_OF_CANOPIES, TERRAIN_OF_WATER, OnTin
 from tiler.grid.tasks.water_search import water_steps
@@ -240,9 +241,8 @@ def _product_steps(plan: Plan) -> list[Step]:
 
 
 def _surface_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
-    delivered = context.made[final_raster("dsm", job.plan.config)]
     job.results.dsm = SurfaceResult(
-        filled=sum(record.filled for record in records_of(BlockRecord, delivered)),
+        filled=context.delivered_heights("dsm"),
         measured=sum(counts["measured"] for counts in of_blocks.values()),
     )
 
@@ -313,7 +313,7 @@ def _survey_steps(plan: Plan) -> list[Step]:
                     "place": Read("place"),
                     "products": Read("products"),
                 },
-                _enclosed,
+                enclosed_by_survey,
                 fill=0.0,
                 grid=Grid.COARSE,
             ),
@@ -326,11 +326,8 @@ def _near_points(step: Step, context: GridContext, _: Near) -> Mapping[Block, Va
     if step.name.startswith(SEARCHED) and not context.water_is_sought:
         return {}
     reach_blocks = math.ceil((step.values["max_gap"] + 2) / BLOCK_PIXELS)
-    return dict.fromkeys(near_points(context, "occupancy", reach_blocks), NONE)
-
-
-def _enclosed(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
-    return enclosed_by(context, step.inputs[0])
+    with_points = context.places_with("occupancy", "filled")
+    return dict.fromkeys(near_blocks(context.coarse, with_points, reach_blocks), NONE)
 
 
 def _void_steps(plan: Plan) -> list[Step]:
@@ -349,7 +346,7 @@ def _void_steps(plan: Plan) -> list[Step]:
                     "survey": Read("numbers:survey", margin),
                     "place": Read("place"),
                 },
-                _inside_survey,
+                blocks_with("survey", "inside"),
                 fill=0.0,
                 grid=Grid.COARSE,
             ),
@@ -369,15 +366,10 @@ def _void_steps(plan: Plan) -> list[Step]:
     return steps
 
 
-def _inside_survey(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
-    found = context.counts("survey").items()
-    return {block: NONE for block, counts in found if counts["inside"]}
-
-
 def _with_voids(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
     """Return the blocks of a model and those near its voids, each with the voids near it."""
     spec, (model, voids) = context.spec, step.inputs
-    found = {(block.row, block.col): counts for block, counts in context.counts(voids).items()}
+    found = context.counts_at(voids)
     near: dict[str, list[Void]] = {key: [] for key in context.made[model]}
     for pieces in context.areas(voids, corners=True).areas.values():
         runs: Runs = []
@@ -416,14 +408,9 @@ def _canopy_steps(plan: Plan) -> list[Step]:
                 "bridge": Read(f"canopy-grid:{CANOPY_TERRAIN}", margin),
                 "place": Read("place"),
             },
-            _with_canopy,
+            blocks_with(CANOPY, "filled", Grid.PIXELS),
         ),
     ]
-
-
-def _with_canopy(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
-    found = context.counts(CANOPY, Grid.PIXELS).items()
-    return {block: NONE for block, counts in found if counts["filled"]}
 
 
 def _outline_steps(plan: Plan) -> list[Step]:

@@ -53,9 +53,11 @@ def near_places(coarse: RasterSpec, places: Iterable[Place], n_blocks: int = 1) 
     Places outside the raster are left out.
     """
     offsets = [step * BLOCK_PIXELS for step in range(-n_blocks, n_blocks + 1)]
-    near: set[Place] = set()
-    for row, col in places:
-        near.update((row + down, col + right) for down, right in product(offsets, offsets))
+    near = {
+        (row + down, col + right)
+        for row, col in places
+        for down, right in product(offsets, offsets)
+    }
     return sorted(
         (row, col) for row, col in near if 0 <= row < coarse.height and 0 <= col < coarse.width
     )
@@ -66,23 +68,17 @@ def block_names(places: Iterable[Place]) -> list[str]:
     return [Block(*place, 0, 0).name for place in places]
 
 
-def near_points(context: GridContext, occupancy: str, n_blocks: int) -> Iterator[Block]:
-    """Yield the blocks of coarse cells up to ``n_blocks`` away from one with points."""
-    coarse = context.coarse
-    occupied = [
-        (block.row, block.col)
-        for block, counts in context.counts(occupancy).items()
-        if counts["filled"]
-    ]
-    for place in near_places(coarse, occupied, n_blocks):
-        yield coarse.block_at(*place, BLOCK_PIXELS)
+def near_blocks(coarse: RasterSpec, places: Iterable[Place], n_blocks: int = 1) -> list[Block]:
+    """Return the blocks at `near_places`."""
+    near = near_places(coarse, places, n_blocks)
+    return [coarse.block_at(*place, BLOCK_PIXELS) for place in near]
 
 
-def enclosed_by(context: GridContext, opened: str) -> dict[Block, dict[str, Any]]:
+def enclosed_by_survey(step: Step, context: GridContext, _: Near) -> Mapping[Block, Values]:
     """Return the blocks of open areas, and the missing blocks that the survey encloses, with the values of `survey`."""
     coarse = context.coarse
-    found = context.counts(opened)
-    sides = {(block.row, block.col): counts["sides"] for block, counts in found.items()}
+    opened = context.counts_at(step.inputs[0])
+    sides = {place: counts["sides"] for place, counts in opened.items()}
     outside, empty = outside_of(sides)
     values = {}
     for place in {*sides, *empty}:
@@ -135,22 +131,22 @@ def outside_of(
     outside: dict[Place, list[Piece]] = defaultdict(list)
     for piece in sorted(node for node in beyond if isinstance(node, Piece)):
         outside[piece.row, piece.col].append(piece)
-    enclosed: set[Place] = set()
-    for gap in all_gaps:
-        if gap not in beyond:
-            enclosed.update(
-                (gap.row, col) for col in range(gap.first, gap.last + 1, BLOCK_PIXELS)
-            )
+    enclosed = {
+        (gap.row, col)
+        for gap in all_gaps
+        for col in range(gap.first, gap.last + 1, BLOCK_PIXELS)
+        if gap not in beyond
+    }
     return outside, enclosed
 
 
 def _missing_runs(row: int, cols: list[int]) -> list[_MissingRun]:
     """Return the gaps between the blocks of a row."""
-    gaps = []
-    for col, next_col in pairwise(cols):
-        if next_col - col > BLOCK_PIXELS:
-            gaps.append(_MissingRun("gap", row, col + BLOCK_PIXELS, next_col - BLOCK_PIXELS))
-    return gaps
+    return [
+        _MissingRun("gap", row, col + BLOCK_PIXELS, next_col - BLOCK_PIXELS)
+        for col, next_col in pairwise(cols)
+        if next_col - col > BLOCK_PIXELS
+    ]
 
 
 def _missing_run_at(gaps: Mapping[int, list[_MissingRun]], row: int, col: int) -> _MissingRun:
@@ -168,10 +164,11 @@ def _facing(
 
     `BEYOND_ALL` is one of them if the gap extends beyond the first or last block of that row, or if the row is missing.
     """
-    touching_gaps = []
-    for other in gaps.get(row, ()):
-        if other.first <= gap.last and gap.first <= other.last:
-            touching_gaps.append(other)
+    touching_gaps = [
+        other
+        for other in gaps.get(row, ())
+        if other.first <= gap.last and gap.first <= other.last
+    ]
     cols = columns.get(row)
     if cols is None or gap.first < cols[0] or gap.last > cols[-1]:
         touching_gaps.append(BEYOND_ALL)
@@ -209,6 +206,13 @@ def any_of(*names: str) -> Over:
     return lambda step, context, near: dict.fromkeys(
         set.union(*(set(_blocks(step, name, context, near)) for name in names)), NONE
     )
+
+
+def blocks_with(raster: str, count: str, grid: Grid = Grid.COARSE) -> Over:
+    """Return the rule for the blocks of another raster in which a count is not 0."""
+    return lambda _, context, __: {
+        block: NONE for block, counts in context.counts(raster, grid).items() if counts[count]
+    }
 
 
 @dataclass(frozen=True)

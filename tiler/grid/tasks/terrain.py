@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.core.edits import OF_PIXELS
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
 from tiler.core.records import BucketRecord
+from tiler.grid.arrays import Int64
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.ground import max_points_in_bucket
 from tiler.grid.records import GridBlock
@@ -39,7 +39,6 @@ WORTH_DIVIDING = 0.95
 so far."""
 
 Records = Mapping[Cell, BucketRecord]
-Ints = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -123,8 +122,7 @@ def _where_water_is_sought(context: GridContext) -> Collection[Place] | None:
 
 
 def _near_canopies(context: GridContext) -> set[Place]:
-    found = context.counts(CANOPY_CELLS, Grid.CANOPY).items()
-    places = [(block.row, block.col) for block, counts in found if counts["filled"]]
+    places = context.places_with(CANOPY_CELLS, "filled", Grid.CANOPY)
     return set(near_places(context.canopy_cells, places))
 
 
@@ -150,8 +148,8 @@ class _Group:
         Number of pixels of the rectangle around the blocks.
     """
 
-    blocks: Ints
-    buckets: Ints
+    blocks: Int64
+    buckets: Int64
     points: int
     pixels: int
 
@@ -208,15 +206,12 @@ def _fitting(layout: _Layout, max_points: int) -> list[_Group]:
     while todo:
         group = todo.pop()
         halves = layout.halves(group)
-        if halves and (_too_large(group, max_points) or _total_cost(halves) < group.cost):
+        too_large = group.points > max_points or group.pixels > MAX_PIXELS
+        if halves and (too_large or _total_cost(halves) < group.cost):
             todo += halves
         else:
             groups.append(group)
     return groups
-
-
-def _too_large(group: _Group, max_points: int) -> bool:
-    return group.points > max_points or group.pixels > MAX_PIXELS
 
 
 def _balanced(layout: _Layout, groups: list[_Group], workers: int) -> list[_Group]:
@@ -281,7 +276,7 @@ class _Layout:
                 )
         return min(divisions)[-1] if divisions else []
 
-    def _group(self, blocks: Ints, buckets: Ints) -> _Group:
+    def _group(self, blocks: Int64, buckets: Int64) -> _Group:
         """Return the group of some blocks. All buckets of its window must be among ``buckets``."""
         row, col = self._start[blocks].min(axis=0).tolist()
         height, width = (self._stop[blocks].max(axis=0) - (row, col)).tolist()

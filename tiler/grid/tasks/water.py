@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 
+import numpy as np
+
 from tiler.config import AUTO_WATER
 from tiler.core.area import AreaIndex
 from tiler.core.breaklines import rings_of_areas
@@ -46,12 +48,14 @@ def find_waters(job: Job, context: GridContext) -> Waters:
     bodies = _bodies_in_data(job, context) if auto else context.plan.inputs.waters
     tasks = list(_level_tasks(context, bodies))
     made = run_stage(job, STAGE, tasks) if tasks else {}
+    records = {
+        body.number: LevelRecord.of(made[_key(body)][1])
+        for body in bodies
+        if _key(body) in made
+    }
     levelled: list[Water] = []
-    records: dict[int, LevelRecord] = {}
     for body in bodies:
-        record = LevelRecord.of(made[_key(body)][1]) if _key(body) in made else None
-        if record is not None:
-            records[body.number] = record
+        record = records.get(body.number)
         if body.levelled:
             levelled.append(body)
         elif record is not None and record.body is not None:
@@ -128,10 +132,9 @@ def _body_tasks(context: GridContext) -> Iterator[Task]:
 def _buckets_near(context: GridContext, places: list[Place]) -> list[Cell]:
     """Return the buckets in and near some blocks of coarse cells."""
     buckets, coarse = context.plan.buckets, context.coarse
-    cells: set[Cell] = set()
-    for place in places:
-        block = padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN)
-        cells.update(buckets.among(coarse.block_bounds(block), context.labels))
+    blocks = [padded(coarse.block_at(*at, BLOCK_PIXELS), BANK_MARGIN) for at in places]
+    bounds = [coarse.block_bounds(block) for block in blocks]
+    cells = {cell for near in bounds for cell in buckets.among(near, context.labels)}
     return sorted(cells, key=row_by_row)
 
 
@@ -290,8 +293,6 @@ def _result(body: Water, pixels: int, pixel_m2: float) -> WaterResult:
 
 def _stations(body: Water) -> list[StationResult]:
     """Return the stations of a river, in units of the CRS."""
-    import numpy as np
-
     if not body.stations:
         return []
     along = lengths_along(np.array([station[:2] for station in body.stations]))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from tiler.core.lattice import Bounds
@@ -19,7 +20,7 @@ from tiler.grid.coarse import Joined, Piece, around, padded
 from tiler.grid.coverage import usual_returns
 from tiler.grid.steps import Counts
 from tiler.grid.tasks.gridding import Grid, GridContext, Place, coarse_cell_m, has_large_pixels
-from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values, near_places
+from tiler.grid.tasks.steps import NONE, Near, Over, Step, Values, near_blocks, near_places
 from tiler.grid.water_cells import (
     ENOUGH_RETURNS,
     NEAR_CELLS,
@@ -43,11 +44,6 @@ from tiler.grid.water_search import MARGIN, count_rims, find_areas, keep_areas
 from tiler.plan import Plan
 
 Reads = Mapping[str, Read]
-
-
-def _counts_at(context: GridContext, raster: str) -> dict[Place, Counts]:
-    """Return the counts of each finished block of a raster of coarse cells, by place."""
-    return {(block.row, block.col): counts for block, counts in context.counts(raster).items()}
 
 
 def water_steps(plan: Plan) -> list[Step]:
@@ -142,7 +138,7 @@ def _with_heights(step: Step, context: GridContext, _: Near) -> Mapping[Block, V
     """Return the blocks that overlap a block of the terrain with heights, if water is sought."""
     if not context.water_is_sought:
         return {}
-    coarse, counts = context.coarse, _counts_at(context, "occupancy")
+    coarse = context.coarse
     read = step.reads["heights"]
     spec = context.spec if read.kind == "pixels" else coarse
     blocks: set[Block] = set()
@@ -150,7 +146,7 @@ def _with_heights(step: Step, context: GridContext, _: Near) -> Mapping[Block, V
         if terrain["filled"]:
             bounds = spec.block_bounds(spec.block_named(key, BLOCK_PIXELS))
             blocks.update(coarse.blocks_within(bounds, BLOCK_PIXELS))
-    wet = {at for at, of_block in counts.items() if of_block["water"]}
+    wet = set(context.places_with("occupancy", "water"))
     return {
         block: {"is_wet": not wet.isdisjoint(around(block.row, block.col))} for block in blocks
     }
@@ -162,7 +158,7 @@ def _may_have_water(_: Step, context: GridContext, __: Near) -> Mapping[Block, V
     A block may have water if the usual number of returns per cell is known in the block and its
     neighbours, or if the input has the class of water there.
     """
-    counts, values = _counts_at(context, "occupancy"), {}
+    counts, values = context.counts_at("occupancy"), {}
     for block, domain in context.counts("domain").items():
         near = [counts[at] for at in around(block.row, block.col) if at in counts]
         usual = None
@@ -178,7 +174,7 @@ def _may_have_water(_: Step, context: GridContext, __: Near) -> Mapping[Block, V
 def _near_candidates(_: Step, context: GridContext, __: Near) -> Mapping[Block, Values]:
     """Return the blocks with a candidate and their neighbours."""
     areas = "water-areas"
-    labelled = [at for at, counts in _counts_at(context, areas).items() if counts["labels"]]
+    labelled = context.places_with(areas, "labels")
     return _on_areas(context, areas, near_places(context.coarse, labelled))
 
 
@@ -226,7 +222,7 @@ def _on_areas(
     **more: Callable[[Place], Any],
 ) -> dict[Block, Values]:
     """Return the values of steps on candidates or planes at some places."""
-    counts, joined = _counts_at(context, areas), context.areas(areas)
+    counts, joined = context.counts_at(areas), context.areas(areas)
     values: dict[Block, Values] = {}
     for place in places:
         values[context.coarse.block_at(*place, BLOCK_PIXELS)] = {
@@ -252,13 +248,10 @@ def _near_water(_: Step, context: GridContext, __: Near) -> Mapping[Block, Value
 
 
 def _blocks_near_water(context: GridContext) -> list[Block]:
-    coarse = context.coarse
-    places: set[Place] = set()
-    for name in ("water-sure", "water-plane-sure"):
-        places.update(
-            at for at, counts in _counts_at(context, name).items() if counts["filled"]
-        )
-    return [coarse.block_at(*at, BLOCK_PIXELS) for at in near_places(coarse, places)]
+    of_rasters = (
+        context.places_with(name, "filled") for name in ("water-sure", "water-plane-sure")
+    )
+    return near_blocks(context.coarse, chain.from_iterable(of_rasters))
 
 
 def _decks_near(context: GridContext, block: Block) -> list[tuple[int, ...]]:
@@ -285,15 +278,13 @@ def _names_near(
     names_by_place: Mapping[Place, Sequence[Piece]], place: Place
 ) -> tuple[Piece, ...]:
     """Return the names of the areas that extend into a block or its neighbours."""
-    names: set[Piece] = set()
-    for other in around(*place):
-        names.update(names_by_place.get(other, ()))
+    names = {name for other in around(*place) for name in names_by_place.get(other, ())}
     return tuple(sorted(names))
 
 
 def area_sums(context: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
     """Return the sums of ``sizes`` of the counts over the pieces of each area of a raster, by its name."""
-    counts, sums = _counts_at(context, areas), {}
+    counts, sums = context.counts_at(areas), {}
     for name, pieces in context.areas(areas).areas.items():
         sizes = [counts[p.row, p.col]["sizes"][p.label - 1] for p in pieces]
         sums[name] = tuple(map(sum, zip(*sizes, strict=True)))
@@ -303,12 +294,16 @@ def area_sums(context: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
 def _confident_areas(context: GridContext, areas: str, rims: str) -> dict[Piece, float]:
     """Return the candidates that are water, each with its confidence."""
     rim_by_area = _rims(context, rims)
-    kept = {}
-    for name, size in area_sums(context, areas).items():
-        confidence = water_confidence(CellCounts(*size), rim_by_area.get(name, Rim()))
-        if confidence is not None:
-            kept[name] = confidence
-    return kept
+    confidences = {
+        name: water_confidence(CellCounts(*size), rim_by_area.get(name, Rim()))
+        for name, size in area_sums(context, areas).items()
+    }
+    return _of_water(confidences)
+
+
+def _of_water(confidences: Mapping[Piece, float | None]) -> dict[Piece, float]:
+    """Return the areas that are not land (see `water_confidence`)."""
+    return {name: sure for name, sure in confidences.items() if sure is not None}
 
 
 def _rims(context: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
@@ -331,21 +326,20 @@ def _likely_planes(context: GridContext, planes: str) -> tuple[list[Piece], list
     The rims of the planes are not used.
     """
     config = context.plan.config
-    joined, counts = context.areas(planes), _counts_at(context, planes)
+    joined, counts = context.areas(planes), context.counts_at(planes)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
     # The cells along the shore are not part of a plane, so half of the area is enough.
     min_cells = min_m2 / float(context.coarse_m) ** 2 / 2
-    sizes = {}
-    for name, size in area_sums(context, planes).items():
-        if size[0] >= min_cells:
-            sizes[name] = Plane(*size)
+    sums = area_sums(context, planes).items()
+    sizes = {name: Plane(*size) for name, size in sums if size[0] >= min_cells}
     boxes = {name: _box(joined.areas[name], counts) for name in sizes}
     evident = [name for name, plane in sizes.items() if plane.is_evident]
     max_gap = DAM_M / float(context.coarse_m) + SHORE_CELLS
-    others = []
-    for name in sizes.keys() - set(evident):
-        if any(_are_near(boxes[name], boxes[other], max_gap) for other in evident):
-            others.append(name)
+    others = [
+        name
+        for name in sizes.keys() - set(evident)
+        if any(_are_near(boxes[name], boxes[other], max_gap) for other in evident)
+    ]
     return sorted(evident), sorted(others)
 
 
@@ -374,24 +368,16 @@ def _confident_planes(context: GridContext, planes: str, rims: str) -> dict[Piec
     other_water = {name: confidences[name] for name in others if name in confidences}
     # The planes above and below a dam may both be water. So planes of ``others`` that are water
     # do not count as land in the rims of the evident planes next to them.
-    next_to_others: set[Piece] = set()
-    for name in other_water:
-        next_to_others |= neighbours[name]
-    for name in evident:
-        if name in next_to_others and name in confidences_without_others:
-            kept[name] = confidences_without_others[name]
-    evident_water = set(kept)
-    for name, confidence in other_water.items():
-        if neighbours[name] & evident_water:
-            kept[name] = confidence
-    return kept
+    next_to_others = set[Piece]().union(*(neighbours[name] for name in other_water))
+    for name in next_to_others.intersection(evident, confidences_without_others):
+        kept[name] = confidences_without_others[name]
+    near_evident = {
+        name: sure for name, sure in other_water.items() if neighbours[name] & kept.keys()
+    }
+    return kept | near_evident
 
 
 def _plane_confidences(context: GridContext, rims: str, number: int) -> dict[Piece, float]:
     """Return the confidences of the planes that are water according to the rim ``number`` (see `_rims`)."""
-    confidences = {}
-    for name, rim in _rims(context, rims, number).items():
-        confidence = water_confidence(CellCounts(), rim)
-        if confidence:
-            confidences[name] = confidence
-    return confidences
+    of_planes = _rims(context, rims, number).items()
+    return _of_water({name: water_confidence(CellCounts(), rim) for name, rim in of_planes})
