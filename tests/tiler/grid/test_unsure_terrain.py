@@ -126,8 +126,7 @@ def test_a_place_is_not_listed_where_an_object_is(make_scene) -> None:
     )
     notes: list[str] = []
     job = SimpleNamespace(plan=plan, results=SimpleNamespace(), note=notes.append)
-    report_left_objects(job, spec, blocks)
-    report_unsure(job, spec, blocks)
+    report_unsure(job, spec, blocks, report_left_objects(job, spec, blocks))
     norths = [place.bounds[3] for place in job.results.unsure]
     assert norths == [float(spec.north - row) for row in (30, 50)]
     assert notes[1] == "the terrain is unsure in 2 places, see review.gpkg"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,10 @@ LISTED = 0.5
 """Share of an unsure place in objects from which it is not listed again."""
 
 
-def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
-    """Add to run.json the objects that are probably left in the terrain, and note them."""
+def report_left_objects(
+    job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]
+) -> list[LeftObject]:
+    """Add to run.json the objects that are probably left in the terrain, and note them. Return all of them."""
     pixel_m2 = float(job.plan.grid.resolution**2)
     found = [
         _object(spec, values, pixel_m2)
@@ -40,27 +42,31 @@ def report_left_objects(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Co
             f"x {(west + east) / 2:.0f}, y {(south + north) / 2:.0f}, "
             f"{length_text(round(found[0].height_m, 1), unit)} above the land around"
         )
+    return found
 
 
-def report_unsure(job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts]) -> None:
+def report_unsure(
+    job: Job, spec: RasterSpec, of_blocks: Mapping[Block, Counts], objects: Iterable[LeftObject]
+) -> None:
     """Add to run.json the places where the terrain is unsure, and note their number.
 
-    Those are left out of which listed objects cover `LISTED` or more.
+    Those are left out of which ``objects`` cover `LISTED` or more.
     """
     pixel_m2 = float(job.plan.grid.resolution**2)
-    objects = shapely.union_all([area_within(o.rings) for o in job.results.left_objects])
+    areas = shapely.STRtree([area_within(left.rings) for left in objects])
     every = [values for counts in of_blocks.values() for values in counts["unsure"]]
     every.sort(key=lambda v: (-v["chance"] * v["error_m"] ** 2 * v["pixels"], v["rectangles"]))
     places = (_unsure(spec, values, pixel_m2) for values in every)
-    others = (p for p in places if not _is_covered(area_within(p.rings), objects))
+    others = (p for p in places if not _is_covered(area_within(p.rings), areas))
     job.results.unsure = list(itertools.islice(others, MAX_LISTED))
     if job.results.unsure:
         listed = counted(len(job.results.unsure), "place")
         job.note(f"the terrain is unsure in {listed}, see review.gpkg")
 
 
-def _is_covered(area: Any, objects: Any) -> bool:
-    return bool(area.intersection(objects).area >= LISTED * area.area)
+def _is_covered(area: Any, objects: shapely.STRtree) -> bool:
+    near = objects.geometries[objects.query(area)]
+    return bool(area.intersection(shapely.union_all(near)).area >= LISTED * area.area)
 
 
 def _loss(place: LeftObject) -> float:

@@ -258,8 +258,8 @@ def _of_searched_kinds(step: Step, context: GridContext, near: Near) -> Mapping[
 
 
 def _left_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
-    report_left_objects(job, context.spec, of_blocks)
-    report_unsure(job, context.spec, of_blocks)
+    objects = report_left_objects(job, context.spec, of_blocks)
+    report_unsure(job, context.spec, of_blocks, objects)
 
 
 def _mask_found(job: Job, context: GridContext, of_blocks: OfBlocks) -> None:
