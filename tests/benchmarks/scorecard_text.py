@@ -29,11 +29,12 @@ photogrammetric clouds, the DTM of `tiler run` is better
 The trees of the last look of `auto` were fitted to the semi-real scenes, so its figures there are too good. With each
 scene left out of the fit in turn, the mean total error is 1.85 % ([filters](filters.md)).
 
-Other filters (`peer`) are run on photogrammetric clouds if they are installed. For laser scans see the published
-figures. They are not timed. `floor` is not a filter but a limit. It has the errors if exactly the points nearer to
-the reference terrain than one height are ground, with the best height for the scene, and the DTM of the reference
-ground points. Most of these errors in simulated photogrammetric scenes are plants of 0.15 to 0.4 m that cover whole
-patches. Their tops are the surface of the cloud, and the simulator calls them objects.
+Other filters (`peer`) are run on photogrammetric clouds if they are installed. For laser scans see the
+[benchmarks](benchmarks.md#laser-scans-beside-other-programs) and the published figures. They are not timed. `floor`
+is not a filter but a limit. It has the errors if exactly the points nearer to the reference terrain than one height
+are ground, with the best height for the scene, and the DTM of the reference ground points. Most of these errors in
+simulated photogrammetric scenes are plants of 0.15 to 0.4 m that cover whole patches. Their tops are the surface of
+the cloud, and the simulator calls them objects.
 """
 
 
@@ -66,6 +67,8 @@ def markdown(
         HEAD.format(repeats=repeats),
         "## Means over the scenes of a class\n",
         _means(cells, families),
+        "## Overlap and correlation\n",
+        _overlap(cells, families),
     ]
     for group in dict.fromkeys(cell.group for cell in cells):
         parts += [f"## {_capital(group)}\n", _scenes([c for c in cells if c.group == group])]
@@ -156,6 +159,19 @@ def _mean_row(cells: Sequence[Cell], name: str, own: Sequence[Cell]) -> list[str
         )
         row.append(" / ".join(figures) + ("" if rmse is None else f", {rmse:.3f} m"))
     return row
+
+
+def _overlap(cells: Sequence[Cell], families: Sequence[str]) -> str:
+    """Mean IoU and MCC of each method in each class."""
+    rows = []
+    for family in families:
+        figures = []
+        for method in _methods(cells):
+            own = [c for c in cells if (c.method, c.family) == (method, family)]
+            figures.append(f"{percent(_mean(own, 'iou'))} / {percent(_mean(own, 'mcc'))}")
+        rows.append([family, *figures])
+    note = "IoU / MCC: intersection over union of ground, and correlation of both classes (Matthews).\n\n"
+    return note + table(["class", *_methods(cells)], rows)
 
 
 def _scenes(cells: Sequence[Cell]) -> str:

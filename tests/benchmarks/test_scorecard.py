@@ -19,7 +19,7 @@ from tests.benchmarks.scorecard_scenes import (
     read_clouds,
     simulated_scenes,
 )
-from tests.benchmarks.scorecard_text import markdown, table
+from tests.benchmarks.scorecard_text import markdown, percent, table
 from tiler.simulate import SCENES as SIMULATOR_SCENES
 
 
@@ -114,7 +114,10 @@ def test_low_points_of_raw_scenes_are_found_or_become_ground(
     # Of five low points three are noise, one is unclassified and one is ground.
     assert [(c["low_found"], c["low_as_ground"]) for c in cells] == [(0.6, 0.2), (None, 0.4)]
     assert cells[0]["type_1"] == 0.0
-    assert "| raw | 60.00 / 20.00 | - / 40.00 |" in (tmp_path / "card.md").read_text()
+    text = (tmp_path / "card.md").read_text()
+    assert "| raw | 60.00 / 20.00 | - / 40.00 |" in text
+    overlap = " | ".join(f"{percent(c['iou'])} / {percent(c['mcc'])}" for c in cells)
+    assert f"| {RAW} | {overlap} |" in text
 
 
 def test_raw_scenes_of_the_simulator_are_in_the_family_whose_low_points_count() -> None:
