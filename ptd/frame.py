@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.kernel import Bool, Int32, Int64
+from ptd.arrays import Bool, Int32, Int64
 
 OPEN = 2**40
 """Coordinate of an open side of a window, in counts. It is larger than the coordinates of all

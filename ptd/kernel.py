@@ -34,9 +34,21 @@ from typing import Any, ParamSpec, SupportsInt, TypeVar, cast
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from numba.core import caching as numba_caching
 from numba.core import config as numba_config
+
+from ptd.arrays import (
+    Bool,
+    Float32,
+    Float64,
+    Int16,
+    Int32,
+    Int64,
+    UInt8,
+    UInt16,
+    UInt32,
+    UInt64,
+)
 
 __all__ = [
     "Bool",
@@ -57,18 +69,6 @@ __all__ = [
     "inlined",
     "kernel",
 ]
-
-# Arrays, in the annotations of kernels and of the functions that call them.
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int16 = npt.NDArray[np.int16]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
-UInt16 = npt.NDArray[np.uint16]
-UInt32 = npt.NDArray[np.uint32]
-UInt64 = npt.NDArray[np.uint64]
 
 # The variables of this module are made at run time, so they have no types.
 config: Any = numba_config

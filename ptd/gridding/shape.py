@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ptd.kernel import Float64
+from ptd.arrays import Float64
 
 AZIMUTHS_DEG = (225.0, 270.0, 315.0, 360.0)
 ALTITUDE_DEG = 45.0

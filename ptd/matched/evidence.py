@@ -18,7 +18,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from ptd.kernel import Float64
+from ptd.arrays import Float64
 
 LIDAR, DIM = "lidar", "dim"
 

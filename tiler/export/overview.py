@@ -60,6 +60,7 @@ def write_overview(store: TileStore, *, overview: NewClasses, to: OutFile) -> Fi
 
     The cells are the smallest ones with which the overview has at most 1/`THINNING` of all points, and at most
     `MAX_POINTS`. Position, class, flags and returns of the points are those of the clouds. Other fields are 0.
+    Points outside the area are left out.
 
     Parameters
     ----------

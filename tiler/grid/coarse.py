@@ -414,7 +414,15 @@ def opened(cells: Bools, radius: float) -> Bools:
 
 def within_square(cells: Bools, radius: int) -> Bools:
     """Return a mask of the cells with a set cell within ``radius`` rows and columns."""
-    return scipy.ndimage.maximum_filter(cells, 2 * radius + 1, mode="constant")
+    near = cells.copy()
+    for step in range(1, radius + 1):
+        near[step:] |= cells[:-step]
+        near[:-step] |= cells[step:]
+    rows = near.copy()
+    for step in range(1, radius + 1):
+        near[:, step:] |= rows[:, :-step]
+        near[:, :-step] |= rows[:, step:]
+    return near
 
 
 def distances(cells: Bools, radius: float) -> Float64:

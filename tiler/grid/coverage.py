@@ -44,7 +44,7 @@ Histogram = list[list[int]]
 def merged(values: AnyArray, times: int) -> AnyArray:
     """Return the cells in squares of ``times`` by ``times``, shape (height / times, width / times, times ** 2)."""
     rows, cols = (side // times for side in values.shape)
-    return values.reshape(rows, times, cols, times).swapaxes(1, 2).reshape(rows, cols, -1)
+    return values.reshape(rows, times, cols, times).swapaxes(1, 2).reshape(rows, cols, times**2)
 
 
 def histograms(counts: Int64) -> list[Histogram]:

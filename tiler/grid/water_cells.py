@@ -413,6 +413,12 @@ def _low_shore(ground: Float64, shore: Bools, cells: Int64) -> Float64:
 def relief(ground: Float64) -> Float64:
     """Return the range of heights of each cell and its neighbours, infinite if one of these cells has no ground."""
     unknown = np.isnan(ground)
-    highest = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), 3)
-    lowest = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), 3)
-    return highest - lowest
+    high, low = np.where(unknown, np.inf, ground), np.where(unknown, -np.inf, ground)
+    for values, extreme in ((high, np.maximum), (low, np.minimum)):
+        pairs = extreme(values[1:], values[:-1])
+        extreme(values[1:], pairs, out=values[1:])
+        extreme(values[:-1], pairs, out=values[:-1])
+        pairs = extreme(values[:, 1:], values[:, :-1])
+        extreme(values[:, 1:], pairs, out=values[:, 1:])
+        extreme(values[:, :-1], pairs, out=values[:, :-1])
+    return high - low

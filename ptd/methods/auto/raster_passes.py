@@ -132,12 +132,12 @@ class RasterPass(LidarPass):
 
     @abstractmethod
     def block_codes(self, block: CellBlock, codes: UInt8) -> UInt8:
-        """Return the new codes of a block from its codes before the pass: uint8 [n]."""
+        """Return the new codes of a block from those of `first_codes`: uint8 [n]."""
 
 
 @dataclass(frozen=True)
 class SeedPass(RasterPass):
-    """Pass that classifies cells as low outliers, objects or seeds by openings with growing disks."""
+    """Pass that finds low outliers, and objects among the other cells by openings with growing disks."""
 
     name: str = "seeds"
     title = "find the first ground"
