@@ -108,7 +108,7 @@ def sample_of(
 
 
 def family_of(name: str) -> str:
-    """The site of a scene; all samples of a producer are one family."""
+    """The site of a laser scan, where all samples of a producer are one family, or a photogrammetric scene."""
     if name.startswith("scan_"):
         return name
     words = name.removeprefix("als_").removeprefix("dim_").removeprefix("area_").split("_")

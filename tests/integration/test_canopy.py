@@ -90,6 +90,23 @@ def test_a_canopy_is_bridged_and_marked_and_told(cloud: Path, tmp_path: Path) ->
     assert "canopy, bridged" in page
 
 
+def test_unsure_terrain_of_a_photogrammetric_cloud_is_listed(
+    cloud: Path, tmp_path: Path
+) -> None:
+    """Objects are searched in laser scans only, and neither if the kind of the cloud is not decided."""
+    run, _, _ = ran(cloud, tmp_path / "out")
+    assert run["unsure"]
+    assert run["left_objects"] == []
+    assert all(0.5 <= place["chance"] <= 0.9 for place in run["unsure"])
+    assert "unsure terrain" in (tmp_path / "out/report.html").read_text()
+    made = '"event": "task_done", "stage": "grid-dtm-left"'
+    assert made in (tmp_path / "out/events.jsonl").read_text()
+    given = ("--crs", "EPSG:32632", "--method", "keep", "--ground-classes", "0", "--in-process")
+    out = tmp_path / "kept"
+    assert main(["run", str(cloud), "-o", str(out), *given, "-q"]) == 0
+    assert made not in (out / "events.jsonl").read_text()
+
+
 def test_a_canopy_has_heights_where_facets_are_too_long(cloud: Path, tmp_path: Path) -> None:
     _, _, usual = ran(cloud, tmp_path / "out")
     _, heights, mask = ran(cloud, tmp_path / "short", "--max-edge", 10)

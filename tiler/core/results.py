@@ -547,7 +547,7 @@ class UnsurePlace(Record):
     slope : float
         Slope of the land (rise over run).
     objects : float
-        Share of objects among the returns around.
+        Share of objects among the points around.
     chance : float
         Chance that the terrain is wrong there.
     rings : Rings

@@ -211,12 +211,9 @@ def _counts(points: PointsNear, cells: PixelCells, box: Box) -> tuple[Int64, Int
     window = CellWindow(lattice.p, lattice.q, *place, *points.frame.origin)
     ground, objects = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     bounds = spec.block_bounds(part)
-    # For eroded ground, objects around the bounds are held. Those of all buckets may not fit into memory.
-    for cell in points.store.buckets_within(bounds):
-        its = bounds.intersection(points.store.meta.bucket.bounds(cell))
-        for bucket in classed(points.store, points.rule, its, objects=True):
-            add_counts(ground, bucket.xyz, window, bucket.is_ground)
-            add_counts(objects, bucket.xyz, window, bucket.is_object)
+    for bucket in classed(points.store, points.rule, bounds, objects=True):
+        add_counts(ground, bucket.xyz, window, bucket.is_ground)
+        add_counts(objects, bucket.xyz, window, bucket.is_object)
     return ground, objects
 
 

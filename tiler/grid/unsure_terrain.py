@@ -1,6 +1,6 @@
 """Places where the terrain is unsure: it is rough, and ground points are far.
 
-Under plants and on steep land, no return may have reached the ground. The TIN then spans plants or a valley. Such
+Under plants and on steep land, no point may lie on the ground. The TIN then spans plants or a valley. Such
 places do not stand up from the land around, as objects do (`tiler.grid.object_candidates`). Matching sees no ground
 under plants, in shadow and beside walls.
 
@@ -26,15 +26,15 @@ from tiler.grid.sigma import LASER, MATCHED
 SQUARE_M = 48.0
 """Side of the squares that cut places, which have whole cells."""
 TREND_M, NEARBY_M, AROUND_M = 9.0, 5.0, 21.0
-"""Sides of the windows of the trend, of the lowest cell and of the returns around."""
+"""Sides of the windows of the trend, of the lowest cell and of the points around."""
 FARTHEST_CELLS = 8
 """Distance from which ground is as good as none."""
 RIM_CELLS = 17
 """Distance from a cell within which all lies that decides on its measures, in cells of at least 0.65 m."""
 LEAST_AREA_M2, LEAST_SUM = 4.0, 16.0
 """Least area of a place, and least sum of the squares of its measures times the area of a cell, in m^5."""
-LEAST_RETURNS_M2 = 2.0
-"""Least number of returns around per square metre. In sparser scans, ground is far everywhere."""
+LEAST_POINTS_M2 = 2.0
+"""Least number of points around per square metre. In sparser clouds, ground is far everywhere."""
 LEAST_RISE, LEAST_ROOT = 0.05, 0.1
 """Added to rises and slopes, and to roots of distances, so that they have a logarithm."""
 MM = 1000.0
@@ -55,7 +55,7 @@ class Weights(NamedTuple):
     gap : float
         For the root of the distance to the nearest ground.
     objects : float
-        For the share of objects among the returns around.
+        For the share of objects among the points around.
     tilt : float
         For the slope of the land. On steep land, terrain is rough where it is right, too.
     steep : float
@@ -204,8 +204,8 @@ def measured(
     # At the border of the window, cells have no neighbours. They belong to no place of a block.
     measure[[0, -1]] = measure[:, [0, -1]] = 0.0
     half = _half(AROUND_M, cell_m)
-    n_objects, returns = (_around(n, half) for n in (objects, objects + ground))
-    is_dense = returns >= LEAST_RETURNS_M2 * (2 * half + 1) ** 2 * cell_m**2
+    n_objects, n_points = (_around(n, half) for n in (objects, objects + ground))
+    is_dense = n_points >= LEAST_POINTS_M2 * (2 * half + 1) ** 2 * cell_m**2
     cells = (measure >= least_measure) & is_dense & ~np.isnan(shape.heights)
     labels = _labels_in_squares(cells, corner, square_cells(cell_m))
     sizes = np.bincount(labels.ravel())
@@ -221,7 +221,7 @@ def measured(
     columns = (
         np.log(mean(shape.rise.ravel()[at]) + LEAST_RISE),
         np.log(mean(gap.ravel()[at]) + LEAST_ROOT),
-        mean(n_objects.ravel()[at] / returns.ravel()[at]),
+        mean(n_objects.ravel()[at] / n_points.ravel()[at]),
         np.log(mean(_slope(shape.trend, at, cell_m)) + LEAST_RISE),
         np.log(mean(_slope(shape.heights, at, cell_m)) + LEAST_RISE),
         np.log(area * cell_m**2),

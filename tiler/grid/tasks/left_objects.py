@@ -61,7 +61,8 @@ def report_unsure(
     job.results.unsure = list(itertools.islice(others, MAX_LISTED))
     if job.results.unsure:
         listed = counted(len(job.results.unsure), "place")
-        job.note(f"the terrain is unsure in {listed}, see review.gpkg")
+        least = "at least " if len(job.results.unsure) == MAX_LISTED else ""
+        job.note(f"the terrain is unsure in {least}{listed}, see review.gpkg")
 
 
 def _is_covered(area: Any, objects: shapely.STRtree) -> bool:
