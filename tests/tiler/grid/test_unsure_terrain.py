@@ -96,7 +96,9 @@ def found(
     return unsure_places(shape_of(heights, cell_m), n * seen, n * ~seen, cell_m, SEARCHES[kind])
 
 
-def test_a_place_is_not_listed_where_an_object_is(make_scene) -> None:
+def test_a_place_is_not_listed_where_an_object_is(
+    make_scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Objects cover half of the first place, less of the second one, and none of the third one."""
     spec = make_scene(np.zeros((1, 3), np.int64), np.array([2], np.uint8)).grid_into_store(
         "dtm", Fraction(1000)
@@ -126,10 +128,15 @@ def test_a_place_is_not_listed_where_an_object_is(make_scene) -> None:
     )
     notes: list[str] = []
     job = SimpleNamespace(plan=plan, results=SimpleNamespace(), note=notes.append)
-    report_unsure(job, spec, blocks, report_left_objects(job, spec, blocks))
+    objects = report_left_objects(job, spec, blocks)
+    report_unsure(job, spec, blocks, objects)
     norths = [place.bounds[3] for place in job.results.unsure]
     assert norths == [float(spec.north - row) for row in (30, 50)]
     assert notes[1] == "the terrain is unsure in 2 places, see review.gpkg"
+    monkeypatch.setattr("tiler.grid.tasks.left_objects.MAX_LISTED", 1)
+    report_unsure(job, spec, blocks, objects)
+    assert [place.bounds[3] for place in job.results.unsure] == norths[:1]
+    assert notes[2] == "the terrain is unsure in at least 1 place, see review.gpkg"
 
 
 @pytest.mark.parametrize("cell_m", np.linspace(0.65, 2.0, 28))
