@@ -140,6 +140,7 @@ def test_fixed_places_become_edits_and_the_changed_files_are_listed(
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*.tif")}
     run = made(cloud, out, edits=str(out / "review.gpkg"))
     assert run.summary["review"] == {"open": 0, "ok": 1, "fixed": 1}
+    assert [p["status"] for p in run.summary["problems"] if p["action"]] == ["ok"]
     assert [row["status"] for row in rows(out)] == ["ok", "fixed"]
     changes = json.loads((out / "changed.json").read_text())
     (sheet,) = changes["sheets"]
@@ -160,6 +161,7 @@ def test_fixed_places_become_edits_and_the_changed_files_are_listed(
     assert (heights[beside] != NODATA).all()
     again = made(cloud, out, edits=str(out / "review.gpkg"))
     assert again.did_nothing
+    assert again.summary["problems"] == run.summary["problems"]
     assert json.loads((out / "changed.json").read_text()) == changes
 
 

@@ -18,6 +18,7 @@ from tiler.apps.evaluate.rasters import open_raster
 from tiler.config import RunConfig, without_folders
 from tiler.core.crs import split_wkt, vertical_name
 from tiler.core.records import new_digest
+from tiler.core.review import OK
 from tiler.errors import ConfigError, InputError, write_error
 from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path
 from tiler.io.cloud_reading import BLOCK_BYTES
@@ -327,7 +328,9 @@ def _manifest(
         ],
         "verdicts": {
             "complete": run["exit_code"] == 0,
-            "problems": dict(Counter(problem["what"] for problem in run["problems"])),
+            "problems": dict(
+                Counter(p["what"] for p in run["problems"] if p.get("status") != OK)
+            ),
             "review": run.get("review"),
             "seams": seams_text(current["seams"]) if current.get("seams") else "not checked",
             "requirements": current.get("requirements", []),

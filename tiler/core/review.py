@@ -58,6 +58,8 @@ class ReviewRow:
         Text of the user.
     pixels : str
         Pixels in ``shape`` that form the place: `BARE` or `HOLES`. Empty if the shape is the place.
+    where : tuple of 4 float
+        West, south, east and north of the problem of the run; empty for a row of the user.
     """
 
     shape: str
@@ -73,6 +75,7 @@ class ReviewRow:
     sheet: str = ""
     note: str = ""
     pixels: str = ""
+    where: tuple[float, ...] = ()
 
 
 def is_place(layer: str, columns: Container[str]) -> bool:
@@ -85,23 +88,28 @@ def is_edit(status: Any) -> bool:
     return status is None or str(status).strip().lower() in ("", FIXED)
 
 
-def ranked(found: Sequence[ReviewRow], decided: Sequence[ReviewRow]) -> list[ReviewRow]:
+def ranked(
+    found: Sequence[ReviewRow], decided: Sequence[ReviewRow]
+) -> tuple[list[ReviewRow], list[ReviewRow]]:
     """Return the places of a run, worst first, and then the rows on which the user decided.
 
     Worst are those with the largest expected squared error (`expected_loss`), since a look at any place takes the same
     time. Places for which it is not known follow in their order in ``found``, and so do equal ones.
 
-    A place that was found to be right is not listed again. A row that is fixed stays, because it is an edit. If its
-    place is still found, the edit did not help, so the place is open.
+    A place that was found to be right is not listed again, but is in the second list. A row that is fixed stays,
+    because it is an edit. If its place is still found, the edit did not help, so the place is open.
     """
     import shapely
 
-    rows, right = [], {row.reason: _Covered(decided, row.reason) for row in found}
+    listed: list[ReviewRow] = []
+    right: list[ReviewRow] = []
+    covered = {row.reason: _Covered(decided, row.reason) for row in found}
     for row in found:
         shape = shapely.from_wkb(row.shape)
-        if not shape.is_empty and right[row.reason].share(shape) < SAME_SHARE:
-            rows.append(row)
-    return [*sorted(rows, key=_by_loss), *decided]
+        if not shape.is_empty:
+            is_right = covered[row.reason].share(shape) >= SAME_SHARE
+            (right if is_right else listed).append(row)
+    return [*sorted(listed, key=_by_loss), *decided], right
 
 
 def _by_loss(row: ReviewRow) -> tuple[bool, float]:

@@ -258,11 +258,16 @@ class WaterFileRecord(FileRecord):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReviewFileRecord(FileRecord):
-    """Record of the places to review: numbers of those that are open, right as they are, and edits."""
+    """Record of the places to review: numbers of those that are open, right as they are, and edits.
+
+    ``right`` are the problems that the run found again at places that are right as they are: kind, west, south, east
+    and north of each.
+    """
 
     open: int
     ok: int
     fixed: int
+    right: list[list[str | float]] = field(default_factory=list)
 
 
 class PointStatistics(TypedDict):

@@ -78,7 +78,7 @@ def write_review(
     outlined = [
         _outlined(store, row, terrain) if terrain and row.pixels else row for row in found
     ]
-    rows = ranked(outlined, decided)
+    rows, right = ranked(outlined, decided)
     shapes = shapely.from_wkb([row.shape for row in rows])
     texts = {name: np.array([getattr(row, name) for row in rows], object) for name in TEXTS}
     # None becomes NaN, which is NULL in the file.
@@ -91,7 +91,11 @@ def write_review(
         file.add(STYLES, None, None, _style())
     counts = Counter(FIXED if is_edit(row.status) else row.status for row in rows)
     return ReviewFileRecord(
-        **new.record.to_json(), open=counts[OPEN], ok=counts[OK], fixed=counts[FIXED]
+        **new.record.to_json(),
+        open=counts[OPEN],
+        ok=counts[OK],
+        fixed=counts[FIXED],
+        right=[[row.reason, *row.where] for row in right],
     )
 
 

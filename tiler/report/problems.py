@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from tiler.core.chances import LEFT, UNSURE, chance_of
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.points import NOISE
-from tiler.core.review import STATUSES
+from tiler.core.review import OK, OPEN, STATUSES
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, more, section, table
@@ -66,6 +66,8 @@ class Problem(NamedTuple):
         Chance that the terrain is wrong there. If its source does not give it, it is that of `tiler.core.chances`.
     rings : sequence of sequence of float
         Outline, as closed rings x, y, x, y, ... in units of the CRS. It is empty if the extent is the outline.
+    status : str
+        ``ok`` if a user looked at the place and found that it is right, else ``open``.
     """
 
     what: str
@@ -78,6 +80,7 @@ class Problem(NamedTuple):
     stake_m: float | None = None
     chance: float | None = None
     rings: Sequence[Sequence[float]] = ()
+    status: str = OPEN
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry of run.json. Its outline is in the entry of its source."""
@@ -88,13 +91,22 @@ def problems_of(run: Run) -> list[Problem]:
     """Return all problems of a run, in the order of `SOURCES`."""
     statistics = run.get("statistics") or {}
     kind = statistics.get("survey", {}).get("survey", {}).get("kind")
-    found = [problem for source in SOURCES for problem in source(run)]
-    return [
-        problem._replace(chance=chance_of(problem.what, kind, problem.area_m2))
-        if problem.chance is None and problem.where is not None
-        else problem
-        for problem in found
-    ]
+    right = {(what, *where) for what, *where in run.get("found_right", ())}
+    found = []
+    for problem in (problem for source in SOURCES for problem in source(run)):
+        if problem.where is not None:
+            chance = problem.chance
+            if chance is None:
+                chance = chance_of(problem.what, kind, problem.area_m2)
+            status = OK if (problem.what, *problem.where) in right else OPEN
+            problem = problem._replace(chance=chance, status=status)
+        found.append(problem)
+    return found
+
+
+def open_problems(run: Run) -> list[Problem]:
+    """Return the problems of a run without those at places that a user found to be right."""
+    return [problem for problem in problems_of(run) if problem.status == OPEN]
 
 
 def place_of(bounds: Sequence[float] | None) -> Place | None:
@@ -376,10 +388,20 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
 
 
 def kinds_text(problems: Sequence[Mapping[str, Any]]) -> str:
-    """Return the number of the problems in run.json and their kinds, such as ``3: failed task (2), class kept``."""
-    kinds = Counter(problem["what"] for problem in problems)
+    """Return the number of the problems in run.json and their kinds, such as ``3: failed task (2), class kept``.
+
+    Those that a user found to be right are only counted.
+    """
+    kinds = Counter(problem["what"] for problem in problems if problem.get("status") != OK)
     texts = [what if n == 1 else f"{what} ({n:,})" for what, n in kinds.items()]
-    return f"{len(problems):,}: {', '.join(texts)}"
+    text = f"{kinds.total():,}: {', '.join(texts)}" if kinds else "none"
+    n_right = len(problems) - kinds.total()
+    return f"{text}; {right_text(n_right)}" if n_right else text
+
+
+def right_text(number: int) -> str:
+    """Return how many places were found to be right."""
+    return f"{counted(number, 'place')} found right (ok)"
 
 
 def review_text(review: Mapping[str, int]) -> str:
@@ -396,7 +418,7 @@ def table_rows(run: Run) -> list[Problem]:
     rows: list[Problem] = []
     shared: dict[str, list[Problem]] = {}
     own = Counter[str]()
-    for problem in problems_of(run):
+    for problem in open_problems(run):
         is_further = _is_minor(problem) or own[problem.what] >= MAX_OF_KIND
         if problem.area_m2 is not None and is_further:
             shared.setdefault(problem.what, []).append(problem)
@@ -417,8 +439,8 @@ def _joined(run: Run, places: Sequence[Problem]) -> Problem:
 
 def problems(run: Run) -> Node:
     """Return the section of the report about missing and doubtful results, with remedies."""
-    all_problems = table_rows(run)
-    if not all_problems:
+    found, all_problems = problems_of(run), table_rows(run)
+    if not found:
         none = (
             "None: every file was read, every tile was processed, and no check of the run found a doubtful result. "
             "The checks do not find every error, such as houses in the terrain: look at the map."
@@ -430,11 +452,13 @@ def problems(run: Run) -> Node:
             "p",
             f"The run's folder has the places in review.gpkg, where they get a status: {review_text(review)}.",
         )
+    if not all_problems:
+        return section("problems", "Problems", el("p", "None is open."), told)
     rows: list[tuple[Content, ...]] = [
         (p.what, _link(p.where, p.at), p.why, p.remedy) for p in all_problems[:MAX_ROWS]
     ]
-    found, total = problems_of(run), None
-    if len(found) > len(all_problems):
+    total = None
+    if len(open_problems(run)) > len(all_problems):
         kinds = kinds_text([problem.to_json() for problem in found])
         total = el("p", f"{kinds}. Places of one kind share a row after the worst.")
     return section(
@@ -462,7 +486,7 @@ def marked_places(run: Run) -> list[list[Any]]:
 
     Of more than `MAX_ROWS` problems the first of each kind are shown.
     """
-    located = [problem for problem in problems_of(run) if problem.where is not None]
+    located = [problem for problem in open_problems(run) if problem.where is not None]
     own = Counter[str]()
     ranked = []
     for number, problem in enumerate(located):

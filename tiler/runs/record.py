@@ -99,6 +99,8 @@ class Results:
         Settings that the data show to be wrong.
     advice_at : list of [x, y]
         Position of each advice.
+    found_right : list of [kind, west, south, east, north]
+        Problems at places that a user found to be right.
     outputs : mapping of str to int
         Files in OUT that this run wrote or found up to date, and their sizes in bytes.
     digests : mapping of str to str
@@ -145,6 +147,7 @@ class Results:
     unsure: list[UnsurePlace]
     implausible: list[Implausible]
     review: ReviewResult
+    found_right: list[list[str | float]]
     changes: Changes
     contours: ContourResult
     spots: SpotCounts

@@ -29,14 +29,18 @@ def row(x: float, width: float = 10.0, **values: Any) -> ReviewRow:
     return ReviewRow(shape=shape, **{"reason": "void", **values})
 
 
+def listed(found: list[ReviewRow], decided: list[ReviewRow]) -> list[ReviewRow]:
+    return ranked(found, decided)[0]
+
+
 def test_a_place_that_was_right_is_not_listed_again() -> None:
     right = row(0, status=OK)
-    assert ranked([row(0), row(100)], [right]) == [row(100), right]
+    assert ranked([row(0), row(100)], [right]) == ([row(100), right], [row(0)])
 
 
-@pytest.mark.parametrize(("moved", "listed"), [(4.0, False), (6.0, True)])
-def test_the_same_place_shares_half_of_its_area(moved: float, listed: bool) -> None:
-    assert (row(moved) in ranked([row(moved)], [row(0, status=OK)])) is listed
+@pytest.mark.parametrize(("moved", "is_listed"), [(4.0, False), (6.0, True)])
+def test_the_same_place_shares_half_of_its_area(moved: float, is_listed: bool) -> None:
+    assert (row(moved) in listed([row(moved)], [row(0, status=OK)])) is is_listed
 
 
 def test_the_first_places_have_the_largest_expected_squared_error() -> None:
@@ -46,7 +50,7 @@ def test_the_first_places_have_the_largest_expected_squared_error() -> None:
     unknown = [row(60), row(80, chance=0.9)]
     doubtful = row(100, stake_m=1.5, area_m2=100.0)
     decided = row(120, status=FIXED, chance=1.0, stake_m=9.0, area_m2=1e6)
-    assert ranked([*unknown, likely, wide, doubtful, high], [decided]) == [
+    assert listed([*unknown, likely, wide, doubtful, high], [decided]) == [
         high, doubtful, wide, likely, *unknown, decided,
     ]  # fmt: skip
 
@@ -65,22 +69,22 @@ def test_the_order_of_two_places_does_not_depend_on_the_others(
 ) -> None:
     places = [row(20 * i, chance=c, stake_m=s) for i, (c, s) in enumerate(values)]
     some = [place for place in places if random.random() < 0.5]
-    assert ranked(some, []) == [place for place in ranked(places, []) if place in some]
+    assert listed(some, []) == [place for place in listed(places, []) if place in some]
 
 
 def test_two_parts_that_were_right_cover_a_place() -> None:
     parts = [row(0, 4, status=OK), row(4, 4, status=OK)]
-    assert ranked([row(0)], parts) == parts
+    assert listed([row(0)], parts) == parts
 
 
 def test_another_reason_at_the_same_place_is_listed() -> None:
     other = row(0, reason="terrain above all returns")
-    assert ranked([other], [row(0, status=OK)])[0] == other
+    assert listed([other], [row(0, status=OK)])[0] == other
 
 
 def test_an_edit_that_did_not_help_leaves_its_place_open() -> None:
     fixed = row(0, status=FIXED, action="void")
-    assert ranked([row(0)], [fixed]) == [row(0), fixed]
+    assert listed([row(0)], [fixed]) == [row(0), fixed]
 
 
 def test_rows_without_a_status_are_drawn_by_the_user_and_are_edits() -> None:
@@ -96,7 +100,7 @@ def test_open_rows_are_left_out_whatever_their_case() -> None:
 
 def test_a_place_without_an_outline_is_not_listed() -> None:
     nothing = shapely.to_wkb(shapely.MultiPolygon([]), hex=True)
-    assert ranked([row(0), ReviewRow(shape=nothing, reason="void")], []) == [row(0)]
+    assert listed([row(0), ReviewRow(shape=nothing, reason="void")], []) == [row(0)]
 
 
 def test_a_copy_whose_outline_was_rounded_is_the_same_row() -> None:
@@ -129,7 +133,7 @@ def test_the_next_run_lists_the_same_and_loses_no_decision(
 ) -> None:
     places = [row(x, reason=reason) for x, reason in found]
     decisions = without_open([row(x, status=status) for x, status in decided])
-    rows = ranked(places, decisions)
+    rows = listed(places, decisions)
     assert rows[len(rows) - len(decisions) :] == decisions
     assert set(rows) <= {*places, *decisions}
-    assert ranked(places, without_open(rows)) == rows
+    assert listed(places, without_open(rows)) == rows

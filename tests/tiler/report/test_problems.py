@@ -11,7 +11,7 @@ from tests.tiler.report import results
 from tiler.core.chances import LIDAR, REASONS, Counts, Reason
 from tiler.report import problems
 from tiler.report.html import write_report
-from tiler.report.problems import SOURCES, Problem, problems_of, table_rows
+from tiler.report.problems import SOURCES, Problem, kinds_text, problems_of, table_rows
 
 WATER = {
     "number": 3,
@@ -111,6 +111,22 @@ def test_small_voids_at_the_border_share_the_last_row_but_are_all_in_the_list() 
     assert last.where is None
     assert last.why.startswith("4 small ones, 731 m2 together")
     assert [problem.area_m2 for problem in found(**changes)] == [1, 1000, None, 515, 212, 2, 2]
+
+
+def test_places_that_were_found_right_are_counted_and_not_in_the_table(tmp_path: Path) -> None:
+    holes = voids(void(7, False), void(9, False))
+    right = [["void inside the survey", *holes["largest"][0]["bounds"]]]
+    changes = {"voids": holes, "found_right": right}
+    assert [problem.status for problem in found(**changes)] == ["ok", "open"]
+    assert [problem.area_m2 for problem in rows(**changes)] == [9]
+    listed = [problem.to_json() for problem in found(**changes)]
+    assert kinds_text(listed) == "1: void inside the survey; 1 place found right (ok)"
+    assert kinds_text(listed[:1]) == "none; 1 place found right (ok)"
+    run = results.run(voids=voids(void(7, False)), found_right=right)
+    run["plan"]["warnings"] = []
+    run["review"] = {"open": 0, "ok": 1, "fixed": 0}
+    page = results.read(write_report(results.write(tmp_path / "out", run)))
+    assert "Problems None is open. The run's folder has" in page.texts["problems"]
 
 
 def test_places_after_the_worst_ten_of_a_kind_share_a_row() -> None:

@@ -74,6 +74,7 @@ def report_review(job: Job) -> None:
     if commit := job.store.committed("export").get(REVIEW):
         record = ReviewFileRecord.of(commit[1])
         job.results.review = ReviewResult(record.open, record.ok, record.fixed)
+        job.results.found_right = record.right
 
 
 def _row(problem: Problem, gridding: Gridded, sheet: str) -> ReviewRow:
@@ -100,6 +101,7 @@ def _row(problem: Problem, gridding: Gridded, sheet: str) -> ReviewRow:
         chance=problem.chance,
         sheet=sheet,
         pixels=PIXELS.get(problem.what, ""),
+        where=problem.where or (),
     )
 
 
