@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64
 from ptd.frame import CellGrid, CellLattice
-from ptd.kernel import Bool, Int32, Int64, as_int64, inlined, kernel
+from ptd.kernel import as_int64, inlined, kernel
 from ptd.sorting import sort_pairs
 
 

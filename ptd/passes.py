@@ -13,11 +13,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd import places
+from ptd.arrays import AnyArray, Bool, Int32, UInt8, UInt16
 from ptd.frame import Scale, Window
-from ptd.kernel import Bool, Int32, UInt8, UInt16
 
 State = Mapping[str, Any]
 """Results of the passes for the whole run, by name, as values that JSON can hold.
@@ -118,7 +117,7 @@ class Points:
             raise ValueError("the pass was given no labels")
         return self.labels
 
-    def take(self, index: npt.NDArray[Any] | slice) -> Points:
+    def take(self, index: AnyArray | slice) -> Points:
         """Return the points that an index, a mask or a slice selects, in the order of the index."""
 
         def taken(column: Any) -> Any:

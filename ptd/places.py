@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Float64, Int32, Int64
 from ptd.frame import OPEN, CellGrid, CellLattice, Scale, Window
-from ptd.kernel import Float64, Int32, Int64, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 
 PLACE_M = 256.0
 """Size of a place in metres. A place has some hundred planar patches, and is no wider than a

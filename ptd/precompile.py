@@ -14,8 +14,9 @@ from typing import Literal
 
 import numpy as np
 
+from ptd.arrays import Float64, UInt16
 from ptd.frame import Scale, Window
-from ptd.kernel import Float64, UInt16, cache_folder
+from ptd.kernel import cache_folder
 
 GARBAGE_OBJECTS = 100_000
 """Garbage is collected after this many new objects. With Python's default of 700, collection

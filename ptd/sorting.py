@@ -5,12 +5,11 @@ numba compiles its own sort again for each kernel that calls it, which takes a s
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
-from ptd.kernel import Int64, inlined, kernel
+from ptd.arrays import AnyArray, Int64
+from ptd.kernel import inlined, kernel
 
 GAPS = np.array(
     [227011, 100894, 44842, 19930, 8858, 3937, 1750, 701, 301, 132, 57, 23, 10, 4, 1]
@@ -19,7 +18,7 @@ GAPS = np.array(
 
 
 @kernel
-def sort(values: npt.NDArray[Any]) -> None:
+def sort(values: AnyArray) -> None:
     """Sort values in place, ascending. There is no NaN among them."""
     for gap in GAPS:
         for i in range(gap, values.size):
@@ -31,7 +30,7 @@ def sort(values: npt.NDArray[Any]) -> None:
 
 
 @kernel
-def sort_by(index: npt.NDArray[np.integer], values: npt.NDArray[Any]) -> None:
+def sort_by(index: npt.NDArray[np.integer], values: AnyArray) -> None:
     """Sort indices in place, so that ``values[index]`` ascends. Indices of equal values end in any order."""
     for gap in GAPS:
         for i in range(gap, index.size):

@@ -13,10 +13,11 @@ from fractions import Fraction
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.cells import CellIndex, CellTable, Xyz, find_slot
 from ptd.frame import CellLattice
 from ptd.gridding.ground_cells import CellWindow, cell_number
-from ptd.kernel import Bool, Float64, Int32, Int64, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 
 NOTHING = np.iinfo(np.int32).min
 """Height of a pixel without a return."""

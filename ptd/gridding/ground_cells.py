@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.cells import quotient
-from ptd.kernel import Bool, Float64, Int32, Int64, as_int64, inlined, kernel
+from ptd.kernel import as_int64, inlined, kernel
 
 PLANE_POINTS = 6
 """A plane with residuals needs at least this many points in a window: three more than a plane

@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Float64, Int32, Int64
 from ptd.cells import Xyz
-from ptd.kernel import Float64, Int32, Int64, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.tin.gridding import Pixels
 from ptd.tin.raster import PixelCentres
 

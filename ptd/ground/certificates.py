@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float32, Int32, UInt8
 from ptd.frame import Scale, Window
-from ptd.kernel import Bool, Float32, Int32, UInt8, inlined, kernel
+from ptd.kernel import inlined, kernel
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import Mesh, is_ghost
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ptd.arrays import Int32, UInt8
 from ptd.frame import Scale
-from ptd.kernel import Int32, UInt8, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.tin.facets import canonical_facet
 from ptd.tin.triangles import coincident_vertex, is_ghost, lexicographic_less, locate
 

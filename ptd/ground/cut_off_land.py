@@ -24,12 +24,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32, Int64, UInt8
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import EAST, EMPTY, NORTH, CellRaster
 from ptd.ground.plateaus import BORDER, FALLS, ROOF_CELL_M, ROOF_VIEW_M, Plateaus, look_around
 from ptd.ground.slopes import MOMENTS, Boxes, add_point, fit_plane
-from ptd.kernel import Bool, Float64, Int32, Int64, UInt8, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 
 PLANES = ((1, 6), (2, 9))
 """Half widths in cells of the squares through whose cells a plane is fitted, and how many cells

@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, UInt8
 from ptd.cells import Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import CheckedMesh, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
-from ptd.kernel import Bool, Int32, UInt8, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.tin.insertion import insert
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import STAMP, Mesh, is_ghost, locate

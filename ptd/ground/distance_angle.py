@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64, UInt8, UInt32, UInt64
 from ptd.cells import Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Scale
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.criteria import across, facet_measures
-from ptd.kernel import Bool, Int32, Int64, UInt8, UInt32, UInt64, kernel
+from ptd.kernel import kernel
 from ptd.tin.facets import Rule, canonical_facet, facet_passes
 from ptd.tin.mesh import Locator, Tin, start_near
 from ptd.tin.triangles import Mesh, coincident_vertex, locate

@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from ptd.cells import Xyz, occupied, quotient
 from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import FAR, NEAR
 from ptd.ground.morphology import EMPTY
-from ptd.kernel import Bool, Float32, Float64, Int32, Int64, UInt8, as_int64, inlined, kernel
+from ptd.kernel import as_int64, inlined, kernel
 
 CELL_M = 0.4
 """Size of the fine cells."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, UInt8
 from ptd.cells import Xyz
 from ptd.frame import Scale
 from ptd.ground.fine_planes import (
@@ -43,7 +44,7 @@ from ptd.ground.labelling import (
     label_by_height,
 )
 from ptd.ground.outliers import LowNoise
-from ptd.kernel import Bool, Int32, UInt8, kernel
+from ptd.kernel import kernel
 from ptd.passes import Stats
 from ptd.tin.mesh import Tin
 

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, UInt8
 from ptd.cells import Xyz
 from ptd.ground.certificates import CheckedMesh
 from ptd.ground.criteria import FacetLimits, Point, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
-from ptd.kernel import Bool, Int32, UInt8, as_int64, inlined, kernel
+from ptd.kernel import as_int64, inlined, kernel
 from ptd.passes import Model, Points, Stats
 from ptd.places import Field, everywhere, value_at
 from ptd.tin.facets import canonical_facet

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.cells import Xyz
 from ptd.frame import Scale
-from ptd.kernel import Bool, Float64, Int32, Int64, inlined, kernel
+from ptd.kernel import inlined, kernel
 from ptd.sorting import sort
 
 CELL_M = 1.0

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.cells import Xyz, cell_keys, is_lower
 from ptd.frame import CellLattice, Scale
 from ptd.ground.layers import (
@@ -31,7 +32,7 @@ from ptd.ground.layers import (
     sorted_by_cell,
 )
 from ptd.ground.morphology import BLOCK_CELLS, blocks
-from ptd.kernel import Bool, Float64, Int32, Int64, inlined, kernel
+from ptd.kernel import inlined, kernel
 from ptd.sorting import sort_by
 
 LEVEL_M, LEVEL_CELLS = 2.0, 3

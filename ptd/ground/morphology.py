@@ -14,9 +14,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ptd.arrays import Bool, Float32, Float64, Int32, Int64
 from ptd.cells import cell_keys
 from ptd.frame import CellLattice
-from ptd.kernel import Bool, Float32, Float64, Int32, Int64, kernel
+from ptd.kernel import kernel
 
 EMPTY = 2**31 - 1
 """Height of a cell without points."""

@@ -21,7 +21,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from ptd.kernel import Int32, Int64
+from ptd.arrays import Int32, Int64
 from ptd.places import PLACE_M
 
 PATCH_M = 4.0

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64
 from ptd.cells import CellIndex, CellTable, Xyz, find_slot, quotient
 from ptd.frame import CellGrid, CellLattice, Scale
-from ptd.kernel import Bool, Int32, Int64, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 
 MIN_NEIGHBOURS = 3
 """Least number of points far away in height around an outlier: two are not enough evidence."""

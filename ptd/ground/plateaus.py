@@ -26,9 +26,10 @@ from typing import NamedTuple, Self
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.frame import Scale
 from ptd.ground.morphology import EAST, EMPTY, NORTH, CellRaster, connected_surfaces
-from ptd.kernel import Bool, Float64, Int32, Int64, kernel
+from ptd.kernel import kernel
 
 AREA, OTHERS, PAST, FALLS, UNSEEN, BORDER = 0, 1, 2, 3, 11, 12
 """Columns of the counts of each surface.

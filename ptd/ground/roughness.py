@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.cells import Xyz, cell_keys, occupied
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.noise_sums import (
@@ -42,7 +43,7 @@ from ptd.ground.noise_sums import (
     histogram,
 )
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
-from ptd.kernel import Bool, Float64, Int32, Int64, kernel
+from ptd.kernel import kernel
 from ptd.places import PLACE_M
 
 MIN_POINTS = 16

@@ -9,8 +9,9 @@ import math
 
 import numpy as np
 
+from ptd.arrays import Float64, Int32, Int64
 from ptd.ground.morphology import EMPTY
-from ptd.kernel import Float64, Int32, Int64, kernel
+from ptd.kernel import kernel
 
 
 @kernel

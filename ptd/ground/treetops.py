@@ -17,12 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.cells import Xyz
 from ptd.frame import CellGrid, CellLattice, Scale
 from ptd.ground.morphology import EMPTY, CellRaster
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
 from ptd.ground.slopes import Boxes
-from ptd.kernel import Bool, Float64, Int32, Int64, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 
 MAX_WIDTH_M, STEP_M, BELOW_SHARE = 40.0, 1.5, 0.8
 """Width of the widest surface, height difference of its neighbouring cells, and least share of

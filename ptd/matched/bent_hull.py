@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ptd.kernel import Bool, Float64
+from ptd.arrays import Bool, Float64
 from ptd.matched.hull import Envelope
 
 SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0

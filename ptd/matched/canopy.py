@@ -33,8 +33,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int64
 from ptd.gridding.ground_cells import box_sums
-from ptd.kernel import Bool, Float64, Int64
 from ptd.matched.crowns import residuals
 from ptd.matched.surface import Surface
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Float64, Int32, Int64
 from ptd.cells import cell_keys
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import Float64, Int32, Int64, kernel
+from ptd.kernel import kernel
 from ptd.places import Field, on_cells
 
 CELL_M = 1.0
@@ -266,13 +266,13 @@ class CellHeights:
     column: int
     row: int
 
-    def spread(self, values: npt.NDArray[Any], otherwise: float = 0) -> npt.NDArray[Any]:
+    def spread(self, values: AnyArray, otherwise: float = 0) -> AnyArray:
         """Return the values of the cells as a raster, with another value where there is no cell."""
         raster = np.full(self.heights.shape, otherwise, values.dtype)
         raster.reshape(-1)[self.keys] = values
         return raster
 
-    def at_cells(self, raster: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def at_cells(self, raster: AnyArray) -> AnyArray:
         """Return the values of a raster at the cells."""
         return raster.reshape(-1)[self.keys]
 

@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Float64, Int32
 from ptd.frame import CellLattice, Scale
-from ptd.kernel import Float64, Int32
 from ptd.places import PLACE_M, Figures, Table, field, on_cells, place_of
 
 SMALL, LARGE = 3, 9

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32, Int64, UInt8
 from ptd.cells import cell_keys
 from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
-from ptd.kernel import Bool, Float64, Int32, Int64, UInt8, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.matched import last_look, surface
 from ptd.matched.cells import EMPTY, CellHeights, by_cell
 from ptd.matched.last_look import last_look_trees

@@ -20,7 +20,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptd.kernel import Bool, Float64, Int64, kernel
+from ptd.arrays import Bool, Float64, Int64
+from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M
 
 GROWS_M, STRIP_GROWS_M = 16.0, 8.0

@@ -25,8 +25,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Float64, Int32, Int64
 from ptd.frame import Scale
-from ptd.kernel import Float64, Int32, Int64, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import CELL_M, EMPTY
 
 CUT_M2 = 3.0

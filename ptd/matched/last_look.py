@@ -32,11 +32,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Bool, Float64, Int32, Int64, UInt8
 from ptd.cells import quotient
 from ptd.frame import CellGrid, CellLattice, Scale
 from ptd.gridding.ground_cells import box_sums
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.kernel import Bool, Float64, Int32, Int64, UInt8, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
 
 HIGH_MM = 1000

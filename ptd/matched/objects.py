@@ -29,10 +29,11 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32, Int64
 from ptd.frame import Scale
 from ptd.ground.morphology import connected_surfaces
 from ptd.ground.plateaus import Plateaus, plateaus
-from ptd.kernel import Bool, Float64, Int32, Int64, kernel
+from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.ground_model import band
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, block_cells, tilts

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32, UInt8
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import Bool, Float64, Int32, UInt8
 from ptd.matched import bent_hull, ground_model, last_look, objects, surface
 from ptd.matched.canopy import PIT_M, canopy, may_be, pit_reach_cells, pits
 from ptd.matched.canopy import reach_cells as canopy_reach_cells

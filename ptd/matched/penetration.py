@@ -29,9 +29,10 @@ from typing import Self
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64
 from ptd.cells import cell_keys, lowest_by_key, occupied
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import Bool, Int32, Int64, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
 from ptd.sorting import sort_by
 

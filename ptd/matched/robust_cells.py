@@ -20,10 +20,11 @@ from typing import Self
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.criteria import across
 from ptd.ground.labelling import GROUND
-from ptd.kernel import Bool, Float64, Int32, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.matched import ground_model, surface
 from ptd.matched.cells import CELL_M, raster_of
 from ptd.matched.evidence import DIM, LIDAR

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32, UInt8
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import Bool, Float64, Int32, UInt8
 from ptd.matched.cells import CELL_M, SPARSE_CELL_M, CellHeights
 from ptd.matched.survey import (
     BOTH,

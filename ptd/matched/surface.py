@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int32
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale
 from ptd.ground.cut_off_land import REACH_CELLS, on_summits, without_thin
 from ptd.ground.morphology import CellRaster
-from ptd.kernel import Bool, Float64, Int32
 from ptd.matched import bent_hull, growth
 from ptd.matched.bent_hull import (
     RemainingCells,

@@ -37,18 +37,17 @@ not matter. The mirrored point keeps its height. A ring of virtual seeds surroun
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Int32
 from ptd.cells import Xyz, cell_keys, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.densify import densify_seeds
 from ptd.ground.labelling import LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, low_outliers, search_margin
-from ptd.kernel import Int32
 from ptd.params import check, parameter
 from ptd.passes import Method, Pass, Points, State
 
@@ -220,7 +219,7 @@ def thinned(
     if x.size == 0:
         return x, y, z
     if cell_m:
-        keep: npt.NDArray[Any] = lowest_per_cell(x, y, z, CellLattice.of(cell_m, scale))
+        keep: AnyArray = lowest_per_cell(x, y, z, CellLattice.of(cell_m, scale))
     else:
         cells = CellLattice.of(1.0, scale)
         col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))

@@ -9,7 +9,8 @@ biased randomized insertion order (Amenta, Choi and Rote, Incremental constructi
 
 import numpy as np
 
-from ptd.kernel import Int32, UInt64, as_int64, kernel
+from ptd.arrays import Int32, UInt64
+from ptd.kernel import as_int64, kernel
 from ptd.tin.insertion import link_vertex, lower_vertex, start_triangulation
 from ptd.tin.triangles import N_VERTICES, coincident_vertex, cross_at, walk
 

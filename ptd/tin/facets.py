@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.kernel import Float64, Int32, as_int64, kernel
+from ptd.arrays import Float64, Int32
+from ptd.kernel import as_int64, kernel
 from ptd.tin.triangles import N_TRIANGLES, coincident_vertex, is_ghost, locate
 
 _STEPS = 2.0**20  # steps of a height in one count

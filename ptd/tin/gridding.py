@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ptd.kernel import Bool, Float64, Int32, UInt8
+from ptd.arrays import Bool, Float64, Int32, UInt8
 from ptd.tin import natural, raster
 from ptd.tin.facets import KnownBounds, Rule
 from ptd.tin.mesh import MAX_EXTENT, Tin

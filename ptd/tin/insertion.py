@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.kernel import Int32, as_int64, kernel
+from ptd.arrays import Int32
+from ptd.kernel import as_int64, kernel
 from ptd.tin.triangles import (
     GHOST,
     HEADER,

@@ -10,8 +10,9 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Float64, Int32
 from ptd.cells import quotient
-from ptd.kernel import Float64, Int32, as_int64, inlined, kernel
+from ptd.kernel import as_int64, inlined, kernel
 from ptd.tin import bulk, facets
 from ptd.tin.triangles import (
     MAX_VERTICES,

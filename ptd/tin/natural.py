@@ -13,7 +13,8 @@ import math
 
 import numpy as np
 
-from ptd.kernel import Float64, Int32, UInt8, as_int64, kernel
+from ptd.arrays import Float64, Int32, UInt8
+from ptd.kernel import as_int64, kernel
 from ptd.tin.facets import (
     KnownBounds,
     canonical_facet,

@@ -44,7 +44,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.kernel import Int32, as_int64, kernel
+from ptd.arrays import Int32
+from ptd.kernel import as_int64, kernel
 
 GHOST = -1
 STAMP = 3  # column of a triangle

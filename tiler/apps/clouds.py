@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Int64
 from tiler.core.crs import crs_name, crs_warnings
 from tiler.core.points import SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.units import short_unit, unit_label
@@ -122,7 +122,7 @@ def describe_point_tiles(path: str) -> dict[str, Any]:
     }
 
 
-def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
+def density_map(counts: Int64, cell_m: float) -> dict[str, Any]:
     """Return the density in cells twice as high as wide, like the characters of a terminal.
 
     ``width_m`` and ``height_m`` are the sides of a cell, and ``per_m2`` are rows of densities in points per square

@@ -9,6 +9,8 @@ from typing import TypedDict, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Float64, Int64
+
 STEP = 1e-4
 """Step to which a tally rounds differences, in units of the heights: a tenth of a millimetre in
 metres."""
@@ -20,9 +22,6 @@ as large."""
 NMAD_FACTOR = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of normally distributed
 errors."""
-
-Float64s = npt.NDArray[np.float64]
-Int64s = npt.NDArray[np.int64]
 
 
 class Spread(TypedDict):
@@ -64,10 +63,10 @@ class SpreadTally:
         self._sum = 0.0
         self._squares = 0.0
         self._largest = 0.0
-        self._values: Int64s = np.empty(0, np.int64)
-        self._counts: Int64s = np.empty(0, np.int64)
+        self._values: Int64 = np.empty(0, np.int64)
+        self._counts: Int64 = np.empty(0, np.int64)
 
-    def add(self, differences: Float64s) -> None:
+    def add(self, differences: Float64) -> None:
         """Count finite differences, float64 of any shape, in units of the heights."""
         if differences.size == 0:
             return
@@ -85,7 +84,7 @@ class SpreadTally:
             self.step *= 10
             self._merge(np.rint(self._values / 10).astype(np.int64), self._counts)
 
-    def _merge(self, values: Int64s, counts: Int64s) -> None:
+    def _merge(self, values: Int64, counts: Int64) -> None:
         self._values, at = np.unique(values, return_inverse=True)
         self._counts = np.bincount(at.ravel(), counts, self._values.size).astype(np.int64)
 
@@ -99,7 +98,7 @@ class SpreadTally:
         )
 
 
-def spread(differences: Float64s) -> Spread:
+def spread(differences: Float64) -> Spread:
     """Compute statistics of finite differences, float64 of any shape, that fit into memory."""
     values = np.sort(np.asarray(differences, np.float64), axis=None)
     if values.size == 0:
@@ -110,7 +109,7 @@ def spread(differences: Float64s) -> Spread:
 
 
 def _summary(
-    values: Float64s, counts: Int64s, square: float, mean: float, largest: float
+    values: Float64, counts: Int64, square: float, mean: float, largest: float
 ) -> Spread:
     """Return the statistics of ascending values that occur ``counts`` times each. ``square`` is their mean square."""
     p5, p25, median, p75, p95 = quantiles(values, counts, (5, 25, 50, 75, 95))
@@ -128,13 +127,13 @@ def _summary(
     }
 
 
-def _quantile_of_absolute(values: Float64s, counts: Int64s, percent: float) -> float:
+def _quantile_of_absolute(values: Float64, counts: Int64, percent: float) -> float:
     absolute = np.abs(values)
     order = np.argsort(absolute, kind="stable")
     return quantiles(absolute[order], counts[order], (percent,))[0]
 
 
-def quantiles(values: Float64s, counts: Int64s, percents: Sequence[float]) -> list[float]:
+def quantiles(values: Float64, counts: Int64, percents: Sequence[float]) -> list[float]:
     """Return percentiles, linear between order statistics, of ascending values that occur ``counts`` times each."""
     ends = np.cumsum(counts)
     percentiles = []
@@ -149,7 +148,7 @@ def quantiles(values: Float64s, counts: Int64s, percents: Sequence[float]) -> li
 Figure = TypeVar("Figure", np.int64, np.float64)
 
 
-def summed(cells: Int64s, sums: npt.NDArray[Figure]) -> tuple[Int64s, npt.NDArray[Figure]]:
+def summed(cells: Int64, sums: npt.NDArray[Figure]) -> tuple[Int64, npt.NDArray[Figure]]:
     """Return the distinct cells and the sums of their values.
 
     The cells are sorted by the last row of ``cells``, then by the row before it, and so on.

@@ -10,8 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import UInt8
 from ptd.gridding.shape import gradients, multidirectional_hillshade
 from tiler.config import RunConfig
 from tiler.core.raster import NODATA, Block, RasterSpec
@@ -50,7 +50,7 @@ EMPTY_GREY = 236
 PAPER = 255
 """Grey of the background."""
 
-Shade = npt.NDArray[np.uint8]
+Shade = UInt8
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ def _shade(store: TileStore, name: str) -> Shade:
     return np.where(np.isnan(shade), EMPTY_GREY, shade).astype(np.uint8)
 
 
-def _montage(columns: Sequence[Sequence[Shade]]) -> npt.NDArray[np.uint8]:
+def _montage(columns: Sequence[Sequence[Shade]]) -> UInt8:
     """Return all pictures on a white background as RGBA. Small pictures are enlarged."""
     largest = max(max(picture.shape) for picture in itertools.chain(*columns))
     times = max(math.ceil(WIDE_PIXELS / largest), 1)

@@ -9,12 +9,12 @@ from functools import cached_property
 from itertools import chain, pairwise, product
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Indices, Int64
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.records import new_digest
 
-Counts = npt.NDArray[np.int64]
+Counts = Int64
 
 MAX_BOXES = 1 << 14
 """Number of rectangles of cells after which `Area.cells` divides no more, which takes some
@@ -89,7 +89,7 @@ class Area:
         """All edges, including level ones: x0, y0, x1, y1, int64 (4, n)."""
         return np.concatenate([_edges(ring) for ring in chain(*self.polygons)], axis=1)
 
-    def inside(self, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+    def inside(self, x: Counts, y: Counts) -> Bool:
         """Return the mask of the positions inside the area, given by x and y in absolute counts, int64 (n,)."""
         is_inside = np.zeros(x.shape, np.bool_)
         if not x.size:
@@ -104,7 +104,7 @@ class Area:
             is_inside[order] |= _odd_crossings(edges, xs, ys)
         return is_inside
 
-    def inside_grid(self, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+    def inside_grid(self, x: Counts, y: Counts) -> Bool:
         """Return the mask of the positions of a grid inside the area, bool (n rows, n columns).
 
         Parameters
@@ -207,7 +207,7 @@ class Places:
         self._x = x[self._order]
         self._y = y[self._order]
 
-    def inside(self, area: Area) -> npt.NDArray[np.intp]:
+    def inside(self, area: Area) -> Indices:
         """Return the indices of the positions inside an area, ascending."""
         bounds = area.bounds
         strip = slice(*np.searchsorted(self._y, (bounds.y0, bounds.y1)).tolist())
@@ -233,7 +233,7 @@ def segmentized(ring: Counts) -> Counts:
     return np.array(parts, np.int64)
 
 
-def in_runs(runs: Runs, ix: Counts, iy: Counts) -> npt.NDArray[np.bool_]:
+def in_runs(runs: Runs, ix: Counts, iy: Counts) -> Bool:
     """Return the mask of the cells (ix, iy) that are in ``runs``."""
     if not runs:
         return np.zeros(ix.shape, np.bool_)
@@ -242,7 +242,7 @@ def in_runs(runs: Runs, ix: Counts, iy: Counts) -> npt.NDArray[np.bool_]:
     wide = max(int(end.max()), int(ix.max(initial=0))) - west + 1
     starts = row * wide + (first - west)
     run = np.searchsorted(starts, iy * wide + (ix - west), side="right") - 1
-    is_in_runs: npt.NDArray[np.bool_] = (run >= 0) & (row[run] == iy) & (ix < end[run])
+    is_in_runs: Bool = (run >= 0) & (row[run] == iy) & (ix < end[run])
     return is_in_runs
 
 
@@ -276,7 +276,7 @@ def _near(edges: Counts, bounds: Bounds) -> Counts:
     return edges[:, (np.min(sides, axis=0) <= slack) & (np.max(sides, axis=0) >= -slack)]
 
 
-def _odd_crossings(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+def _odd_crossings(edges: Counts, x: Counts, y: Counts) -> Bool:
     """Return the mask of the positions from which a ray to the east crosses an odd number of edges.
 
     ``y`` must be ascending. An edge includes its lower end but not its upper end. A position on an edge is not west
@@ -291,7 +291,7 @@ def _odd_crossings(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]
     crossings = np.searchsorted(lower, y, side="right") - np.searchsorted(
         upper, y, side="right"
     )
-    odd: npt.NDArray[np.bool_] = crossings % 2 == 1
+    odd: Bool = crossings % 2 == 1
     for ax, ay, bx, by in edges[:, facing & ~beyond].T.tolist():
         rows = slice(*np.searchsorted(y, (ay, by)).tolist())
         if ax == bx:
@@ -301,7 +301,7 @@ def _odd_crossings(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]
     return odd
 
 
-def _odd_crossings_of_rows(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+def _odd_crossings_of_rows(edges: Counts, x: Counts, y: Counts) -> Bool:
     """Return `_odd_crossings` for a grid: columns at ascending ``x`` and rows at ``y``, bool (rows, columns)."""
     x0, y0, x1, y1 = edges
     edges = edges[:, (y0 <= y.max()) & (y1 > y.min()) & (np.maximum(x0, x1) > x[0])]
@@ -329,12 +329,12 @@ def _odd_crossings_of_rows(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[n
     return odd.astype(np.bool_)
 
 
-def _few_crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+def _few_crossed_oddly(edges: Counts, x: Counts, y: Counts) -> Bool:
     """Return `_odd_crossings` for a few positions in any order, by comparing every position with every edge."""
     x0, y0, x1, y1 = edges[:, :, np.newaxis]
     crossed = (x1 - x0) * (y - y0) > (x - x0) * (y1 - y0)
     crossed &= (y0 <= y) & (y < y1)
-    odd: npt.NDArray[np.bool_] = np.logical_xor.reduce(crossed, axis=0)
+    odd: Bool = np.logical_xor.reduce(crossed, axis=0)
     return odd
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
+
+from ptd.arrays import Float64
 
 BETS = np.array([0.1, 0.3, 0.5, 0.65, 0.8, 0.9, 0.96, 0.99, 1.0])
 """Bets as shares of the largest possible one, which loses all its capital at the first value of 1."""
@@ -17,9 +18,7 @@ HALVINGS = 50
 """Halvings of the interval of the bound. More would reach a mean of 1, at which no bet has a limit."""
 
 
-def upper_bound(
-    values: Sequence[float] | npt.NDArray[np.float64], doubt: float = DOUBT
-) -> float:
+def upper_bound(values: Sequence[float] | Float64, doubt: float = DOUBT) -> float:
     r"""Return an upper bound of the mean of a distribution from independent draws.
 
     For each possible mean :math:`m` a gambler bets that it is too large:

@@ -25,12 +25,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Bool, Float64, Int32, Int64
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
 from tiler.core.records import digest_of_arrays, digest_of_bytes
 from tiler.core.results import Rings
 
-Counts = npt.NDArray[np.int64]
+Counts = Int64
 
 MIN_LENGTH_M = Fraction(1, 50)
 """Length in metres below which a piece is not divided, even where lines meet at sharp angles or
@@ -107,8 +108,8 @@ class Breaklines:
         return digest_by_cell
 
     def applied(
-        self, xyz: npt.NDArray[np.int32], window: Bounds, data: Bounds, origin: tuple[int, int]
-    ) -> npt.NDArray[np.int32]:
+        self, xyz: Int32, window: Bounds, data: Bounds, origin: tuple[int, int]
+    ) -> Int32:
         """Return the points for the TIN of a window: vertices of lines, and ground points not too near to a line.
 
         Parameters
@@ -140,7 +141,7 @@ class Breaklines:
         pieces = self.pieces[first:last]
         return pieces[(pieces[:, 1] >= bounds.y0) & (pieces[:, 1] < bounds.y1)]
 
-    def _beside(self, xy: Counts, pieces: Counts) -> npt.NDArray[np.bool_]:
+    def _beside(self, xy: Counts, pieces: Counts) -> Bool:
         """Return the mask of the positions, int64 (n, 2), that are within half a pixel of a piece."""
         import shapely
 
@@ -201,13 +202,13 @@ def two_heights(lines: Iterable[Counts]) -> Counts:
     return np.unique(crossings[np.abs(z_one - z_other) > ALIKE], axis=0)
 
 
-def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _heights_at(segments: Counts, places: Float64) -> Float64:
     """Return the height of each segment at a position on it."""
     way = segments[:, 3:] - segments[:, :3]
     along = ((places - segments[:, :2]) * way[:, :2]).sum(axis=1) / (way[:, :2] ** 2).sum(
         axis=1
     )
-    heights: npt.NDArray[np.float64] = segments[:, 2] + along * way[:, 2]
+    heights: Float64 = segments[:, 2] + along * way[:, 2]
     return heights
 
 
@@ -254,13 +255,11 @@ def _divided(segments: Counts, longest: float, shortest: float, wanted: Bounds) 
     return kept
 
 
-def _touching(pieces: Counts, bounds: Bounds) -> npt.NDArray[np.bool_]:
+def _touching(pieces: Counts, bounds: Bounds) -> Bool:
     """Return the mask of the pieces whose bounds touch ``bounds``."""
     x = pieces[:, [0, 3]]
     y = pieces[:, [1, 4]]
-    is_touching: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (
-        x.min(axis=1) < bounds.x1
-    )
+    is_touching: Bool = (x.max(axis=1) >= bounds.x0) & (x.min(axis=1) < bounds.x1)
     is_touching &= (y.max(axis=1) >= bounds.y0) & (y.min(axis=1) < bounds.y1)
     return is_touching
 
@@ -313,7 +312,7 @@ def area_within(rings: Sequence[Sequence[float]]) -> Any:
     return shapely.build_area(shapely.MultiLineString(lines))
 
 
-def rings_of(parts: npt.NDArray[Any], size: float) -> Rings:
+def rings_of(parts: AnyArray, size: float) -> Rings:
     """Return rings of polygons, simplified with the tolerance ``size``, which doubles until the vertices are few."""
     import shapely
 

@@ -8,6 +8,8 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Bool
+
 Days = tuple[date, date]
 """First and last day."""
 
@@ -30,7 +32,7 @@ def dates_of_header(created: tuple[int, int]) -> Days | None:
     return made_on, made_on
 
 
-def are_gps_times(times: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+def are_gps_times(times: npt.ArrayLike) -> Bool:
     """Return whether adjusted standard GPS times can be those of measurements, bool, same shape.
 
     Times before 1990 or after tomorrow cannot. Times within the first week are seconds of an unknown week, in files

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float32, Indices, Int8, Int32, Int64, UInt8
 from tiler.core.area import Area, AreaIndex, Places
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
 from tiler.core.points import (
@@ -48,9 +48,8 @@ FORCED_OFF = 0
 FORCED_ON = 1
 FORCED_BRIDGE = 2
 
-Int8 = npt.NDArray[np.int8]
-Classes = npt.NDArray[np.uint8]
-Rows = npt.NDArray[np.intp]
+Classes = UInt8
+Rows = Indices
 
 
 @dataclass(frozen=True)
@@ -73,16 +72,14 @@ class DeckSurface:
     low: float
     high: float
 
-    def holds(
-        self, x: npt.NDArray[np.int64], y: npt.NDArray[np.int64], z: npt.NDArray[np.int32]
-    ) -> npt.NDArray[np.bool_]:
+    def holds(self, x: Int64, y: Int64, z: Int32) -> Bool:
         """Return the mask of the points that are as high as the deck."""
         dx = x - self.x
         dy = y - self.y
         s = dx * self.ux + dy * self.uy
         t = dy * self.ux - dx * self.uy
         off = z - (self.a + self.b * s + self.c * s * s + self.d * t)
-        is_on_deck: npt.NDArray[np.bool_] = (off >= -self.low) & (off <= self.high)
+        is_on_deck: Bool = (off >= -self.low) & (off <= self.high)
         return is_on_deck
 
 
@@ -234,7 +231,7 @@ class Edits:
         return edited
 
     def set_heights(
-        self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32]
+        self, spec: RasterSpec, block: Block, heights: Float32
     ) -> list[tuple[str, int]]:
         """Set the heights of a block's pixels, in units of the CRS.
 
@@ -291,7 +288,7 @@ class EditedPoints:
         return Places(self._x, self._y)
 
     @cached_property
-    def _can_be_ground(self) -> npt.NDArray[np.bool_]:
+    def _can_be_ground(self) -> Bool:
         return can_be_ground(self._block, self._classes)
 
     def inside(self, area: Area) -> Rows:
@@ -315,15 +312,13 @@ class EditedPoints:
         return rows[lowest]
 
 
-def ground_with(is_ground: npt.NDArray[np.bool_], forced: Int8) -> npt.NDArray[np.bool_]:
+def ground_with(is_ground: Bool, forced: Int8) -> Bool:
     """Return the mask of the points that are ground after the edits."""
-    is_ground_after: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (
-        forced == FORCED_ON
-    )
+    is_ground_after: Bool = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
     return is_ground_after
 
 
-def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
+def can_be_ground(block: PointBlock, classes: Classes) -> Bool:
     """Return the mask of the points that may become ground.
 
     These points take part in the run, and are not noise, water or bridge in the input or in
@@ -332,15 +327,13 @@ def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
     excluded = (*NOISE, WATER, BRIDGE)
     if block.flags is None or block.classification is None:
         raise ValueError("block: flags or classification is None; read both columns")
-    may_be_ground: npt.NDArray[np.bool_] = (block.flags & UNSEEN_FLAGS) == 0
+    may_be_ground: Bool = (block.flags & UNSEEN_FLAGS) == 0
     may_be_ground &= ~np.isin(classes & ~np.uint8(UNCERTIFIED_BIT), excluded)
     may_be_ground &= ~np.isin(block.classification, excluded)
     return may_be_ground
 
 
-def _lowest(
-    x: npt.NDArray[np.int64], y: npt.NDArray[np.int64], z: npt.NDArray[np.int32], cell: Lattice
-) -> Rows:
+def _lowest(x: Int64, y: Int64, z: Int32, cell: Lattice) -> Rows:
     """Return the indices of the lowest point of each cell. Of equally low points, it is the first by (x, y)."""
     ix, iy = cell.index(x), cell.index(y)
     order = np.lexsort((y, x, z, ix, iy))

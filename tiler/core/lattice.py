@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Float64, Int32, Int64
 from tiler.core.units import Units
 
 COUNTS_PER_UNIT = 1000
@@ -52,11 +53,11 @@ class CoordFrame:
         """Convert a horizontal length in metres to an exact number of counts."""
         return metres / self.metres_xy
 
-    def coordinate(self, absolute: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def coordinate(self, absolute: npt.ArrayLike) -> Float64:
         """Convert absolute counts to coordinates in units of the CRS, float64."""
         return np.asarray(absolute, dtype=np.float64) / COUNTS_PER_UNIT
 
-    def coordinates(self, xyz: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+    def coordinates(self, xyz: Int32) -> Float64:
         """Convert local counts int32 (3, n) to coordinates in units of the CRS, float64 (n, 3)."""
         return self.coordinate(xyz.T + np.array([*self.origin, 0], dtype=np.int64))
 
@@ -174,7 +175,7 @@ class Lattice:
         """Denominator of the cell size in counts."""
         return self.size.denominator
 
-    def index(self, absolute: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    def index(self, absolute: Int64) -> Int64:
         """Return the cell indices of absolute counts, int64 of the same shape."""
         return (absolute * self.q) // self.p
 

@@ -9,11 +9,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Bool, Indices, Int32, Int64, UInt8, UInt16
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.selection import ONLY_GROUND
 
@@ -59,11 +60,11 @@ Counts = Mapping[str, int]
 
 
 def participates(
-    classification: npt.NDArray[np.uint8],
-    flags: npt.NDArray[np.uint8],
+    classification: UInt8,
+    flags: UInt8,
     keep_classes: Sequence[int] = (LOW_NOISE, WATER, BRIDGE, HIGH_NOISE),
     skip_flags: int = WITHHELD_FLAG,
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Return the mask of the points that take part in filtering.
 
     Parameters
@@ -76,14 +77,12 @@ def participates(
     """
     kept = np.zeros(256, dtype=np.bool_)
     kept[list(keep_classes)] = True
-    taking: npt.NDArray[np.bool_] = ~kept[classification] & (
-        (flags & (skip_flags | WITHHELD_FLAG)) == 0
-    )
+    taking: Bool = ~kept[classification] & ((flags & (skip_flags | WITHHELD_FLAG)) == 0)
     return taking
 
 
 @cache
-def written_classes(reclass: str) -> npt.NDArray[np.uint8]:
+def written_classes(reclass: str) -> UInt8:
     """Return the table of the classes in a classified cloud.
 
     Parameters
@@ -120,7 +119,7 @@ def sum_by_class(counts: Iterable[Counts]) -> dict[str, int]:
     return {code: total[code] for code in sorted(total, key=int)}
 
 
-Index: TypeAlias = "npt.NDArray[np.intp] | npt.NDArray[np.bool_] | slice"
+Index: TypeAlias = "Indices | Bool | slice"
 
 
 @dataclass(frozen=True)
@@ -146,13 +145,13 @@ class PointBlock:
         Labels of a pass of the filter.
     """
 
-    xyz: npt.NDArray[np.int32]
-    classification: npt.NDArray[np.uint8] | None = None
-    flags: npt.NDArray[np.uint8] | None = None
-    returns: npt.NDArray[np.uint8] | None = None
-    rgb: npt.NDArray[np.uint16] | None = None
-    origin: npt.NDArray[np.int64] | None = None
-    labels: npt.NDArray[np.uint8] | None = None
+    xyz: Int32
+    classification: UInt8 | None = None
+    flags: UInt8 | None = None
+    returns: UInt8 | None = None
+    rgb: UInt16 | None = None
+    origin: Int64 | None = None
+    labels: UInt8 | None = None
 
     def __len__(self) -> int:
         return int(self.xyz.shape[1])
@@ -161,18 +160,18 @@ class PointBlock:
         """Return the points of ``index`` (indices, a mask or a slice), in that order."""
         if not isinstance(index, slice) and index.dtype == np.bool_ and index.all():
             return self
-        taken: dict[str, npt.NDArray[Any]] = {}
+        taken: dict[str, AnyArray] = {}
         for field in fields(PointBlock):
             column = getattr(self, field.name)
             if column is not None:
                 taken[field.name] = _take(column, index)
         return PointBlock(**taken)
 
-    def inside(self, bounds: Bounds, origin: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    def inside(self, bounds: Bounds, origin: tuple[int, int]) -> Bool:
         """Return the mask of the points in ``bounds`` (absolute counts), given the frame's origin."""
         x, y, _ = self.xyz
         ox, oy = origin
-        mask: npt.NDArray[np.bool_] = x >= bounds.x0 - ox
+        mask: Bool = x >= bounds.x0 - ox
         mask &= x < bounds.x1 - ox
         mask &= y >= bounds.y0 - oy
         mask &= y < bounds.y1 - oy
@@ -181,7 +180,7 @@ class PointBlock:
     @staticmethod
     def concatenate(blocks: Sequence[PointBlock]) -> PointBlock:
         """Return all points of ``blocks`` (at least one) in order. A column that is None in one block is None."""
-        joined: dict[str, npt.NDArray[Any]] = {}
+        joined: dict[str, AnyArray] = {}
         for field in fields(PointBlock):
             columns = [getattr(block, field.name) for block in blocks]
             if all(column is not None for column in columns):
@@ -189,7 +188,7 @@ class PointBlock:
         return PointBlock(**joined)
 
 
-def _take(column: npt.NDArray[Any], index: Index) -> npt.NDArray[Any]:
+def _take(column: AnyArray, index: Index) -> AnyArray:
     """Return ``column[..., index]`` three times faster."""
     if isinstance(index, slice):
         return column[..., index]
@@ -202,24 +201,22 @@ SOURCE_SHIFT = 40
 """Bits of the row in an origin: 2**40 rows per source and 2**23 sources fit."""
 
 
-def pack_origin(source: int, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def pack_origin(source: int, rows: Int64) -> Int64:
     """Return ``source id << 40 | row``, int64."""
     return (np.int64(source) << SOURCE_SHIFT) | rows
 
 
 def unpack_origin(
-    origin: npt.NDArray[np.int64],
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    origin: Int64,
+) -> tuple[Int64, Int64]:
     """Return source ids and rows, both int64."""
     return origin >> SOURCE_SHIFT, origin & ((1 << SOURCE_SHIFT) - 1)
 
 
-Rows = npt.NDArray[np.intp]
+Rows = Indices
 
 
-def preference(
-    block: PointBlock, participating: npt.NDArray[np.bool_]
-) -> tuple[npt.NDArray[np.generic], ...]:
+def preference(block: PointBlock, participating: Bool) -> tuple[npt.NDArray[np.generic], ...]:
     """Return sort keys that put the point that represents its position first, major key first.
 
     A point that takes part in filtering comes first, then one that the run sees, then one whose
@@ -273,9 +270,7 @@ def representatives(
     rows = np.arange(len(block))
     rows[repeated] = 0
     chosen = np.maximum.accumulate(rows)[repeated]
-    differs: npt.NDArray[np.bool_] = (block.xyz[:, repeated] != block.xyz[:, chosen]).any(
-        axis=0
-    )
+    differs: Bool = (block.xyz[:, repeated] != block.xyz[:, chosen]).any(axis=0)
     if differs.any():
         candidates = np.arange(n_candidates)
         cells = _cell_numbers(
@@ -285,12 +280,10 @@ def representatives(
     return repeated, chosen
 
 
-def _cell_numbers(
-    xyz: npt.NDArray[np.int32], fine: Lattice, frame: CoordFrame
-) -> npt.NDArray[np.int64]:
+def _cell_numbers(xyz: Int32, fine: Lattice, frame: CoordFrame) -> Int64:
     """Return the number of each point's fine cell, counted row by row from the south-west."""
     column = fine.index(xyz[0].astype(np.int64) + frame.origin[0])
     row = fine.index(xyz[1].astype(np.int64) + frame.origin[1])
     column -= column.min()
-    numbers: npt.NDArray[np.int64] = (row - row.min()) * (column.max() + 1) + column
+    numbers: Int64 = (row - row.min()) * (column.max() + 1) + column
     return numbers

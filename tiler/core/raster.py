@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Int64
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice, row_by_row
 
@@ -153,7 +153,7 @@ class RasterSpec:
             first(west), first(north - block.height), first(west + block.width), first(north)
         )
 
-    def axes(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def axes(self, block: Block) -> tuple[Int64, Int64]:
         """Return x of the columns and y of the rows of a block at pixel centres, in absolute counts rounded down."""
         p, q = self.lattice.p, self.lattice.q
         west = self.west + block.col
@@ -162,7 +162,7 @@ class RasterSpec:
         rows = np.arange(north - 1, north - 1 - block.height, -1, dtype=np.int64)
         return ((2 * cols + 1) * p) // (2 * q), ((2 * rows + 1) * p) // (2 * q)
 
-    def centres(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def centres(self, block: Block) -> tuple[Int64, Int64]:
         """Return x and y of the pixel centres of a block, in absolute counts rounded down, each (height, width)."""
         x, y = np.meshgrid(*self.axes(block))
         return x, y
@@ -190,7 +190,7 @@ class RasterSpec:
         north = self.north - block.row
         return RasterSpec(self.lattice, west, north, block.height, block.width)
 
-    def inside(self, block: Block, area: Area | None) -> npt.NDArray[np.bool_]:
+    def inside(self, block: Block, area: Area | None) -> Bool:
         """Return the mask of the pixels of a block whose centres lie in ``area``, shape (height, width).
 
         The mask has all pixels if ``area`` is None.

@@ -16,7 +16,7 @@ from tiler.errors import StoreError
 from tiler.redaction import stored
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
+    from ptd.arrays import AnyArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +324,7 @@ def digest_of_bytes(*parts: bytes) -> str:
     return digest.hexdigest()
 
 
-def digest_of_arrays(*arrays: npt.NDArray[Any]) -> str:
+def digest_of_arrays(*arrays: AnyArray) -> str:
     """Return one digest of the values of all arrays, row by row."""
     digest = new_digest()
     for array in arrays:  # One copy of an array at a time, since arrays may be large.

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool
 from tiler.core.lattice import CoordFrame, Lattice
 from tiler.core.records import Record
 
@@ -58,7 +58,7 @@ class CellMask(Record):
     bits: str
 
     @classmethod
-    def packed(cls, column: int, row: int, cells: npt.NDArray[np.bool_]) -> CellMask:
+    def packed(cls, column: int, row: int, cells: Bool) -> CellMask:
         """Return the mask of cells, bool (height, width), whose south-west cell is at a column and row."""
         bits = base64.b64encode(zlib.compress(np.packbits(cells).tobytes())).decode()
         return cls(column, row, cells.shape[1], cells.shape[0], bits)
@@ -72,16 +72,14 @@ class CellMask(Record):
         return cls.packed(column, row, cells) if cells.any() else None
 
     @property
-    def cells(self) -> npt.NDArray[np.bool_]:
+    def cells(self) -> Bool:
         """The cells, bool (height, width)."""
         raw = np.frombuffer(zlib.decompress(base64.b64decode(self.bits)), np.uint8)
         bits = np.unpackbits(raw, count=self.width * self.height)
         return bits.reshape(self.height, self.width).astype(np.bool_)
 
 
-def union_in(
-    masks: Iterable[CellMask], column: int, row: int, width: int, height: int
-) -> npt.NDArray[np.bool_]:
+def union_in(masks: Iterable[CellMask], column: int, row: int, width: int, height: int) -> Bool:
     """Return the cells of any of the masks in a rectangle, bool (height, width)."""
     window = np.zeros((height, width), np.bool_)
     for mask in masks:

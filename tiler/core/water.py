@@ -10,16 +10,14 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Bool, Float32, Float64, Int64
 from tiler.core.area import Area, AreaIndex
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import Block, RasterSpec, within
 from tiler.core.records import digest_of_bytes
 
-Counts = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
+Counts = Int64
 
 LAKE, RIVER = "lake", "river"
 KINDS = {
@@ -115,14 +113,12 @@ class Water:
             [list(station) for station in self.stations],
         ]
 
-    def heights(self, x: Counts, y: Counts) -> npt.NDArray[np.float64]:
+    def heights(self, x: Counts, y: Counts) -> Float64:
         """Return the levels at positions in absolute counts, in whole counts."""
         if self.level is not None or self.flow is None:
             return np.full(x.shape, float(self.level or 0))
         along = places_along(self.flow, x, y)
-        heights: npt.NDArray[np.float64] = np.rint(
-            np.interp(along, lengths_along(self.flow), self.flow[:, 2])
-        )
+        heights: Float64 = np.rint(np.interp(along, lengths_along(self.flow), self.flow[:, 2]))
         return heights
 
     def to_json(self) -> dict[str, Any]:
@@ -144,13 +140,13 @@ class Water:
         )
 
 
-def lengths_along(line: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+def lengths_along(line: AnyArray) -> Float64:
     """Return the length of a line up to each vertex, in counts."""
     steps = np.hypot(*np.diff(line[:, :2].astype(np.float64), axis=0).T)
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
-def places_along(line: npt.NDArray[Any], x: Counts, y: Counts) -> Floats:
+def places_along(line: AnyArray, x: Counts, y: Counts) -> Float64:
     """Return the distance along a line of the position nearest to each point, in counts.
 
     Results are those of `shapely.line_locate_point`, which needs an object for each point.
@@ -169,7 +165,7 @@ def places_along(line: npt.NDArray[Any], x: Counts, y: Counts) -> Floats:
     return along
 
 
-def _nearest_along(segments: Floats, x: Floats, y: Floats) -> Floats:
+def _nearest_along(segments: Float64, x: Float64, y: Float64) -> Float64:
     """Return `places_along` for a few points.
 
     The columns of ``segments`` are x and y of the start, x and y from there to the end, the
@@ -189,7 +185,7 @@ def _nearest_along(segments: Floats, x: Floats, y: Floats) -> Floats:
     return along
 
 
-def _from_segment(segment: Floats, x: Any, y: Any) -> tuple[Floats, Floats]:
+def _from_segment(segment: Float64, x: Any, y: Any) -> tuple[Float64, Float64]:
     """Return the distance of points from a segment, and the share of the segment before the nearest position.
 
     Pass many points and one segment, or one point and many segments.
@@ -207,9 +203,7 @@ def _from_segment(segment: Floats, x: Any, y: Any) -> tuple[Floats, Floats]:
     return distance, np.minimum(np.maximum(share, 0.0), 1.0)
 
 
-def lifted_line(
-    line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.NDArray[Any]
-) -> Counts:
+def lifted_line(line: AnyArray, places: AnyArray, heights: AnyArray) -> Counts:
     """Return a line with heights, which are interpolated between known heights along it.
 
     Parameters
@@ -266,7 +260,7 @@ class Waters:
         """Return the values on which results within the bounds depend."""
         return [body.digest for body in self.near(bounds).bodies]
 
-    def levels(self, x: Counts, y: Counts) -> Floats:
+    def levels(self, x: Counts, y: Counts) -> Float64:
         """Return the levels at positions in absolute counts, in whole counts, -inf where there is no water."""
         levels = np.full(x.shape, -np.inf)
         for body in self.bodies:
@@ -274,7 +268,7 @@ class Waters:
             levels[inside] = body.heights(x[inside], y[inside])
         return levels
 
-    def inside(self, spec: RasterSpec, block: Block) -> Bools:
+    def inside(self, spec: RasterSpec, block: Block) -> Bool:
         """Return the mask of the pixels of a block that are water."""
         is_water = np.zeros((block.height, block.width), np.bool_)
         for body in self.bodies:
@@ -283,7 +277,7 @@ class Waters:
         return is_water
 
     def set_heights(
-        self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32], where: Bools
+        self, spec: RasterSpec, block: Block, heights: Float32, where: Bool
     ) -> list[tuple[str, int]]:
         """Set the heights of the water's pixels in the mask ``where``, in units of the CRS.
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Indices, Int32, Int64, UInt8
 from tiler.core.edits import OF_POINTS
 from tiler.core.lattice import Cell
 from tiler.core.points import (
@@ -297,7 +297,7 @@ class _WrittenClasses(NamedTuple):
     n_ground: int
 
 
-def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> _WrittenClasses:
+def _counts(pairs: Int64, table: UInt8) -> _WrittenClasses:
     """Count the points of a classified cloud by class.
 
     ``pairs`` has the number of points, and ``table`` the new class, by label (row) and class of the source (column).
@@ -316,7 +316,7 @@ def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> _Writ
     return _WrittenClasses(n_changed, _histogram(classes), _histogram(kept), n_ground)
 
 
-def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:
+def _histogram(counts: Int64) -> dict[str, int]:
     """Return the number of points by class, without empty classes."""
     return {str(c): n for c, n in enumerate(counts.tolist()) if n}
 
@@ -374,9 +374,7 @@ def _channels(header: LasHeader, records: Records) -> set[int]:
     return set(np.unique((records["classification_flags"] >> 4) & 3).tolist())
 
 
-def collect_labels(
-    store: TileStore, cloud: CloudCopy, first: int, last: int
-) -> npt.NDArray[np.uint8]:
+def collect_labels(store: TileStore, cloud: CloudCopy, first: int, last: int) -> UInt8:
     """Return the final labels of the rows ``first`` to ``last`` of a source, uint8.
 
     Points in water have `WATER_BIT`. A label is 0 if the point is not in the store or lies
@@ -392,9 +390,9 @@ def final_labels(
     store: TileStore,
     cloud: NewClasses,
     cell: Cell,
-    rows: npt.NDArray[np.intp] | slice = slice(None),
-    xyz: npt.NDArray[np.int32] | None = None,
-) -> npt.NDArray[np.uint8]:
+    rows: Indices | slice = slice(None),
+    xyz: Int32 | None = None,
+) -> UInt8:
     """Return the labels of the ``rows`` of a bucket after edits, uint8, with `WATER_BIT` for points in water.
 
     ``rows`` need their positions ``xyz`` in local counts, int32 (3, n), so that the bucket is not read again.
@@ -408,9 +406,7 @@ def final_labels(
     return labels
 
 
-def _inside_area(
-    store: TileStore, cloud: CloudCopy, first: int, last: int
-) -> npt.NDArray[np.bool_]:
+def _inside_area(store: TileStore, cloud: CloudCopy, first: int, last: int) -> Bool:
     """Return a mask of the rows ``first`` to ``last`` of a source: True for points of the store inside the area."""
     in_area = np.zeros(last - first, dtype=np.bool_)
     for _, rows, row_mask in _rows_inside(store, cloud, first, last):
@@ -420,7 +416,7 @@ def _inside_area(
 
 def _rows_inside(
     store: TileStore, cloud: CloudCopy, first: int, last: int
-) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
+) -> Iterator[tuple[Cell, Int64, Bool]]:
     """Yield the buckets that contain any of the rows ``first`` to ``last`` of a source inside the area.
 
     Yield the cell of each bucket, the rows of all of its points, and a mask of the requested
@@ -440,9 +436,7 @@ def _rows_inside(
             yield cell, rows, row_mask
 
 
-def _corrected(
-    store: TileStore, edits: str, cell: Cell, labels: npt.NDArray[np.uint8]
-) -> npt.NDArray[np.uint8]:
+def _corrected(store: TileStore, edits: str, cell: Cell, labels: UInt8) -> UInt8:
     """Return the labels of a bucket after the edits. Points at the position of another point get its label."""
     bucket_edits = store.edits(edits, store.meta.bucket.bounds(cell), OF_POINTS)
     if bucket_edits is None:
@@ -459,9 +453,9 @@ def _with_water(
     store: TileStore,
     cloud: NewClasses,
     cell: Cell,
-    labels: npt.NDArray[np.uint8],
-    xyz: npt.NDArray[np.int32] | None,
-) -> npt.NDArray[np.uint8]:
+    labels: UInt8,
+    xyz: Int32 | None,
+) -> UInt8:
     """Return the labels of the points at ``xyz``, or of all points of a bucket, with `WATER_BIT` for points in water.
 
     Objects above the water, such as trees and boats, do not get it. If ``cloud.low_is_noise``, returns from more than

@@ -16,12 +16,10 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 import shapely
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from ptd.arrays import Float64, Int64
 
 OFF_LEVEL = 1e-6
 """Distance from a level, as a share of the interval, below which a height is moved to this distance above the level.
@@ -72,7 +70,7 @@ class Piece:
 
     start: Key
     end: Key
-    places: Floats
+    places: Float64
 
 
 def default_interval(relief: float, floor: Fraction, noise: float = 0.0) -> Fraction:
@@ -104,7 +102,7 @@ def smoothing_reach(sigma: float) -> int:
     return math.ceil(REACH_SIGMAS * sigma)
 
 
-def smoothed(heights: Floats, sigma: float) -> Floats:
+def smoothed(heights: Float64, sigma: float) -> Float64:
     """Return heights averaged by a Gaussian of ``sigma`` pixels.
 
     Pixels without a height (NaN) have no weight and stay NaN.
@@ -122,7 +120,7 @@ def smoothed(heights: Floats, sigma: float) -> Floats:
         return np.where(known, total / weight, np.nan)
 
 
-def contour_block(heights: Floats, interval: Fraction, row: int, col: int) -> Iterator[Piece]:
+def contour_block(heights: Float64, interval: Fraction, row: int, col: int) -> Iterator[Piece]:
     """Yield the lines between the pixel centres of a block, level by level from the lowest.
 
     There are no lines next to a pixel without a height.
@@ -166,7 +164,7 @@ def contour_block(heights: Floats, interval: Fraction, row: int, col: int) -> It
             )
 
 
-def _edges(line: Floats) -> tuple[Ints, Ints, Ints]:
+def _edges(line: Float64) -> tuple[Int64, Int64, Int64]:
     """Return row and column of the first pixel of the edge of each vertex (x, y), and 1 if the edge runs south.
 
     One of x and y is a whole number up to rounding. `OFF_LEVEL` keeps the other one much
@@ -180,14 +178,14 @@ def _edges(line: Floats) -> tuple[Ints, Ints, Ints]:
     return rows, cols, down.astype(np.int64)
 
 
-def _part(heights: Floats, level: float, rows: Ints, cols: Ints, down: Ints) -> Floats:
+def _part(heights: Float64, level: float, rows: Int64, cols: Int64, down: Int64) -> Float64:
     """Return the position of each vertex along its edge (0 to 1), from the heights at both ends.
 
     The ends are in the order of the raster, so that both blocks of an edge get the same
     position, a multiple of `STEP`.
     """
     first, second = heights[rows, cols], heights[rows + down, cols + 1 - down]
-    part: Floats = np.rint((level - first) / (second - first) / STEP) * STEP
+    part: Float64 = np.rint((level - first) / (second - first) / STEP) * STEP
     return part.clip(STEP, 1 - STEP)
 
 
@@ -197,7 +195,7 @@ class _Line:
 
     start: Key
     end: Key
-    parts: list[Floats]
+    parts: list[Float64]
     n: int
 
 
@@ -220,7 +218,7 @@ class Joiner:
     _ends: dict[Key, _Line] = field(default_factory=dict)
     _held: int = 0
 
-    def add(self, piece: Piece) -> Iterator[tuple[int, Floats]]:
+    def add(self, piece: Piece) -> Iterator[tuple[int, Float64]]:
         """Add a piece, and yield the ring that it completes, if any, as level and vertices."""
         if piece.start == piece.end:
             yield piece.start[0], _from_least(piece.places)
@@ -249,7 +247,7 @@ class Joiner:
             self._held -= 1
         self._starts[line.start] = self._ends[line.end] = line
 
-    def end_row(self, last_row: int) -> Iterator[tuple[int, Floats]]:
+    def end_row(self, last_row: int) -> Iterator[tuple[int, Float64]]:
         """Yield the lines that no later block can extend, once all blocks down to ``last_row`` were added.
 
         If too many vertices are left, the longest unfinished lines are yielded as well.
@@ -270,7 +268,7 @@ class Joiner:
                 if self._held <= self.max_held // 2:
                     break
 
-    def _given(self, line: _Line) -> tuple[int, Floats]:
+    def _given(self, line: _Line) -> tuple[int, Float64]:
         self._forget(line)
         self._held -= line.n
         return line.start[0], np.concatenate(line.parts)
@@ -280,21 +278,21 @@ class Joiner:
         self._ends.pop(line.end, None)
 
 
-def _from_least(places: Floats) -> Floats:
+def _from_least(places: Float64) -> Float64:
     """Return a ring from its westernmost vertex on, so that it does not depend on the order of the blocks."""
     ring = places[:-1]
     first = int(np.lexsort((ring[:, 1], ring[:, 0]))[0])
     return np.concatenate((ring[first:], ring[: first + 1]))
 
 
-def is_short(places: Floats) -> bool:
+def is_short(places: Float64) -> bool:
     """Return whether a line with vertices (column, row) in pixels is closed and shorter than `SHORT`."""
     if len(places) > 4 * SHORT or not (places[0] == places[-1]).all():
         return False
     return bool(np.hypot(*np.diff(places, axis=0).T).sum() < SHORT)
 
 
-def stays(places: Floats, heights: Floats, level: float, interval: float) -> bool:
+def stays(places: Float64, heights: Float64, level: float, interval: float) -> bool:
     """Return whether a short ring is the only ring of a top or pit that is high or deep enough to be drawn.
 
     Its ground differs from the level of the ring by at least `MIN_RISE` intervals, and by less

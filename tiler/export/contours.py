@@ -9,10 +9,10 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 import shapely
 
+from ptd.arrays import AnyArray, Bool, Float64, Int64
 from tiler.core.area import Area
 from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.lattice import COUNTS_PER_UNIT
@@ -21,8 +21,6 @@ from tiler.core.records import NOT_IN_DIGEST
 from tiler.core.units import METRE
 from tiler.export.contour_lines import (
     SHORT,
-    Floats,
-    Ints,
     Joiner,
     contour_block,
     default_interval,
@@ -37,7 +35,7 @@ from tiler.export.rasters import in_sheet
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore
 
-Shapes = npt.NDArray[Any]
+Shapes = AnyArray
 
 LINE = 1
 """Number of the geometry type LineString in shapely."""
@@ -115,7 +113,7 @@ class _Terrain:
         left = sheet.spec.west - self.spec.west
         return self.around(Block(top, left, sheet.spec.height, sheet.spec.width), margin)
 
-    def heights(self, block: Block) -> Floats:
+    def heights(self, block: Block) -> Float64:
         """Return the heights of a block in units of the CRS, NaN outside the area and for pixels without one."""
         values = self.store.read_block(self.source.raster, block)
         is_valid = (values != np.float32(NODATA)) & self.spec.inside(block, self.area)
@@ -128,7 +126,7 @@ class _Terrain:
         right = min(block.col + block.width + reach, self.spec.width)
         return Block(top, left, max(bottom - top, 0), max(right - left, 0))
 
-    def land_smoothed(self, block: Block, sigma: float) -> Floats:
+    def land_smoothed(self, block: Block, sigma: float) -> Float64:
         """Return the heights of a block, averaged on land, where heights of water have no weight.
 
         Water keeps the heights of its outermost pixels and is NaN inside. So lines run around
@@ -163,7 +161,7 @@ class _Terrain:
         first, last = (low + part * (high - low)).tolist()
         return first, last
 
-    def _known(self) -> Iterator[Floats]:
+    def _known(self) -> Iterator[Float64]:
         """Yield the heights of each block without NaN, if there are any."""
         for block in self.spec.blocks(BLOCK):
             heights = self.heights(block)
@@ -171,7 +169,7 @@ class _Terrain:
             if len(heights):
                 yield heights
 
-    def wet(self, block: Block, reach: int) -> npt.NDArray[np.bool_]:
+    def wet(self, block: Block, reach: int) -> Bool:
         """Return a mask of the pixels of a block that are within ``reach`` pixels of water."""
         top, left = max(block.row - reach, 0), max(block.col - reach, 0)
         wide = Block(
@@ -194,7 +192,7 @@ class _Terrain:
         """Number of decimals of the written heights, for centimetres or tenths of a foot."""
         return 2 if self.store.meta.frame.units.vertical == METRE else 1
 
-    def places(self, pixels: Floats) -> Floats:
+    def places(self, pixels: Float64) -> Float64:
         """Return the coordinates of positions (column, row), given in pixels from the centre of the first pixel."""
         size = float(self.spec.lattice.size / COUNTS_PER_UNIT)
         x, y = pixels.T + 0.5
@@ -241,7 +239,7 @@ def write_contours(
     window = terrain.window(sheet, math.ceil(SHORT))
     shape = None if sheet is None else sheet_shape(store, sheet.spec, sheet.clip)
     joiner, lines, vertices, held, short = Joiner(), 0, 0, 0, 0
-    waiting: list[tuple[int, Floats]] = []
+    waiting: list[tuple[int, Float64]] = []
     with new_file(to) as new, geopackage(new.path, store.meta.frame.crs_wkt) as file:
 
         def write() -> None:
@@ -279,7 +277,7 @@ def _interval(terrain: _Terrain, low: float, high: float, noise: float) -> Fract
 
 
 def _stays(
-    terrain: _Terrain, sigma: float, interval: Fraction, level: int, places: Floats
+    terrain: _Terrain, sigma: float, interval: Fraction, level: int, places: Float64
 ) -> bool:
     """Return whether a line is drawn. Only short rings are left out, unless `stays` keeps them."""
     if not is_short(places):
@@ -295,7 +293,7 @@ def _stays(
 
 def _lines(
     terrain: _Terrain, window: Block, interval: Fraction, sigma: float, joiner: Joiner
-) -> Iterator[tuple[int, Floats]]:
+) -> Iterator[tuple[int, Float64]]:
     """Yield the lines joined across blocks: number of the level, and vertices in pixels."""
     bottom, right = window.row + window.height, window.col + window.width
     for row in range(window.row, bottom, BLOCK):
@@ -309,7 +307,7 @@ def _lines(
         yield from joiner.end_row(row + BLOCK)
 
 
-def _shapes(terrain: _Terrain, lines: list[tuple[int, Floats]]) -> tuple[Shapes, Ints]:
+def _shapes(terrain: _Terrain, lines: list[tuple[int, Float64]]) -> tuple[Shapes, Int64]:
     """Return lines in units of the CRS, and the numbers of their levels."""
     if not lines:
         return np.empty(0, object), np.empty(0, np.int64)
@@ -319,7 +317,7 @@ def _shapes(terrain: _Terrain, lines: list[tuple[int, Floats]]) -> tuple[Shapes,
     return shapely.linestrings(terrain.places(vertices), indices=numbers), levels
 
 
-def _cut(lines: Shapes, levels: Ints, shape: Any) -> tuple[Shapes, Ints]:
+def _cut(lines: Shapes, levels: Int64, shape: Any) -> tuple[Shapes, Int64]:
     """Return the parts of lines in a shape and their levels, or all lines without one."""
     if shape is None:
         return lines, levels
@@ -350,7 +348,7 @@ def _edge_of_others(shape: Any) -> Any:
     return shapely.multilinestrings(sides)
 
 
-def _add_lines(file: GeoPackage, lines: Shapes, levels: Ints, interval: Fraction) -> None:
+def _add_lines(file: GeoPackage, lines: Shapes, levels: Int64, interval: Fraction) -> None:
     heights = levels * float(interval)
     labels = np.array([f"{height:.{_decimals(interval)}f}" for height in heights], object)
     columns = {"elevation": heights, "index": levels % INDEX_EVERY == 0, "label": labels}
@@ -408,7 +406,7 @@ def write_spots(
     )
 
 
-def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, npt.NDArray[Any]]:
+def _columns_of_spots(heights: Float64, kind: str, decimals: int) -> dict[str, AnyArray]:
     """Return the columns of spots of one kind, with all heights rounded to the same number of decimals."""
     labels = np.array([f"{height:.{decimals}f}" for height in heights], object)
     return {
@@ -418,9 +416,7 @@ def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, np
     }
 
 
-def _spots_of_block(
-    heights: Floats, kind: str, reach: int, least: float
-) -> npt.NDArray[np.bool_]:
+def _spots_of_block(heights: Float64, kind: str, reach: int, least: float) -> Bool:
     """Return a mask of the pixels that are the highest or lowest in the square around them.
 
     Of a flat top, it has only one pixel.

@@ -9,8 +9,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Indices, UInt8
 from ptd.cells import sample_per_cell
 from ptd.frame import CellLattice
 from tiler.core.lattice import COUNTS_PER_UNIT, Cell, CoordFrame
@@ -149,7 +149,7 @@ def _of_bucket(
     """Return records of the points of a bucket, one per cell."""
     block = store.read_bucket(cell, ("xyz", "classification", "flags", "returns"))
     (x, y, z), frame = block.xyz, store.meta.frame
-    inside: npt.NDArray[np.intp] | None = None
+    inside: Indices | None = None
     area = store.area(overview.area)
     if area is not None and not area.covers(store.meta.bucket.bounds(cell)):
         east, north = frame.origin
@@ -167,8 +167,8 @@ def _of_bucket(
 
 def _records(
     block: PointBlock,
-    labels: npt.NDArray[np.uint8],
-    classes: npt.NDArray[np.uint8],
+    labels: UInt8,
+    classes: UInt8,
     dtype: np.dtype[np.void],
 ) -> Records:
     if block.flags is None or block.classification is None or block.returns is None:

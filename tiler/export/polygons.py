@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rasterio.features
 import rasterio.transform
 import shapely
 from affine import Affine
 
+from ptd.arrays import AnyArray, Bool
 from tiler.core.area import Area
 from tiler.core.breaklines import rings_of
 from tiler.core.drawn_sheets import StoredAreas
@@ -108,9 +108,7 @@ def write_outline(
     )
 
 
-def polygons_of(
-    inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block
-) -> npt.NDArray[Any]:
+def polygons_of(inside: Bool, spec: RasterSpec, block: Block) -> AnyArray:
     """Return polygons around the chosen pixels of a block, in units of the CRS.
 
     Parameters
@@ -144,7 +142,7 @@ def _shape(area: Area) -> Any:
     return shapely.union_all(shapely.make_valid(polygons))
 
 
-def _joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _joined(pieces: AnyArray) -> AnyArray:
     """Join the polygons of all blocks that share a side, and return the results from the north-west."""
     # Corners of blocks would stay as vertices on straight sides, so the polygons are
     # simplified.
@@ -153,7 +151,7 @@ def _joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:
     )
     parts = parts[(shapely.get_type_id(parts) == POLYGON) & ~shapely.is_empty(parts)]
     west, _, _, north = shapely.bounds(parts).T if len(parts) else np.empty((4, 0))
-    polygons: npt.NDArray[Any] = parts[np.lexsort((west, -north))]
+    polygons: AnyArray = parts[np.lexsort((west, -north))]
     return polygons
 
 
@@ -253,7 +251,7 @@ def find_drawn_sheets(
 
 def _with_height(
     store: TileStore, rasters: tuple[str, ...], spec: RasterSpec, block: Block, area: str | None
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Return the mask of the pixels of a block in the area in which one of the rasters has a height."""
     there = np.zeros((block.height, block.width), np.bool_)
     for raster in rasters:

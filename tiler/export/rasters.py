@@ -14,11 +14,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 import rasterio
 import rasterio.shutil
 from affine import Affine
@@ -26,6 +24,7 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
+from ptd.arrays import AnyArray, Bool, Float32
 from tiler.core.crs import raster_crs
 from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.lattice import COUNTS_PER_UNIT, CoordFrame
@@ -59,7 +58,7 @@ class Statistics:
     mean: float = 0.0
     squares: float = 0.0
 
-    def merged(self, block: npt.NDArray[Any], nodata: float | None = NODATA) -> Statistics:
+    def merged(self, block: AnyArray, nodata: float | None = NODATA) -> Statistics:
         """Return the statistics with one more block (Chan, Golub and LeVeque 1979, eq. 2.1)."""
         valid = block.ravel()
         if nodata is not None:
@@ -161,7 +160,7 @@ def _write(
 
 def in_sheet(
     store: TileStore, spec: RasterSpec, clip: StoredAreas | None, block: Block
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Return the mask of the pixels of a block that belong to a drawn sheet, or of all pixels without one."""
     mask = np.ones((block.height, block.width), np.bool_)
     for number, area in enumerate(store.areas(clip) if clip is not None else ()):
@@ -213,7 +212,7 @@ def _write_plain(
     return statistics if clip is None else of_sheet, own
 
 
-def _read(store: TileStore, part: RasterPart, block: Block) -> npt.NDArray[np.float32]:
+def _read(store: TileStore, part: RasterPart, block: Block) -> Float32:
     """Return a block of the file. Pixels beyond the raster of the store have the value ``fill``."""
     spec, whole = part.spec, part.whole or part.spec
     row, col = block.row + whole.north - spec.north, block.col + spec.west - whole.west

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 
+from ptd.arrays import AnyArray, Float64
 from tiler.core.edits import ACTIONS
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.products import SURVEYED, VOID
@@ -130,12 +129,12 @@ def _outlined(store: TileStore, row: ReviewRow, terrain: DeliveredTerrain) -> Re
     return replace(row, shape=shapely.to_wkb(shape, hex=True))
 
 
-def _edges(spec: RasterSpec, block: Block) -> npt.NDArray[np.float64]:
+def _edges(spec: RasterSpec, block: Block) -> Float64:
     """Return west, south, east and north of a block in units of the CRS."""
     return np.array(spec.block_bounds(block).to_json()) / COUNTS_PER_UNIT
 
 
-def _style() -> dict[str, npt.NDArray[Any]]:
+def _style() -> dict[str, AnyArray]:
     """Return the table of styles: colours by status, and lists for status and action in the form."""
     texts = {
         "f_table_catalog": "",

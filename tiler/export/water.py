@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 
+from ptd.arrays import Float64
 from tiler.core.lattice import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.water import Counts, Water, lengths_along
 from tiler.export.output_files import OutFile, WaterFileRecord, new_file
@@ -122,7 +122,7 @@ def _add_breaklines(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame
     file.add(BREAKLINES, "LineString Z", lines, columns)
 
 
-def structures(body: Water) -> list[npt.NDArray[np.float64]]:
+def structures(body: Water) -> list[Float64]:
     """Return lines from bank to bank across the steps of a river, float64 (2, 3) in counts.
 
     Their height is the level upstream of the step.
@@ -152,13 +152,13 @@ def structures(body: Water) -> list[npt.NDArray[np.float64]]:
     return lines_across
 
 
-def dams(bodies: Sequence[Water], frame: CoordFrame) -> list[list[npt.NDArray[np.float64]]]:
+def dams(bodies: Sequence[Water], frame: CoordFrame) -> list[list[Float64]]:
     """Return the shores at dams to lower bodies for each body, as lines float64 (n, 3) in counts."""
     max_width = MAX_DAM_M / float(frame.units.horizontal)
     min_counts = MIN_DAM_M / float(frame.metres_z)
     shapes = [shapely.make_valid(_shape(body)) for body in bodies]
     pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=max_width)
-    lines: list[list[npt.NDArray[np.float64]]] = [[] for _ in bodies]
+    lines: list[list[Float64]] = [[] for _ in bodies]
     for upper, lower in pairs.T.tolist():
         across = shapely.get_coordinates(shapely.shortest_line(shapes[upper], shapes[lower]))
         x, y = np.rint(across * COUNTS_PER_UNIT).astype(np.int64).T
@@ -176,7 +176,7 @@ def dams(bodies: Sequence[Water], frame: CoordFrame) -> list[list[npt.NDArray[np
     return lines
 
 
-def _lifted(body: Water, line: npt.NDArray[np.float64] | Counts) -> npt.NDArray[np.float64]:
+def _lifted(body: Water, line: Float64 | Counts) -> Float64:
     """Return a line in counts at the level of the water."""
     xy = np.rint(line).astype(np.int64)
     return np.column_stack((xy, body.heights(xy[:, 0], xy[:, 1])))

@@ -11,8 +11,8 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool
 from ptd.passes import Pass, Points
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import REPEATED_FLAG, UNCERTIFIED_BIT, PointBlock, Rows, participates
@@ -101,7 +101,7 @@ class Bucket:
     """
 
     points: Points
-    mask: npt.NDArray[np.bool_]
+    mask: Bool
     uncertified: bool
     repeats: tuple[Rows, Rows] | None = None
     edge: Points | None = None
@@ -270,7 +270,7 @@ class TileReader:
             labels = np.zeros(len(block), np.uint8)  # The points have no labels yet.
         return Points(block.xyz, labels, block.rgb, block.returns)
 
-    def _participating(self, block: PointBlock) -> npt.NDArray[np.bool_]:
+    def _participating(self, block: PointBlock) -> Bool:
         if block.classification is None or block.flags is None:
             raise ValueError("points were read without their classes and flags")
         keep, skip = self._work.keep_classes, self._work.skip_flags

@@ -8,8 +8,8 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import UInt8
 from ptd.frame import OPEN, Scale, Window
 from ptd.methods import METHODS
 from ptd.passes import Model, Pass, Points, joined
@@ -119,7 +119,7 @@ def filter_tile(store: TileStore, *, work: FilterTile) -> TileRecord:
     )
 
 
-def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
+def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[UInt8, bool]:
     """Return the labels of the points of a bucket, and whether a label around the bucket was uncertified.
 
     Uncertified labels have bit 7. Points that do not take part in filtering are not passed to
@@ -140,7 +140,7 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
     return bucket_labels, near_uncertified
 
 
-def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np.uint8]:
+def _label_elected(store: TileStore, cell: Cell, model: Model) -> UInt8:
     """Return the labels of the points that a pass elects in a bucket. Uncertified labels have bit 7."""
     labels, uncertified = model.label(
         Points(model.elect(_local(store.meta.bucket.bounds(cell), store)))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Float32, Float64, Int32
 from ptd.gridding.nearest import inverse_distance
 from ptd.tin import KnownWindow, Pixels, Tin, TinRaster, rasterise
 from ptd.tin.mesh import MAX_EXTENT
@@ -24,7 +25,6 @@ from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.core.records import JoinedRecord
 from tiler.errors import ProcessingError
-from tiler.grid.arrays import Float32, Float64, Int32
 from tiler.grid.ground import max_points_in_bucket, surface_ground
 from tiler.grid.records import Facets, GridBlock, TerrainRecord, checksum
 from tiler.store import TileStore

@@ -12,6 +12,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from ptd.arrays import Bool, Float32, Float64, Floating, Indices, Int32, Int64
 from ptd.gridding.above_ground import HighestReturns
 from ptd.gridding.ground_cells import CellWindow, add_counts, cell_numbers
 from ptd.gridding.nearest import nearest_points
@@ -20,7 +21,6 @@ from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, CoordFrame
 from tiler.core.points import WATER
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.water import Waters
-from tiler.grid.arrays import Bools, Float32, Float64, Floating, Index, Int32, Int64
 from tiler.grid.block import edit_heights, pixels_of
 from tiler.grid.coarse import padded
 from tiler.grid.ground import classed, read_ground, read_ground_and_objects, surface_points
@@ -168,13 +168,13 @@ class WatersNear:
     block: Block
 
     @property
-    def inside(self) -> Bools:
+    def inside(self) -> Bool:
         """Mask of the pixels in water, bool (height, width)."""
         if self.waters is None:
             return np.zeros((self.block.height, self.block.width), np.bool_)
         return self.waters.inside(self.spec, self.block)
 
-    def set_heights(self, heights: Float32, where: Bools) -> list[tuple[str, int]]:
+    def set_heights(self, heights: Float32, where: Bool) -> list[tuple[str, int]]:
         """Set the heights of the water's pixels in the mask ``where``, see `Waters.set_heights`."""
         if self.waters is None:
             return []
@@ -198,7 +198,7 @@ class EditsNear:
         return () if edits is None else edits.edits
 
     @property
-    def flat(self) -> Bools:
+    def flat(self) -> Bool:
         """Mask of the pixels whose height an edit sets, bool (height, width)."""
         mask = np.zeros((self.block.height, self.block.width), np.bool_)
         for edit in self.of((FLAT,)):
@@ -239,7 +239,7 @@ class PixelCells:
         self.rows = np.arange(block.height) + (block.row - self.window.row)
         self.columns = np.arange(block.width) + (block.col - self.window.col)
 
-    def means(self, values: Floating, known: Bools) -> Float64:
+    def means(self, values: Floating, known: Bool) -> Float64:
         """Return the mean of the known pixels of each cell, NaN where none is known.
 
         Values are rounded to counts, as sums of whole numbers are the same for any start of the block.
@@ -264,7 +264,7 @@ class PixelCells:
             sums += pixels[row :: self.side, column :: self.side]
         return sums
 
-    def between(self, pixels: Index, first: int = 0) -> tuple[Index, Float64]:
+    def between(self, pixels: Indices, first: int = 0) -> tuple[Indices, Float64]:
         """Return the cell before each row or column of pixels, and the share of the way to the next one.
 
         Cells are counted from cell ``first``.
@@ -275,7 +275,7 @@ class PixelCells:
         return before, (half_pixels - 2 * self.side * before) / (2 * self.side)
 
 
-def linear(values: Float64, before: Index, share: Float64) -> Float64:
+def linear(values: Float64, before: Indices, share: Float64) -> Float64:
     """Interpolate linearly between rows of values."""
     return (
         values[before] * (1 - share)[:, np.newaxis] + values[before + 1] * share[:, np.newaxis]

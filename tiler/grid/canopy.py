@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64
 from ptd.frame import Scale
 from ptd.matched.cells import CELL_M
 from ptd.matched.step import COVERED, size_of_cells
@@ -26,7 +27,6 @@ from ptd.passes import Points
 from tiler.core.lattice import COUNTS_PER_UNIT, Lattice
 from tiler.core.points import PointBlock
 from tiler.core.products import NODATA
-from tiler.grid.arrays import Bools, Float64
 from tiler.grid.block_surroundings import PointsNear, linear
 from tiler.grid.coarse import distances, opened
 from tiler.grid.steps import Counts, Position, canopy_window
@@ -82,7 +82,7 @@ def canopy_reach(side: Fraction, metres: Fraction) -> int:
     return math.ceil(cells * side)
 
 
-def _crowns(cells: PointBlock, hidden: Bools, place: Position, side: Fraction) -> Float64:
+def _crowns(cells: PointBlock, hidden: Bool, place: Position, side: Fraction) -> Float64:
     """Return the heights of crowns at the pixels' centres, NaN where there are none."""
     lattice, frame, spec, block = Lattice(side), place.frame, place.spec, place.block
     bounds = spec.block_bounds(block).pad(canopy_reach(side, frame.metres_xy))
@@ -114,7 +114,7 @@ def _crowns(cells: PointBlock, hidden: Bools, place: Position, side: Fraction) -
     return tops[np.ix_(pixel_rows - south, pixel_columns - west)]
 
 
-def _fill_gaps(tops: Float64, there: Bools) -> None:
+def _fill_gaps(tops: Float64, there: Bool) -> None:
     """Give gaps without points in a canopy the mean height of the crowns around them."""
     covered, square = np.isfinite(tops), np.ones((2 * GAP + 1, 2 * GAP + 1))
     gaps = ~there & scipy.ndimage.binary_closing(covered, square.astype(np.bool_))
@@ -204,7 +204,7 @@ def crowns_margin(cell_m: float) -> int:
 
 
 def _corrected(
-    tops: Float64, bridge: Float64, seen: Bools, cell_m: float, first: tuple[int, int]
+    tops: Float64, bridge: Float64, seen: Bool, cell_m: float, first: tuple[int, int]
 ) -> tuple[Float64, Float64]:
     """Return corrections of the interpolated terrain, and the terrain itself, as if a canopy were over all cells.
 

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import scipy
 
+from ptd.arrays import AnyArray, Bool, Float64, Floating, Int32
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
-from tiler.grid.arrays import AnyArray, Bools, Float64, Floating, Int32
 from tiler.store import TileStore, read_cells
 
 Runs = list[list[int]]
@@ -59,7 +59,7 @@ def pixels_touching(spec: RasterSpec, bounds: Bounds) -> Block:
 
 
 def block_runs(
-    cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pad: int = 0
+    cells: Bool, coarse: RasterSpec, spec: RasterSpec, size: int, pad: int = 0
 ) -> Runs:
     """Find the blocks of a raster within ``pad`` pixels of a set coarse cell.
 
@@ -146,7 +146,7 @@ class Piece(NamedTuple):
     label: int
 
 
-def label_block(cells: Bools, corners: bool) -> tuple[Int32, dict[str, Side]]:
+def label_block(cells: Bool, corners: bool) -> tuple[Int32, dict[str, Side]]:
     """Label the areas of a block.
 
     Parameters
@@ -347,12 +347,12 @@ def areas_within(
 
 def cells_of(
     store: TileStore, name: str, coarse: RasterSpec, window: Block, pieces: Iterable[Piece]
-) -> Bools:
+) -> Bool:
     """Return a mask of the cells of some pieces in a window of a raster of labels in the store."""
     return cells_in(read_cells(store, name, coarse, window), window, pieces)
 
 
-def cells_in(labels: Floating, window: Block, pieces: Iterable[Piece]) -> Bools:
+def cells_in(labels: Floating, window: Block, pieces: Iterable[Piece]) -> Bool:
     """Return a mask of the cells of some pieces in a window of labels."""
     cell_mask = np.zeros(labels.shape, np.bool_)
     of_block: dict[tuple[int, int], list[int]] = defaultdict(list)
@@ -382,7 +382,7 @@ STRIP_ROWS = 256
 """Rows per strip, or twice the radius if that is more."""
 
 
-def within(cells: Bools, radius: float) -> Bools:
+def within(cells: Bool, radius: float) -> Bool:
     """Return a mask of the cells within a radius of a set cell, measured between centres in cells.
 
     The cells are spread sideways step by step, and shifted up and down from the most distant
@@ -404,7 +404,7 @@ def within(cells: Bools, radius: float) -> Bools:
     return near_mask
 
 
-def opened(cells: Bools, radius: float) -> Bools:
+def opened(cells: Bool, radius: float) -> Bool:
     """Return a mask without the parts in which no disk of this radius fits. Cells beyond the border are not set."""
     pad = math.floor(radius)
     outside = np.pad(~cells, pad, constant_values=True)
@@ -412,7 +412,7 @@ def opened(cells: Bools, radius: float) -> Bools:
     return within(eroded, radius)
 
 
-def within_square(cells: Bools, radius: int) -> Bools:
+def within_square(cells: Bool, radius: int) -> Bool:
     """Return a mask of the cells with a set cell within ``radius`` rows and columns."""
     near = cells.copy()
     for step in range(1, radius + 1):
@@ -425,7 +425,7 @@ def within_square(cells: Bools, radius: int) -> Bools:
     return near
 
 
-def distances(cells: Bools, radius: float) -> Float64:
+def distances(cells: Bool, radius: float) -> Float64:
     """Return the distance of each cell from the nearest set cell, in cells, infinite beyond a radius."""
     near_distances = np.full(cells.shape, np.inf)
     for part, distance in _strips(cells, radius):
@@ -433,7 +433,7 @@ def distances(cells: Bools, radius: float) -> Float64:
     return near_distances
 
 
-def box_around(cells: Bools, pad: int) -> tuple[slice, slice]:
+def box_around(cells: Bool, pad: int) -> tuple[slice, slice]:
     """Return the rows and columns of the box around the set cells, padded by ``pad`` cells within the array."""
     slices = []
     for axis in (1, 0):
@@ -443,7 +443,7 @@ def box_around(cells: Bools, pad: int) -> tuple[slice, slice]:
     return slices[0], slices[1]
 
 
-def _strips(cells: Bools, radius: float) -> Iterator[tuple[tuple[slice, slice], Float64]]:
+def _strips(cells: Bool, radius: float) -> Iterator[tuple[tuple[slice, slice], Float64]]:
     """Yield the parts with set cells near them, and their distances, which are correct up to the radius."""
     margin = max(math.floor(radius), 0)
     step = max(STRIP_ROWS, 2 * margin)

@@ -16,9 +16,9 @@ from collections.abc import Iterable
 import numpy as np
 import scipy
 
+from ptd.arrays import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tiler.core.products import BARE, BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int64, UInt8
 from tiler.grid.block_surroundings import PointsNear
 from tiler.grid.coarse import (
     Piece,
@@ -184,7 +184,7 @@ def open_areas(
     }
 
 
-def gaps_of(occupied: Bools, gap: float, most: float) -> Float64:
+def gaps_of(occupied: Bool, gap: float, most: float) -> Float64:
     """Return the widest gap that belongs to the survey in each window, in cells (see `gap_of`).
 
     Each window is examined together with the eight windows around it.
@@ -208,7 +208,7 @@ def gaps_of(occupied: Bools, gap: float, most: float) -> Float64:
     return gaps
 
 
-def gap_of(occupied: Bools, gap: float, most: float) -> float:
+def gap_of(occupied: Bool, gap: float, most: float) -> float:
     """Return the widest gap of a survey in cells: the usual one, doubled until points are not sparse in it.
 
     Parameters
@@ -255,7 +255,7 @@ def spacings_of(counts: Float32, gaps: Float64) -> Float64:
     return spacings
 
 
-def bare_cells(occupied: Bools, spacings: Float64, pad: int) -> Bools:
+def bare_cells(occupied: Bool, spacings: Float64, pad: int) -> Bool:
     """Return a mask of the cells of a block in gaps without points that are wider than `BARE_SPACINGS` spacings.
 
     Parameters
@@ -275,11 +275,11 @@ def bare_cells(occupied: Bools, spacings: Float64, pad: int) -> Bools:
     inner = np.s_[pad:-pad, pad:-pad]
     if not middle.any():
         return middle[inner]
-    bare: Bools = ~occupied & (scipy.ndimage.distance_transform_edt(~middle) < depth)
+    bare: Bool = ~occupied & (scipy.ndimage.distance_transform_edt(~middle) < depth)
     return bare[inner]
 
 
-def closed_cells(occupied: Bools, gaps: Float64, pad: int) -> Bools:
+def closed_cells(occupied: Bool, gaps: Float64, pad: int) -> Bool:
     """Return a mask of the cells of a block that have points or lie in a gap that belongs to the survey.
 
     Parameters
@@ -349,7 +349,7 @@ def survey(
     }
 
 
-def survey_values(closed: Bools, enclosed: Bools, bare: Bools) -> UInt8:
+def survey_values(closed: Bool, enclosed: Bool, bare: Bool) -> UInt8:
     """Return the values of the cells of a survey, see `tiler.core.products.BEYOND`.
 
     Parameters

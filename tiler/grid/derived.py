@@ -15,6 +15,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from ptd.arrays import Bool, Float32, Float64, Int32
 from ptd.gridding.above_ground import NOTHING
 from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
@@ -33,7 +34,6 @@ from tiler.core.products import (
     WATER,
 )
 from tiler.core.raster import NODATA
-from tiler.grid.arrays import Bools, Float32, Float64, Int32
 from tiler.grid.block import full_halo, rasterise_window
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.canopy import OPEN
@@ -87,8 +87,8 @@ def mask(
     survey: Float32,
     points: PointsNear,
     waters: WatersNear,
-    failed: Bools,
-    area: Bools,
+    failed: Bool,
+    area: Bool,
 ) -> tuple[Float64, Counts]:
     """Return where the height of each pixel comes from (`tiler.core.products`).
 
@@ -170,8 +170,8 @@ def raised_to(heights: Float64, terrain: Float64) -> Float64:
 
 
 def surface_heights(
-    points: PointsNear, bare: Bools, facets: Facets, reach: int, spike: Fraction
-) -> tuple[Float64, Bools, Counts]:
+    points: PointsNear, bare: Bool, facets: Facets, reach: int, spike: Fraction
+) -> tuple[Float64, Bool, Counts]:
     """Return the heights of a block, not yet raised to the terrain, a mask of measured pixels, and the counts.
 
     Pixels of ``bare`` without a return get no height.
@@ -210,7 +210,7 @@ def _vertices(points: PointsNear, window: Bounds, reach: int, spike: Fraction) -
 def outline(
     heights: Float64,
     survey: Float32,
-    area: Bools,
+    area: Bool,
     edits: EditsNear,
     waters: WatersNear | None = None,
     canopy: Float64 | None = None,

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float32, Float64
 from ptd.gridding.above_ground import NOTHING
 from ptd.ground.plateaus import ROOF_CELL_M, reach_m, remaining_roofs
 from ptd.matched.crowns import BLOCK, Crowns, crowns
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units import length_text
-from tiler.grid.arrays import Bools, Float32, Float64
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import label_block, padded, padded_within
 from tiler.grid.steps import Counts
@@ -96,7 +96,7 @@ def above(
     }
 
 
-def _spans(inside: Bools, row: int, col: int) -> list[list[int]]:
+def _spans(inside: Bool, row: int, col: int) -> list[list[int]]:
     """Return row, first and last column of each row of neighbouring pixels. The corner of ``inside`` is at row, col."""
     steps = np.diff(np.pad(inside, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     (rows, firsts), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
@@ -119,7 +119,7 @@ def _cells(block: Block, below_m: Float64) -> list[list[int]]:
 
 
 def heights_above(
-    points: PointsNear, wider: Float64, excluded: Bools, reach: int, spike: Fraction
+    points: PointsNear, wider: Float64, excluded: Bool, reach: int, spike: Fraction
 ) -> tuple[Float64, Float64]:
     """Return the metres of the terrain of each pixel above the highest return, and below the lowest one.
 
@@ -160,7 +160,7 @@ def min_pixels(pixel_m2: Fraction) -> int:
     return math.ceil(MIN_PLACE_M2 / pixel_m2)
 
 
-def _listed(wrong: Bools, least: int) -> Bools:
+def _listed(wrong: Bool, least: int) -> Bool:
     """Return the mask of the places with at least ``least`` pixels and of those at a side of the block."""
     labels, sides = label_block(wrong, corners=True)
     listed = np.bincount(labels.ravel()) >= least

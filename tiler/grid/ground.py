@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from ptd.arrays import Bool, Indices, Int32, Int64, UInt8
 from ptd.gridding.above_ground import near_objects
 from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints, ground_with
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import NOISE, UNCERTIFIED_BIT, WITHHELD_FLAG, PointBlock
 from tiler.errors import StoreError
-from tiler.grid.arrays import Bools, Index, Int32, Int64, UInt8
 from tiler.grid.records import GridBlock, GroundSelection
 from tiler.store import TileStore
 
@@ -27,7 +27,7 @@ _NOISE_CLASSES = np.isin(np.arange(256), NOISE)
 _NOISE_LABELS = np.isin(np.arange(256) & ~UNCERTIFIED_BIT, NOISE)
 """Table of the labels of the filter that are noise."""
 
-Choose = Callable[[Int32], Index]
+Choose = Callable[[Int32], Indices]
 """Function from points, int32 (3, n), to indices of the chosen points."""
 
 
@@ -70,8 +70,8 @@ class Classed:
     cell: Cell
     xyz: Int32
     classes: UInt8
-    is_ground: Bools
-    is_object: Bools
+    is_ground: Bool
+    is_object: Bool
 
 
 def classed(
@@ -107,7 +107,7 @@ def read_ground(
     store: TileStore,
     rule: GroundSelection,
     bounds: Bounds,
-    choose: Callable[[Cell, Int32], Index] | None = None,
+    choose: Callable[[Cell, Int32], Indices] | None = None,
 ) -> Ground:
     """Read the ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order.
 
@@ -143,7 +143,7 @@ def read_ground_and_objects(
 
 def read_classes(
     store: TileStore, rule: GroundSelection, cell: Cell, needs_input: bool = False
-) -> tuple[PointBlock, UInt8, Bools]:
+) -> tuple[PointBlock, UInt8, Bool]:
     """Read the points of a bucket with their flags. Return them with their classes and a mask of the ground points.
 
     The points include the classes of the input if ``needs_input`` is set, or if the ground
@@ -189,7 +189,7 @@ def _beside_objects(
     ground: Int32,
     own: Int32,
     edges: Mapping[Cell, Int32],
-) -> Bools:
+) -> Bool:
     """Return a mask of the ground points near objects of the bucket (``own``) or of a neighbour."""
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
     neighbour_objects = [
@@ -202,19 +202,19 @@ def _beside_objects(
 def _is_object(
     block: PointBlock,
     classes: UInt8,
-    is_ground: Bools,
+    is_ground: Bool,
     rule: GroundSelection,
     store: TileStore,
     cell: Cell,
-) -> Bools:
+) -> Bool:
     """Return a mask of the points that are neither ground nor noise, from results of `read_classes`."""
     labels = None if rule.labels is None else classes
     return ~is_ground & _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
 
 
-def _is_noise(block: PointBlock, labels: UInt8 | None, store: TileStore, cell: Cell) -> Bools:
+def _is_noise(block: PointBlock, labels: UInt8 | None, store: TileStore, cell: Cell) -> Bool:
     """Return a mask of the points that are noise by the input, or by the filter if there are labels."""
-    noise: Bools = _NOISE_CLASSES[_required(block.classification, store, cell)]
+    noise: Bool = _NOISE_CLASSES[_required(block.classification, store, cell)]
     return noise if labels is None else noise | _NOISE_LABELS[labels]
 
 
@@ -253,7 +253,7 @@ def count_edited_points(
 
 def surface_points(
     store: TileStore, rule: GroundSelection, cell: Cell
-) -> tuple[PointBlock, Bools]:
+) -> tuple[PointBlock, Bool]:
     """Read all points of a bucket. Return them with a mask of the surface points.
 
     Surface points are not withheld or skipped, and are not noise by the input or by the filter.
@@ -264,10 +264,10 @@ def surface_points(
     return block, chosen
 
 
-def _used(block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell) -> Bools:
+def _used(block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell) -> Bool:
     """Return a mask of the points that are not excluded by a flag."""
     flags = _required(block.flags, store, cell)
-    mask: Bools = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
+    mask: Bool = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
     return mask
 
 
@@ -308,14 +308,14 @@ def _whole_cells(
     origin: tuple[int, int],
     cell: Cell,
     xyz: Int32,
-) -> Index:
+) -> Indices:
     """Return the points that may be in the TIN: one per cell that is wholly in the bucket, and all of other cells."""
     whole = PointBlock(xyz).inside(thin.within(buckets.bounds(cell)), origin)
     inner = np.flatnonzero(whole)
     return np.append(inner[choose(xyz[:, inner])], np.flatnonzero(~whole))
 
 
-def central_points(xyz: Int32, origin: tuple[int, int], lattice: Lattice) -> Index:
+def central_points(xyz: Int32, origin: tuple[int, int], lattice: Lattice) -> Indices:
     """Return the indices of the points nearest to the centre of each cell, ties in the order of (x, y, z).
 
     The nearest point does not lower the surface on average, as the lowest point would.
@@ -337,7 +337,9 @@ def central_points(xyz: Int32, origin: tuple[int, int], lattice: Lattice) -> Ind
     return order[_starts(ix[order], iy[order])]
 
 
-def ranked_points(xyz: Int32, origin: tuple[int, int], lattice: Lattice, percent: int) -> Index:
+def ranked_points(
+    xyz: Int32, origin: tuple[int, int], lattice: Lattice, percent: int
+) -> Indices:
     """Return the indices of the points at a percentile of the heights of each cell.
 
     Percentile 50 is the (lower) median, 0 the lowest point. A measured point, unlike a mean,
@@ -354,11 +356,11 @@ def ranked_points(xyz: Int32, origin: tuple[int, int], lattice: Lattice, percent
     order = _sorted_in_cells(x, y, xyz[2].astype(np.int64), ix, iy)
     starts = _starts(ix[order], iy[order])
     counts = np.diff(starts, append=len(order))
-    chosen: Index = order[starts + (counts - 1) * percent // 100]
+    chosen: Indices = order[starts + (counts - 1) * percent // 100]
     return chosen
 
 
-def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Index:
+def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Indices:
     """Return the indices of points in the order of (iy, ix, z, x, y)."""
     if len(x) == 0:
         return np.zeros(0, np.int64)
@@ -369,7 +371,7 @@ def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Inde
     # One sort by one number is several times as fast as five. Points with equal numbers are
     # sorted once more.
     keys = ((iy - row) * columns + (ix - col)) * heights + (z - low)
-    order: Index = np.argsort(keys)
+    order: Indices = np.argsort(keys)
     alike = np.diff(keys[order]) == 0
     tied = np.flatnonzero(np.append(alike, False) | np.append(False, alike))
     ties = order[tied]
@@ -385,7 +387,7 @@ def _in_cells(
     return x, y, lattice.index(x), lattice.index(y)
 
 
-def _starts(ix: Int64, iy: Int64) -> Index:
+def _starts(ix: Int64, iy: Int64) -> Indices:
     """Return the first index of each cell in points that are sorted by cells."""
     differs = (np.diff(ix) != 0) | (np.diff(iy) != 0)
     return np.flatnonzero(np.append(True, differs)[: len(ix)])

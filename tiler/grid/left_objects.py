@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Int64
 from ptd.gridding.ground_cells import CellWindow, add_counts
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block
-from tiler.grid.arrays import Bools, Float64, Int64
 from tiler.grid.block_surroundings import PixelCells, PointsNear
 from tiler.grid.ground import classed
 from tiler.grid.object_candidates import (
@@ -123,7 +123,7 @@ class _Judged(NamedTuple):
 
     found: Candidates
     levels: list[Level]
-    mask: Bools
+    mask: Bool
 
 
 def _judged(heights: Float64, cell_m: float, cells: PixelCells, block: Block) -> _Judged:
@@ -168,7 +168,7 @@ def _is_here(cells: PixelCells, block: Block, row: Any, column: Any) -> Any:
     return (row >= 0) & (row < block.height) & (column >= 0) & (column < block.width)
 
 
-def _nested_with(found: Candidates, levels: list[Level], some: Bools) -> Bools:
+def _nested_with(found: Candidates, levels: list[Level], some: Bool) -> Bool:
     """Return a mask of the candidates in the same widest candidate as one of some, which decide on each other."""
     widest = np.zeros((2, len(found.level)), np.int64)
     for i, level in reversed(list(enumerate(levels))):
@@ -217,14 +217,14 @@ def _counts(points: PointsNear, cells: PixelCells, box: Box) -> tuple[Int64, Int
     return ground, objects
 
 
-def _widened(inside: Bools, box: Box) -> tuple[Bools, Box]:
+def _widened(inside: Bool, box: Box) -> tuple[Bool, Box]:
     """Return cells with those around them, and the box of all."""
     padded = np.pad(inside, WIDER_CELLS)
     wide = scipy.ndimage.binary_dilation(padded, TOUCHING, WIDER_CELLS)
     return wide, tuple(slice(p.start - WIDER_CELLS, p.stop + WIDER_CELLS) for p in box)
 
 
-def _rectangles(inside: Bools, box: Box, window: Block, side: int) -> list[list[int]]:
+def _rectangles(inside: Bool, box: Box, window: Block, side: int) -> list[list[int]]:
     """Return first row, first column, last row and last column of pixels of each run of cells in a row."""
     steps = np.diff(np.pad(inside, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     (rows, firsts), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from tiler.grid.arrays import AnyArray, Bools, Float64, Index, Int32, Int64
+from ptd.arrays import AnyArray, Bool, Float64, Indices, Int32, Int64
 
 Box = tuple[slice, ...]
 
@@ -131,7 +131,7 @@ class Candidates(NamedTuple):
     slope: Float64
     unknown: Float64
 
-    def shaped(self, limits: Limits) -> Bools:
+    def shaped(self, limits: Limits) -> Bool:
         """Return a mask of the candidates whose shape and land around are within limits."""
         is_shaped = (self.height_m >= limits.height_m) & (self.steep >= limits.steep)
         return is_shaped & (self.slope <= limits.slope) & (self.unknown <= limits.unknown)
@@ -186,7 +186,7 @@ def candidates(heights: Float64, cell_m: float, rim: int = 0) -> tuple[Candidate
     return Candidates(*joined), levels
 
 
-def _opened(heights: Float64, known: Bools, cell_m: float) -> Float64:
+def _opened(heights: Float64, known: Bool, cell_m: float) -> Float64:
     """Return the opening by a square with an odd number of cells. Cells without a height do not count."""
     side = int(WINDOW_M / cell_m / 2) * 2 + 1
     lowest = scipy.ndimage.minimum_filter(
@@ -217,7 +217,7 @@ def _without_gaps(labels: Int32 | Int64) -> Int32:
     return numbered
 
 
-Zone = tuple[Index, Int32]
+Zone = tuple[Indices, Int32]
 """Flat indices of cells, and the label of the candidate to which each belongs."""
 
 
@@ -232,7 +232,7 @@ class Level(NamedTuple):
     ring: Zone
 
     @classmethod
-    def of(cls, labels: Int32, known: Bools) -> Level:
+    def of(cls, labels: Int32, known: Bool) -> Level:
         """Return a level of its labels. The land around lies in cells that are ``known``."""
         n, flat = int(labels.max(initial=0)), labels.ravel()
         if n == 0:
@@ -263,7 +263,7 @@ class Measures(NamedTuple):
     objects: Float64
     slope: Float64
     border_ground: Float64
-    is_judged: Bools
+    is_judged: Bool
 
 
 def measures_of(
@@ -311,7 +311,7 @@ def chances(measures: Measures, weights: Weights | None = None) -> Float64:
 
 def chosen(
     found: Candidates, levels: list[Level], chance: Float64
-) -> list[tuple[int, Bools, Box]]:
+) -> list[tuple[int, Bool, Box]]:
     """Return the candidates that are listed: index, cells, and the box of these.
 
     Of candidates that overlap, the one with the largest chance is listed.

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from ptd.arrays import Bool, Float32
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import GROUND, UNCERTIFIED_BIT, WITHHELD_FLAG
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.records import NOT_IN_DIGEST, BlockRecord, Record
-from tiler.grid.arrays import Bools, Float32
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class GroundSelection:
     erode_rise: int = 0
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
-    def is_ground(self) -> Bools:
+    def is_ground(self) -> Bool:
         """Return whether each class or label is ground: bool (256,)."""
         table = np.zeros(256, np.bool_)
         for value in self.classes:

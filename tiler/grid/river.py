@@ -17,10 +17,10 @@ import shapely
 from affine import Affine
 from rasterio.features import rasterize
 
+from ptd.arrays import Bool, Float64, Int64
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.water import Counts, Station, lengths_along, lifted_line, places_along
-from tiler.grid.arrays import Bools, Float64, Int64
 
 MAX_CELLS = 1_000_000
 """Largest number of cells of the raster for the search of the line."""
@@ -104,7 +104,7 @@ def centreline(shape: Any) -> Float64 | None:
     return vertices
 
 
-def _graph(wet: Bools, shore_distance: Float64) -> tuple[Any, Any, Any]:
+def _graph(wet: Bool, shore_distance: Float64) -> tuple[Any, Any, Any]:
     """Return rows and columns of cells, and two graphs of neighbouring cells.
 
     The first graph has the lengths of steps. In the second graph, steps near the shore cost
@@ -281,7 +281,7 @@ def _station(
     return None, 0.0
 
 
-def _decisive(found: list[Station | None]) -> Bools:
+def _decisive(found: list[Station | None]) -> Bool:
     """Return a mask of the stations to use: stations with returns of the water, and others far from them."""
     has_returns = np.array([station is not None and station.seen > 0 for station in found])
     near = has_returns
@@ -291,7 +291,7 @@ def _decisive(found: list[Station | None]) -> Bools:
     return np.asarray(has_returns | (known & ~near))
 
 
-def _left_of(line: Float64, xyz: Counts, along: Float64) -> Bools:
+def _left_of(line: Float64, xyz: Counts, along: Float64) -> Bool:
     """Return a mask of the points to the left of a line. ``along`` is the distance of each point along the line."""
     lengths = lengths_along(line)
     segment = np.clip(np.searchsorted(lengths, along, side="right") - 1, 0, len(line) - 2)

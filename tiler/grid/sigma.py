@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Floating, Int64
 from ptd.gridding.ground_cells import CellWindow, box_sums, cell_counts, plane_variance
 from ptd.gridding.shape import gradients
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.products import CANOPY, COVERED_SHARE, EDGES_M, FILLED, GROUPS, WATER
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.results import SigmaGroup, SigmaResult
-from tiler.grid.arrays import Bools, Float64, Floating, Int64
 from tiler.grid.block_surroundings import PixelCells, PointsNear, linear
 from tiler.grid.canopy import BEND_M
 from tiler.grid.steps import Counts
@@ -59,7 +59,7 @@ class _Land:
         self._heights = heights[top : top + window.height, left : left + window.width]
         self._means = self._cells.means(self._heights, ~np.isnan(self._heights))
 
-    def known(self) -> Bools:
+    def known(self) -> Bool:
         """Return a mask of the block's pixels that have a height."""
         return ~np.isnan(self._heights[np.ix_(self._cells.rows, self._cells.columns)])
 
@@ -380,7 +380,7 @@ def sigma(
     }
 
 
-def _groups(found: Measures, mask: Float64, there: Bools) -> dict[str, Bools]:
+def _groups(found: Measures, mask: Float64, there: Bool) -> dict[str, Bool]:
     """Return masks of the pixels of open ground, covered ground and water, by group."""
     wet = there & (mask == WATER)
     covered = (found.near_objects >= COVERED_SHARE) | (mask == CANOPY) | (mask == FILLED)

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Float32, Float64, Floating
 from tiler.core.lattice import Bounds, CoordFrame
 from tiler.core.points import PointBlock
 from tiler.core.products import Read
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.arrays import Bools, Float32, Float64, Floating
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
 from tiler.grid.coarse import padded
 from tiler.grid.records import BlockWork, Facets, GroundSelection, checksum
@@ -212,12 +212,12 @@ def _place(store: TileStore, task: MakeBlock, _: Read) -> Position:
     return Position(store.meta.frame, task.spec, task.block, task.sources)
 
 
-def _area(store: TileStore, task: MakeBlock, read: Read) -> Bools:
+def _area(store: TileStore, task: MakeBlock, read: Read) -> Bool:
     """Return a mask of the pixels around a block in the area of the run."""
     return task.spec.inside(padded(task.block, read.margin), store.area(task.sources.area))
 
 
-def _failed(_: TileStore, task: MakeBlock, __: Read) -> Bools:
+def _failed(_: TileStore, task: MakeBlock, __: Read) -> Bool:
     """Return a mask of the pixels whose centres lie in a tile that failed."""
     mask = np.zeros((task.block.height, task.block.width), np.bool_)
     x, y = task.spec.centres(task.block)

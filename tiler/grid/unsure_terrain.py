@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float64, Indices, Int32, Int64
 from ptd.gridding.ground_cells import box_sums
-from tiler.grid.arrays import Bools, Float64, Index, Int32, Int64
 from tiler.grid.coarse import distances
 from tiler.grid.object_candidates import MOST_CHANCE, TOUCHING, Box
 from tiler.grid.sigma import LASER, MATCHED
@@ -111,7 +111,7 @@ class Shape(NamedTuple):
 class Place(NamedTuple):
     """Place with its cells, their box, its first cell, and what is told of it: see `unsure_places`."""
 
-    cells: Bools
+    cells: Bool
     box: Box
     row: int
     column: int
@@ -134,7 +134,7 @@ def shape_of(heights: Float64, cell_m: float) -> Shape:
     return Shape(rise, trend, heights)
 
 
-def may_be_unsure(rise: Float64, cell_m: float, search: Search) -> Bools:
+def may_be_unsure(rise: Float64, cell_m: float, search: Search) -> Bool:
     """Return a mask of the cells that can belong to a place, whatever the ground points are."""
     return _smooth(rise * (FARTHEST_CELLS * cell_m) ** 0.5) >= search.least_measure
 
@@ -235,7 +235,7 @@ def square_cells(cell_m: float) -> int:
     return int(SQUARE_M / cell_m)
 
 
-def _labels_in_squares(cells: Bools, corner: tuple[int, int], side: int) -> Int32:
+def _labels_in_squares(cells: Bool, corner: tuple[int, int], side: int) -> Int32:
     """Label connected cells within each square, by labelling the squares with gaps between them."""
     at = (
         first % side + np.arange(size) for first, size in zip(corner, cells.shape, strict=True)
@@ -247,7 +247,7 @@ def _labels_in_squares(cells: Bools, corner: tuple[int, int], side: int) -> Int3
     return scipy.ndimage.label(apart, TOUCHING)[0][place].astype(np.int32)
 
 
-def _slope(heights: Float64, at: Index, cell_m: float) -> Float64:
+def _slope(heights: Float64, at: Indices, cell_m: float) -> Float64:
     """Return the slope at cells that do not lie at the border, given by flat indices, 0 beside unknown heights."""
     flat, columns = heights.ravel(), heights.shape[1]
     down, right = (flat[at + step] - flat[at - step] for step in (columns, 1))

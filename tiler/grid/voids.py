@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float32, Int32, Int64
 from ptd.tin import Tin, rasterise
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west, within
-from tiler.grid.arrays import Bools, Float32, Int32, Int64
 from tiler.grid.block import heights_in_units, pixels_of
 from tiler.grid.block_surroundings import EditsNear
 from tiler.grid.coarse import (
@@ -92,7 +92,7 @@ def find_voids(heights: PixelsUnder, survey: Float32, place: Position) -> tuple[
     return labels, {"sides": sides, "labels": len(blocks), "blocks": blocks}
 
 
-def _around_small_pixels(heights: PixelsUnder, place: Position) -> Bools:
+def _around_small_pixels(heights: PixelsUnder, place: Position) -> Bool:
     """Return a mask of the cells of a block that contain the centre of an empty pixel."""
     coarse, spec, block = place.spec, place.sources.pixels, place.block
     empty = np.zeros((block.height, block.width), np.bool_)
@@ -111,7 +111,7 @@ def _around_small_pixels(heights: PixelsUnder, place: Position) -> Bools:
     return empty
 
 
-def _within_large_pixels(heights: PixelsUnder, survey: Float32, place: Position) -> Bools:
+def _within_large_pixels(heights: PixelsUnder, survey: Float32, place: Position) -> Bool:
     """Return a mask of the cells of a block whose centre lies in an empty pixel with its centre in the survey."""
     coarse, spec, block = place.spec, place.sources.pixels, place.block
     empty = np.zeros((block.height, block.width), np.bool_)
@@ -176,12 +176,12 @@ def fill_voids(
     return values, {}
 
 
-def _without_height(heights: PixelsUnder, block: Block) -> Bools:
-    mask: Bools = heights.read(block) == np.float32(NODATA)
+def _without_height(heights: PixelsUnder, block: Block) -> Bool:
+    mask: Bool = heights.read(block) == np.float32(NODATA)
     return mask
 
 
-def _pixels_in_void(cells: PixelsUnder, spec: RasterSpec, void: Void, block: Block) -> Bools:
+def _pixels_in_void(cells: PixelsUnder, spec: RasterSpec, void: Void, block: Block) -> Bool:
     """Return a mask of the pixels of a block whose centres lie in the coarse cells of a void."""
     window = coarse_window(cells.spec, spec, block)
     in_void = cells_in(cells.read(window), window, void.pieces)
@@ -235,7 +235,7 @@ LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
 """Actions of edits that can leave pixels without a height."""
 
 
-def holes_of_block(known: Bools, surveyed: Bools, edits: EditsNear, area: Bools) -> Counts:
+def holes_of_block(known: Bool, surveyed: Bool, edits: EditsNear, area: Bool) -> Counts:
     """Count and locate the holes of a block.
 
     Parameters
@@ -272,7 +272,7 @@ def holes_of_block(known: Bools, surveyed: Bools, edits: EditsNear, area: Bools)
     }
 
 
-def hole_cells(holes: Bools, block: Block, outside: Bools) -> list[list[int]]:
+def hole_cells(holes: Bool, block: Block, outside: Bool) -> list[list[int]]:
     """Return a list of numbers for each cell with holes.
 
     These are the number of holes, their first row and column, their last row and column, the number of holes that

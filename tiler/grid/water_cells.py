@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import AnyArray, Bool, Float32, Float64, Int64
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.points import WATER
 from tiler.core.raster import BLOCK_PIXELS, NODATA
-from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int64
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
 from tiler.grid.coarse import blocks_under, distances, opened, padded
 from tiler.grid.coverage import merged
@@ -188,9 +188,9 @@ class WaterCells:
     """
 
     returns: Float32
-    given: Bools
+    given: Bool
     ground: Float64
-    domain: Bools
+    domain: Bool
     size_m: float
 
     def coarser(self) -> WaterCells:
@@ -309,7 +309,7 @@ class CellCounts(NamedTuple):
         return 0 < self.given >= GIVEN_SHARE * self.cells
 
 
-def water_candidates(cells: WaterCells, usual: float | None) -> Bools:
+def water_candidates(cells: WaterCells, usual: float | None) -> Bool:
     """Return a mask of the cells that may be water. Connected cells are one candidate.
 
     Parameters
@@ -330,12 +330,12 @@ def water_candidates(cells: WaterCells, usual: float | None) -> Bools:
     return np.asarray(candidates)
 
 
-def flat_cells(cells: WaterCells) -> Bools:
+def flat_cells(cells: WaterCells) -> Bool:
     """Return a mask of the flat cells, see `FLAT_M`."""
     return relief(cells.ground) < FLAT_M
 
 
-def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
+def sparse_cells(cells: WaterCells, flat: Bool, usual: float) -> Bool:
     """Return a mask of the cells of the domain that have no returns, or are flat with few returns around them."""
     has_returns = cells.returns > 0
     returns = scipy.ndimage.uniform_filter(cells.returns.astype(np.float64), MEAN_SIDE_CELLS)
@@ -357,7 +357,7 @@ def water_confidence(counts: CellCounts, rim: Rim) -> float | None:
 
 
 def rim_of(
-    cells: WaterCells, area: Bools, others: Bools, counted: Bools, water: Bools | None = None
+    cells: WaterCells, area: Bool, others: Bool, counted: Bool, water: Bool | None = None
 ) -> Rim:
     """Count the land around an area.
 
@@ -392,7 +392,7 @@ def rim_of(
     )
 
 
-def _low_shore(ground: Float64, shore: Bools, cells: Int64) -> Float64:
+def _low_shore(ground: Float64, shore: Bool, cells: Int64) -> Float64:
     """Return a low percentile of the heights of the shore near some cells, float64 (n,).
 
     ``cells`` are rows and columns of these cells, int64 (n, 2).

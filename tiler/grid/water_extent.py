@@ -10,8 +10,8 @@ import numpy as np
 import scipy
 import shapely
 
+from ptd.arrays import AnyArray, Bool, Float32, Float64
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.arrays import AnyArray, Bools, Float32, Float64
 from tiler.grid.coarse import box_around, opened, padded, within
 from tiler.grid.river import area_of
 from tiler.grid.steps import Counts, Position
@@ -66,7 +66,7 @@ def smoothed(ground: Float64) -> Float64:
     return smooth_ground
 
 
-def water_heights(cells: WaterCells, wet: Bools) -> Float64 | None:
+def water_heights(cells: WaterCells, wet: Bool) -> Float64 | None:
     """Return the water level near each cell in metres, or None if the water has no returns.
 
     The level comes from the nearest cells of water with returns. The outermost cells of the
@@ -89,8 +89,8 @@ def water_heights(cells: WaterCells, wet: Bools) -> Float64 | None:
 
 
 def extended_to_shore(
-    cells: WaterCells, water: Bools, level: Float64 | None, max_steps: int
-) -> Bools:
+    cells: WaterCells, water: Bool, level: Float64 | None, max_steps: int
+) -> Bool:
     """Extend water by up to ``max_steps`` cells over connected low cells of the domain.
 
     Cells are low if they have no height, or if they are at most `LEVEL_M` above the water and
@@ -113,8 +113,8 @@ def extended_to_shore(
 
 
 def close_bridge_gaps(
-    ground: Float64, water: Bools, size_m: float, longest_island: int, below_deck: Bools
-) -> Bools:
+    ground: Float64, water: Bool, size_m: float, longest_island: int, below_deck: Bool
+) -> Bool:
     """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
     Land that water encloses is not a bridge, because bridges are connected with the bank. Such
@@ -139,7 +139,7 @@ def close_bridge_gaps(
     return np.asarray(water | (gaps & ~island[labels]))
 
 
-def remove_narrow_parts(water: Bools, width: float, beyond: Bools) -> Bools:
+def remove_narrow_parts(water: Bool, width: float, beyond: Bool) -> Bool:
     """Remove the parts of water narrower than ``width`` cells. The other parts keep their shore.
 
     Cells ``beyond`` the survey count as water, because water may continue there.
@@ -150,15 +150,15 @@ def remove_narrow_parts(water: Bools, width: float, beyond: Bools) -> Bools:
     return water & within(inner, width / 2 + 1)
 
 
-def without_islands(water: Bools, min_cells: float) -> Bools:
+def without_islands(water: Bool, min_cells: float) -> Bool:
     """Fill enclosed land of fewer than ``min_cells`` cells. Land that touches the border of the array stays."""
     labels, sizes, enclosed = _land(water)
     return np.asarray(water | (enclosed & (sizes < min_cells))[labels])
 
 
 def without_border_islands(
-    cells: WaterCells, water: Bools, level: Float64, min_cells: float
-) -> Bools:
+    cells: WaterCells, water: Bool, level: Float64, min_cells: float
+) -> Bool:
     """Fill flat land of fewer than ``min_cells`` cells between water and the border of the survey.
 
     Flat land is at most `TIDE_M` above the water, and its heights differ little (`SPREAD_M`).
@@ -184,17 +184,17 @@ def without_border_islands(
     np.maximum.at(highest, labels[known], above[known])
     flat = (spread * LEVEL_STEP_M <= SPREAD_M) & (highest * LEVEL_STEP_M <= TIDE_M)
     lies_in_water = (to_water >= to_border) | (sizes <= SPECK_CELLS)
-    filled: Bools = inside & flat & (sizes < min_cells) & (to_border > 0) & lies_in_water
+    filled: Bool = inside & flat & (sizes < min_cells) & (to_border > 0) & lies_in_water
     return np.asarray(water | filled[labels])
 
 
-def _sides(cells: Bools) -> Float64:
+def _sides(cells: Bool) -> Float64:
     """Return for each cell how many of its four neighbours are in the mask ``cells``."""
     cross = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
     return scipy.ndimage.correlate(cells.astype(np.float64), cross, mode="constant")
 
 
-def _land(water: Bools) -> tuple[AnyArray, AnyArray, Bools]:
+def _land(water: Bool) -> tuple[AnyArray, AnyArray, Bool]:
     """Label the pieces of land.
 
     Return the label of each cell, and for each label its number of cells and whether water
@@ -202,7 +202,7 @@ def _land(water: Bools) -> tuple[AnyArray, AnyArray, Bools]:
     """
     labels, number = scipy.ndimage.label(~water)
     sizes = np.bincount(labels.ravel(), minlength=number + 1)
-    enclosed: Bools = np.ones(number + 1, np.bool_)
+    enclosed: Bool = np.ones(number + 1, np.bool_)
     for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         enclosed[side] = False
     enclosed[0] = False
@@ -300,13 +300,13 @@ def finish_water(
 
 
 def _finished(
-    water: Bools,
+    water: Bool,
     cells: WaterCells,
     crowns: Float32,
-    below_deck: Bools,
+    below_deck: Bool,
     river_width_m: float,
     island_m2: float,
-) -> Bools:
+) -> Bool:
     """Extend the water of a window to its shores and under bridges, and remove narrow parts and small islands."""
     smooth, size_m = cells.with_ground(smoothed(cells.ground)), cells.size_m
     level = water_heights(smooth, water)
@@ -324,7 +324,7 @@ def _finished(
     return water if level is None else without_border_islands(cells, water, level, min_island)
 
 
-def _below_decks(decks: Decks, spec: RasterSpec, window: Block, margin: float) -> Bools:
+def _below_decks(decks: Decks, spec: RasterSpec, window: Block, margin: float) -> Bool:
     """Return a mask of the cells of a window below decks, and within ``margin`` cells of decks."""
     is_below = np.zeros((window.height, window.width), np.bool_)
     for ring in decks:

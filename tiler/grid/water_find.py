@@ -12,11 +12,11 @@ import numpy as np
 import scipy
 import shapely
 
+from ptd.arrays import Bool, Float64, Int64
 from tiler.core.area import Area
 from tiler.core.products import BEYOND
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
-from tiler.grid.arrays import Bools, Float64, Int64
 from tiler.grid.coarse import Piece, box_around, cells_of, components, padded
 from tiler.grid.records import GroundSelection
 from tiler.grid.river import area_of
@@ -199,14 +199,14 @@ def _lower_level(store: TileStore, body: BodyCells) -> float | None:
     return lower_level(np.concatenate(heights), np.concatenate(rises))
 
 
-def _blocks(store: TileStore, body: BodyCells) -> Iterator[tuple[Block, Bools]]:
+def _blocks(store: TileStore, body: BodyCells) -> Iterator[tuple[Block, Bool]]:
     """Yield the blocks of a body, each with a mask of its cells and an empty margin of one cell."""
     for row, col in sorted({(piece.row, piece.col) for piece in body.pieces}):
         block = body.coarse.block_at(row, col, BLOCK_PIXELS)
         yield block, np.pad(cells_of(store, body.water, body.coarse, block, body.pieces), 1)
 
 
-def _survey_border(body: Bools, beyond: Bools) -> tuple[Bools, int]:
+def _survey_border(body: Bool, beyond: Bool) -> tuple[Bool, int]:
     """Return a mask of the cells of water at the border of the survey, and the number of their sides on the border."""
     border_mask = np.zeros_like(body)
     n_sides = 0
@@ -291,10 +291,10 @@ class _Surroundings(NamedTuple):
     """
 
     cells: WaterCells
-    wet: Bools
+    wet: Bool
     box: tuple[slice, slice]
     level: Float64 | None
-    no_bank: Bools
+    no_bank: Bool
     field: Float64
 
 

@@ -19,11 +19,11 @@ import numpy as np
 import scipy
 import shapely
 
+from ptd.arrays import Bool
 from tiler.core.area import Area
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, within
 from tiler.core.water import RIVER, Counts, Water
-from tiler.grid.arrays import Bools
 from tiler.grid.coarse import padded, padded_within
 from tiler.grid.records import LevelRecord
 from tiler.grid.river import (
@@ -178,7 +178,7 @@ def _heights_of(
     return Beside(columns[:3], columns[3:5], columns[5]), water
 
 
-def _sample(spec: RasterSpec, window: Block, step: int) -> Bools:
+def _sample(spec: RasterSpec, window: Block, step: int) -> Bool:
     """Return a mask of every ``step``-th pixel along rows and columns, on a lattice that is the same in all windows."""
     mask = np.zeros((window.height, window.width), np.bool_)
     # The rows and columns of these pixels in the lattice are multiples of ``step``.
@@ -256,7 +256,7 @@ class Beside(NamedTuple):
     distance: Counts
 
 
-def pockets(body: Water, beside: Beside, noise: float) -> Bools:
+def pockets(body: Water, beside: Beside, noise: float) -> Bool:
     """Return the mask of the pixels in pockets, bool (n,).
 
     Parameters

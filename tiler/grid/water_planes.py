@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from tiler.grid.arrays import Bools, Float32, Float64
+from ptd.arrays import Bool, Float32, Float64
 from tiler.grid.coarse import AROUND, Piece, distances, opened
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
@@ -87,7 +87,7 @@ class Plane(NamedTuple):
         )
 
 
-def plane_cells(ground: Float64, domain: Bools) -> Bools:
+def plane_cells(ground: Float64, domain: Bool) -> Bool:
     """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
     return opened((relief(ground) < RELIEF_M) & domain, math.sqrt(2))
 
@@ -194,7 +194,7 @@ def count_plane_rims(
     return None, {"rims": named_rims, "beside": beside}
 
 
-def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Rim:
+def _rim(cells: WaterCells, water: Bool, not_land: Bool, counted: Bool) -> Rim:
     """Count the land around a plane and its shore. Cells of ``not_land`` and their shores do not count as land."""
     with_shores = (
         scipy.ndimage.binary_dilation(not_land, AROUND, iterations=SHORE_CELLS) & ~water

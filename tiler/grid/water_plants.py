@@ -20,8 +20,8 @@ from fractions import Fraction
 import numpy as np
 import scipy
 
+from ptd.arrays import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 from tiler.core.raster import Block
-from tiler.grid.arrays import AnyArray, Bools, Float32, Float64, Int32, Int64, UInt8
 from tiler.grid.block_surroundings import PointsNear, pixel_indices
 from tiler.grid.coarse import box_around, padded, within, within_square
 from tiler.grid.ground import read_ground_and_objects
@@ -78,7 +78,7 @@ def continued_bank(
     return height, slope
 
 
-def _nearest(tree: scipy.spatial.cKDTree, cells: Int64, reach: float) -> tuple[Bools, Int64]:
+def _nearest(tree: scipy.spatial.cKDTree, cells: Int64, reach: float) -> tuple[Bool, Int64]:
     """Return the indices of the nearest cells of the bank, and a mask of those that are used: shape (n, k)."""
     k = range(1, N_BANK_CELLS + MAX_TIES + 1)
     found = tree.query(cells, k=k, distance_upper_bound=reach + 1e-6)
@@ -92,7 +92,7 @@ def _nearest(tree: scipy.spatial.cKDTree, cells: Int64, reach: float) -> tuple[B
     return near < tree.n, np.where(near < tree.n, near, 0)
 
 
-def _planes(offsets: Int64, heights: Float64, used: Bools) -> tuple[Float64, Float64]:
+def _planes(offsets: Int64, heights: Float64, used: Bool) -> tuple[Float64, Float64]:
     """Return height and slope of the planes through the used cells at offsets, at the offset 0."""
     number = np.maximum(used.sum(axis=1), 1)
 
@@ -191,7 +191,7 @@ def crowns_margin(size_m: float) -> int:
     return math.ceil(CROWN_M / size_m) + 2
 
 
-def _crowns(points: PointsNear, window: Block, examined: Bools, terrain: Float64) -> Int64:
+def _crowns(points: PointsNear, window: Block, examined: Bool, terrain: Float64) -> Int64:
     """Return the value of each cell of a window, see `plants_near_water`.
 
     Only the values of ``examined`` cells are right, because only buckets with such cells are
@@ -220,7 +220,7 @@ def _crowns(points: PointsNear, window: Block, examined: Bools, terrain: Float64
 def plant_kinds(
     xyz: Int32,
     cells: Int64,
-    objects: Bools,
+    objects: Bool,
     terrain: Float64,
     metres_z: Fraction,
 ) -> Int64:
@@ -241,14 +241,14 @@ def plant_kinds(
     """
     scale = float(metres_z)
 
-    def cells_with(chosen: Bools) -> Bools:
+    def cells_with(chosen: Bool) -> Bool:
         """Return a mask of the cells with chosen points."""
         return (np.bincount(cells[chosen], minlength=terrain.size) > 0).reshape(terrain.shape)
 
     has_ground = cells_with(~objects)
     has_objects = cells_with(objects)
 
-    def rough_cells(chosen: Bools, limit: float) -> Bools:
+    def rough_cells(chosen: Bool, limit: float) -> Bool:
         """Return a mask of the cells that have objects, and around which most cells are rougher than ``limit``.
 
         Roughness is measured with the chosen points.
@@ -267,7 +267,7 @@ def plant_kinds(
     return np.where(rough_cells(objects, ROUGH_M), kinds, 0) + np.where(reed, REED, 0)
 
 
-def is_hidden(crowns: AnyArray) -> Bools:
+def is_hidden(crowns: AnyArray) -> Bool:
     """Return a mask of the cells with crowns and without ground, from the values of `plants_near_water`."""
     return np.asarray((crowns == HIDDEN) | (crowns == HIDDEN + REED))
 
@@ -323,10 +323,10 @@ def roughness(xyz: Int32, cells: Int64, size: int) -> Float64:
     return rough
 
 
-def _mostly(chosen: Bools, known: Bools) -> Bools:
+def _mostly(chosen: Bool, known: Bool) -> Bool:
     """Return a mask of the cells for which more than half of the known cells around are chosen, in 3 by 3 cells."""
 
-    def number(mask: Bools) -> UInt8:
+    def number(mask: Bool) -> UInt8:
         """Return the number of cells of a mask in the 3 by 3 cells around each cell."""
         cells = np.pad(mask.astype(np.uint8), 1)
         rows = cells[:-2] + cells[1:-1] + cells[2:]
@@ -335,7 +335,7 @@ def _mostly(chosen: Bools, known: Bools) -> Bools:
     return np.asarray(2 * number(chosen & known) > number(known))
 
 
-def beneath_crowns(cells: WaterCells, crowns: AnyArray, wet: Bools, level: Float64) -> Bools:
+def beneath_crowns(cells: WaterCells, crowns: AnyArray, wet: Bool, level: Float64) -> Bool:
     """Return a mask of the cells beneath crowns that are water.
 
     Parameters
@@ -382,7 +382,7 @@ def _ground_share(crowns: AnyArray, side: int) -> Float64:
     return np.divide(ground_share, crown_share, out=np.zeros(crowns.shape), where=has_crown)
 
 
-def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
+def connected(hidden: Bool, wet: Bool, max_steps: int) -> Bool:
     """Return a mask of the hidden cells that a path of at most ``max_steps`` neighbouring cells connects with water."""
     whole = hidden | wet
     is_connected = np.zeros_like(hidden)
@@ -403,7 +403,7 @@ It is not known well where a flatter bank reaches the level.
 """
 
 
-def among_reed(cells: WaterCells, crowns: AnyArray, wet: Bools, level: Float64) -> Bools:
+def among_reed(cells: WaterCells, crowns: AnyArray, wet: Bool, level: Float64) -> Bool:
     """Return a mask of the cells with reed that are water.
 
     Reed that is connected with water is water up to the line at which the continued bank
@@ -428,7 +428,7 @@ def among_reed(cells: WaterCells, crowns: AnyArray, wet: Bools, level: Float64) 
     return connected(reed, wet, reach)
 
 
-def has_no_bank(crowns: AnyArray, above: Float64) -> Bools:
+def has_no_bank(crowns: AnyArray, above: Float64) -> Bool:
     """Return a mask of the cells whose ground height is not that of the bank. It is valid only for cells of water.
 
     In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes

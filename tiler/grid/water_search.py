@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Float32, Float64, Int32
 from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.arrays import Bools, Float32, Float64, Int32
 from tiler.grid.coarse import Piece, areas_within, box_around, label_block, padded
 from tiler.grid.steps import Counts, Position
 from tiler.grid.water_cells import (
@@ -129,7 +129,7 @@ def find_areas(
     return labels.astype(np.float64), {**counts, "n_merged": n_merged}
 
 
-def label_areas(cells: Bools, *masks: Bools) -> tuple[Int32, dict[str, Any]]:
+def label_areas(cells: Bool, *masks: Bool) -> tuple[Int32, dict[str, Any]]:
     """Label the connected areas of a block.
 
     Returns
@@ -221,7 +221,7 @@ def read_search_cells(
     points = read_cells(store, sources.occupancy, spec, window)
     heights = read_cells(store, sources.ground, spec, window, NODATA).astype(np.float64)
     ground = np.where(heights == NODATA, np.nan, heights) * float(frame.units.vertical)
-    domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
+    domain: Bool = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * frame.metres_xy)
     return WaterCells(np.abs(points), points < 0, ground, domain, size_m)
 
@@ -255,7 +255,7 @@ class AreasAround:
     pad: int
 
     @cached_property
-    def counted(self) -> Bools:
+    def counted(self) -> Bool:
         """Mask of the cells of the block itself."""
         block_mask = np.zeros(self.numbers.shape, np.bool_)
         block_mask[self._common_part(self.window)] = True

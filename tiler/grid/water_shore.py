@@ -21,10 +21,10 @@ import numpy as np
 import scipy
 import shapely
 
+from ptd.arrays import AnyArray, Bool, Float64
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.raster import within as within_window
-from tiler.grid.arrays import AnyArray, Bools, Float64
 from tiler.grid.block_surroundings import pixel_indices
 from tiler.grid.coarse import AROUND, padded, within, within_square
 from tiler.grid.ground import read_ground_and_objects
@@ -66,7 +66,7 @@ onto the cell."""
 
 
 def heights_above_water(
-    cells: WaterCells, wet: Bools, level: Float64 | None, is_lowered: bool = False
+    cells: WaterCells, wet: Bool, level: Float64 | None, is_lowered: bool = False
 ) -> Float64:
     """Return a field of heights relative to the level of the water. Its zero line is the shore.
 
@@ -110,7 +110,7 @@ def heights_above_water(
     return field
 
 
-def _banks(above: Float64, wet: Bools, has_returns: Bools) -> tuple[Bools, Float64]:
+def _banks(above: Float64, wet: Bool, has_returns: Bool) -> tuple[Bool, Float64]:
     """Return a mask of the outermost cells of the water that are bank, and the heights of the bank there.
 
     In these cells, both the ground and the extrapolated bank are above the water. The ground
@@ -123,7 +123,7 @@ def _banks(above: Float64, wet: Bools, has_returns: Bools) -> tuple[Bools, Float
         return wet & has_returns & (heights > MIN_HEIGHT_M), heights
 
 
-def _cut_cells(cells: WaterCells, above: Float64, wet: Bools) -> Bools:
+def _cut_cells(cells: WaterCells, above: Float64, wet: Bool) -> Bool:
     """Return a mask of the outermost cells of a high, level bank that are mostly water, as at a quay.
 
     Water returns few pulses. So such a cell has few returns compared to the mean of the next
@@ -138,9 +138,7 @@ def _cut_cells(cells: WaterCells, above: Float64, wet: Bools) -> Bools:
     return is_cut
 
 
-def _upright_sides(
-    above: Float64, wet: Bools, size_m: float
-) -> Iterator[tuple[int, int, Bools]]:
+def _upright_sides(above: Float64, wet: Bool, size_m: float) -> Iterator[tuple[int, int, Bool]]:
     """Yield axis and step of each side (`SIDES`), and a mask of the cells with an upright bank on that side.
 
     The next two cells on that side are high, level bank. The next cell on the opposite side is
@@ -155,7 +153,7 @@ def _upright_sides(
         yield axis, step, upright & np.roll(wet, -step, axis) & ~wet
 
 
-def _extrapolated_bank(above: Float64, wet: Bools) -> tuple[Float64, Float64]:
+def _extrapolated_bank(above: Float64, wet: Bool) -> tuple[Float64, Float64]:
     """Return two heights above the water for each of its outermost cells, NaN for all other cells.
 
     The first is the height of the bank next to the cell. The second is the height in the cell
@@ -240,7 +238,7 @@ class Shore(NamedTuple):
 
     field: Float64
     level: Float64
-    is_dense_quay: Bools
+    is_dense_quay: Bool
 
 
 class ShoreDetails(NamedTuple):
@@ -289,7 +287,7 @@ def shore_details(
     return ShoreDetails(dry, wet)
 
 
-def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
+def _shape(cells: Bool, among: Bool, fine: RasterSpec, window: Block) -> Any:
     """Return the shape of some cells of a window, in absolute counts.
 
     The shape is extended over their neighbours in the mask ``among``. Otherwise it would end
@@ -311,7 +309,7 @@ def highest_near(level: Float64) -> Float64:
     return scipy.ndimage.maximum_filter(level, NEAR_SIDE)
 
 
-def dense_quays(cells: WaterCells, wet: Bools, level: Float64) -> Bools:
+def dense_quays(cells: WaterCells, wet: Bool, level: Float64) -> Bool:
     """Return a mask of the cells at upright banks near which fine cells of land have `ENOUGH_POINTS` on average.
 
     Parameters are those of `tiler.grid.water_shore.heights_above_water`.
@@ -362,14 +360,14 @@ def _each_finer(values: AnyArray) -> AnyArray:
     return values.repeat(FINER, axis=0).repeat(FINER, axis=1)
 
 
-def _near_shore(field: Float64, radius: int) -> Bools:
+def _near_shore(field: Float64, radius: int) -> Bool:
     """Return a mask of the cells that have both land and water within ``radius`` cells, also diagonally."""
     return within_square(field < 0, radius) & within_square(field >= 0, radius)
 
 
 def _fine_cells(
-    store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bools
-) -> tuple[Float64, Bools]:
+    store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bool
+) -> tuple[Float64, Bool]:
     """Return the mean height of the ground points of each cell in metres, and a mask of the cells with points.
 
     Heights are NaN for cells without ground points. Points of objects also count for the mask. Only buckets with
@@ -397,7 +395,7 @@ def _fine_cells(
     return heights * float(frame.metres_z), number + objects > 0
 
 
-def high_banks(field: Float64, above: Float64) -> Bools:
+def high_banks(field: Float64, above: Float64) -> Bool:
     """Return a mask of the cells of water with high ground that is connected with the land.
 
     Parameters
@@ -411,9 +409,7 @@ def high_banks(field: Float64, above: Float64) -> Bools:
     return _spread(land, high, BANK_REACH_FINE_CELLS)
 
 
-def quay_water(
-    field: Float64, is_dense_quay: Bools, above: Float64, has_points: Bools
-) -> Bools:
+def quay_water(field: Float64, is_dense_quay: Bool, above: Float64, has_points: Bool) -> Bool:
     """Return a mask of the cells at upright banks that are water and connected with the water.
 
     They have no points, because water returns few pulses, or their ground is at most `LEVEL_M`
@@ -431,14 +427,14 @@ def quay_water(
     return _spread(field < 0, is_dense_quay & (~has_points | (above <= LEVEL_M)), FINER)
 
 
-def _spread(start: Bools, over: Bools, reach: int) -> Bools:
+def _spread(start: Bool, over: Bool, reach: int) -> Bool:
     """Return a mask of the cells of ``over`` that are connected with ``start`` by at most ``reach`` steps."""
     return np.asarray(
         scipy.ndimage.binary_dilation(start, AROUND, reach, mask=start | over) & ~start
     )
 
 
-def bank_rises(ground: Float64, wet: Bools, measured: Bools) -> Float64:
+def bank_rises(ground: Float64, wet: Bool, measured: Bool) -> Float64:
     """Return the rises in metres from the land at the shore to the next cells behind it, float64 (n,).
 
     Parameters

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Indices, Int64
 from ptd.cells import sort_in_cells
 from ptd.frame import CellLattice
 from tiler.core.lattice import Bounds, Cell, CoordFrame, Lattice
@@ -43,9 +43,9 @@ class BucketOrder:
         Number of points that repeat the position of a point of the same source, and of another source.
     """
 
-    order: npt.NDArray[np.intp]
+    order: Indices
     n_candidates: int
-    repeated: npt.NDArray[np.bool_]
+    repeated: Bool
     duplicates_within: int
     duplicates_between: int
 
@@ -117,9 +117,7 @@ def assemble_buckets(
     return AssembledRecord(records)
 
 
-def read_bucket(
-    store: TileStore, bucket: BucketParts
-) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
+def read_bucket(store: TileStore, bucket: BucketParts) -> tuple[PointBlock, Bool]:
     """Return the points of a bucket from the spool, with the flag of strays, and the mask of the strays."""
     parts = [store.read_fragment(*fragment) for fragment in bucket.fragments]
     block = PointBlock.concatenate(parts)
@@ -129,9 +127,7 @@ def read_bucket(
     return block, strays
 
 
-def _participating(
-    block: PointBlock, keep: Sequence[int] | None, skip_flags: int
-) -> npt.NDArray[np.bool_]:
+def _participating(block: PointBlock, keep: Sequence[int] | None, skip_flags: int) -> Bool:
     if block.classification is None or block.flags is None:
         raise ValueError("fragments of the spool must have classes and flags")
     if keep is None:
@@ -139,9 +135,7 @@ def _participating(
     return participates(block.classification, block.flags, keep, skip_flags)
 
 
-def _measured(
-    block: PointBlock, participating: npt.NDArray[np.bool_], skip_flags: int
-) -> npt.NDArray[np.bool_]:
+def _measured(block: PointBlock, participating: Bool, skip_flags: int) -> Bool:
     """Return the mask of the points on a surface: those that take part, and others without a flag that are not noise.
 
     Water and bridges are not filtered by default, but their points belong to the density of the cloud.
@@ -149,15 +143,13 @@ def _measured(
     if block.classification is None or block.flags is None:
         raise ValueError("fragments of the spool must have classes and flags")
     used = (block.flags & (skip_flags | WITHHELD_FLAG)) == 0
-    measured: npt.NDArray[np.bool_] = participating | (
-        used & ~np.isin(block.classification, NOISE)
-    )
+    measured: Bool = participating | (used & ~np.isin(block.classification, NOISE))
     return measured
 
 
 def bucket_order(
     block: PointBlock,
-    participating: npt.NDArray[np.bool_],
+    participating: Bool,
     frame: CoordFrame,
     fine: Lattice,
 ) -> BucketOrder:
@@ -189,11 +181,11 @@ def bucket_order(
 
 
 def _ties_sorted(
-    order: npt.NDArray[np.intp],
-    is_repeat: npt.NDArray[np.bool_],
+    order: Indices,
+    is_repeat: Bool,
     block: PointBlock,
-    participating: npt.NDArray[np.bool_],
-) -> npt.NDArray[np.intp]:
+    participating: Bool,
+) -> Indices:
     """Return the order with points at the same position sorted by `preference`.
 
     ``is_repeat`` is a mask, in the order, of the points that equal the point before them.
@@ -210,9 +202,9 @@ def _ties_sorted(
 
 
 def _duplicates(
-    order: npt.NDArray[np.intp],
-    is_repeat: npt.NDArray[np.bool_],
-    origin: npt.NDArray[np.int64],
+    order: Indices,
+    is_repeat: Bool,
+    origin: Int64,
 ) -> tuple[int, int]:
     """Count the points that repeat a point of the same source, and of another source."""
     if not is_repeat.any():
@@ -226,8 +218,8 @@ def _duplicates(
 
 
 def _ties(
-    is_repeat: npt.NDArray[np.bool_],
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    is_repeat: Bool,
+) -> tuple[Indices, Indices]:
     """Return the positions in an order of the points with an equal one next to them, and a number per run of these."""
     tied = is_repeat.copy()
     tied[:-1] |= is_repeat[1:]
@@ -238,9 +230,9 @@ def _ties(
 def _record(
     cell: Cell,
     block: PointBlock,
-    participating: npt.NDArray[np.bool_],
-    measured: npt.NDArray[np.bool_],
-    strays: npt.NDArray[np.bool_],
+    participating: Bool,
+    measured: Bool,
+    strays: Bool,
     found: BucketOrder,
     frame: CoordFrame,
 ) -> BucketRecord:

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
+from ptd.arrays import Bool, Int64
 from tiler.core.lattice import CoordFrame
 from tiler.core.points import (
     NOISE,
@@ -33,9 +33,6 @@ from tiler.core.surveys import (
     survey_cells_of,
     union_in,
 )
-
-Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ def flag_outranked(
     return replace(block, flags=flags), numbers
 
 
-def covered(cells: CellMask, column: int, row: int, width: int, height: int) -> Bools:
+def covered(cells: CellMask, column: int, row: int, width: int, height: int) -> Bool:
     """Return the cells of a rectangle that surveys cover, with gaps and seam (`tiler.core.surveys`).
 
     ``cells`` must contain all cells of the surveys up to `REACH_M` around the rectangle.
@@ -80,39 +77,39 @@ def covered(cells: CellMask, column: int, row: int, width: int, height: int) -> 
     return _widened(places, SEAM_M / CELL_M)[pad : pad + height, pad : pad + width]
 
 
-def _narrowed(cells: Bools, radius: float) -> Bools:
+def _narrowed(cells: Bool, radius: float) -> Bool:
     """Return the cells that are farther than a distance, in cells, from all other cells."""
     return ~_widened(~cells, radius)
 
 
-def _widened(cells: Bools, radius: float) -> Bools:
+def _widened(cells: Bool, radius: float) -> Bool:
     """Return the cells up to a distance, in cells, from any of the cells."""
     if not cells.any():
         return cells
     distances = scipy.ndimage.distance_transform_edt(~cells)
-    widened: Bools = distances <= radius
+    widened: Bool = distances <= radius
     return widened
 
 
-def covers(block: PointBlock) -> Bools:
+def covers(block: PointBlock) -> Bool:
     """Return the mask of the points that cover a place: all but noise, strays and withheld points.
 
     Points that the settings do not select cover as well, since their survey measured the place.
     """
     if block.flags is None or block.classification is None:
         raise ValueError("fragments of the spool must have classes and flags")
-    valid: Bools = (block.flags & (WITHHELD_FLAG | STRAY_FLAG)) == 0
+    valid: Bool = (block.flags & (WITHHELD_FLAG | STRAY_FLAG)) == 0
     return valid & ~np.isin(block.classification, NOISE)
 
 
-def is_of_sources(block: PointBlock, sources: Sequence[int]) -> Bools:
+def is_of_sources(block: PointBlock, sources: Sequence[int]) -> Bool:
     """Return the mask of the points of some sources."""
     if block.origin is None:
         raise ValueError("fragments of the spool must have origins")
     return np.isin(block.origin >> SOURCE_SHIFT, sources)
 
 
-def cells_of(block: PointBlock, frame: CoordFrame) -> tuple[Ints, Ints]:
+def cells_of(block: PointBlock, frame: CoordFrame) -> tuple[Int64, Int64]:
     """Return column and row of each point's cell."""
     lattice = survey_cells_of(frame)
     x, y = (block.xyz[axis].astype(np.int64) + frame.origin[axis] for axis in (0, 1))

@@ -8,8 +8,8 @@ from itertools import compress
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float32, Indices, Int32, Int64, UInt8, UInt16
 from tiler.core.area import Runs, in_runs
 from tiler.core.lattice import Bounds, CoordFrame, Lattice
 from tiler.core.points import UNSELECTED_FLAG, WITHHELD_FLAG, PointBlock, pack_origin
@@ -48,16 +48,14 @@ from tiler.store import (
     TileStore,
 )
 
-Bools = npt.NDArray[np.bool_]
-
 
 def unselected(
     selection: Selection,
-    returns: npt.NDArray[np.uint8],
-    angles_deg: npt.NDArray[np.float32],
-    source_ids: npt.NDArray[np.uint16],
-    classes: npt.NDArray[np.uint8],
-) -> dict[str, Bools]:
+    returns: UInt8,
+    angles_deg: Float32,
+    source_ids: UInt16,
+    classes: UInt8,
+) -> dict[str, Bool]:
     """Return masks of the points that each option of a selection leaves out.
 
     Parameters
@@ -75,7 +73,7 @@ def unselected(
     dict of str to bool (n,)
         Mask by the key of `Selection.options`.
     """
-    masks: dict[str, Bools] = {}
+    masks: dict[str, Bool] = {}
     if selection.returns is not None:
         masks["returns"] = ~_of_returns(selection.returns, np.maximum(returns, 1))
     if selection.scan_angle_deg is not None:
@@ -88,7 +86,7 @@ def unselected(
     return masks
 
 
-def _of_returns(wanted: str, returns: npt.NDArray[np.uint8]) -> Bools:
+def _of_returns(wanted: str, returns: UInt8) -> Bool:
     number, of = returns
     if wanted == LAST:
         return np.asarray(number >= of)
@@ -307,7 +305,7 @@ def _read_step(
 
 def _flag_unselected(
     block: PointBlock, records: Records, header: LasHeader, selection: Selection
-) -> tuple[PointBlock, dict[str, npt.NDArray[np.bool_]]]:
+) -> tuple[PointBlock, dict[str, Bool]]:
     """Return all points, with a flag if the selection excludes them, and masks of the excluded points by option."""
     if block.flags is None or block.returns is None or block.classification is None:
         raise ValueError("points were read without their flags, returns and classes")
@@ -329,7 +327,7 @@ def _flag_unselected(
 
 def to_local_counts(
     records: Records, header: LasHeader, frame: CoordFrame
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], dict[str, int], float]:
+) -> tuple[Int32, Bool, dict[str, int], float]:
     """Convert the coordinates of records to local counts.
 
     Returns
@@ -367,9 +365,9 @@ def to_local_counts(
 def columns(
     records: Records,
     header: LasHeader,
-    local: npt.NDArray[np.int32],
+    local: Int32,
     source: int,
-    rows: npt.NDArray[np.int64],
+    rows: Int64,
     has_rgb: bool,
 ) -> PointBlock:
     """Return the columns that the store keeps. Colours are 0 if the store has them, but the records do not."""
@@ -390,8 +388,8 @@ def columns(
 
 
 def sort_by_bucket(
-    local: npt.NDArray[np.int32], frame: CoordFrame, lattice: Lattice
-) -> tuple[npt.NDArray[np.intp], list[tuple[int, int, int]]]:
+    local: Int32, frame: CoordFrame, lattice: Lattice
+) -> tuple[Indices, list[tuple[int, int, int]]]:
     """Return a stable order of the points by bucket, and ix, iy and size of each bucket.
 
     The buckets come row by row from the south-west.
@@ -404,7 +402,7 @@ def sort_by_bucket(
     width = int(ix.max()) - west + 1
     keys = (iy - south) * width + (ix - west)
     # If the keys do not fit 16 bits, their ranks may.
-    distinct: npt.NDArray[np.int64] | None = None
+    distinct: Int64 | None = None
     if int(keys.max()) >= _RADIX_KEYS:
         distinct, keys = np.unique(keys, return_inverse=True)
     if int(keys.max()) < _RADIX_KEYS:
@@ -422,8 +420,8 @@ Index = list[tuple[int, int, int]]
 
 
 def _of_buckets(
-    order: npt.NDArray[np.intp], index: Index, wanted: Runs | None
-) -> tuple[npt.NDArray[np.intp], Index, Index]:
+    order: Indices, index: Index, wanted: Runs | None
+) -> tuple[Indices, Index, Index]:
     """Return order and index of the wanted buckets from the result of `sort_by_bucket`, and the index of the others."""
     if wanted is None or not index:
         return order, index, []

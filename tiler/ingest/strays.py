@@ -15,8 +15,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, Lattice
 from tiler.core.points import PointBlock, unpack_origin
 from tiler.inputs.extent import FAR, can_be_strays
@@ -99,9 +99,7 @@ def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
     return parts
 
 
-def stray_mask(
-    block: PointBlock, rules: Mapping[int, Bounds], origin: tuple[int, int]
-) -> npt.NDArray[np.bool_]:
+def stray_mask(block: PointBlock, rules: Mapping[int, Bounds], origin: tuple[int, int]) -> Bool:
     """Return a mask of the strays in a bucket.
 
     ``rules`` contains the bounds of each source with strays (see `Strays.rule`).
@@ -115,9 +113,7 @@ def stray_mask(
     return mask
 
 
-def places(
-    block: PointBlock, strays: npt.NDArray[np.bool_], origin: tuple[int, int]
-) -> list[list[Any]]:
+def places(block: PointBlock, strays: Bool, origin: tuple[int, int]) -> list[list[Any]]:
     """Return source, row, x, y, z of each stray, with coordinates in units of the CRS."""
     if block.origin is None or not strays.any():
         return []

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Float64, Int32, Int64
 from tiler.core.lattice import CoordFrame
 from tiler.core.points import PointBlock
 from tiler.core.records import Record
 from tiler.core.surveys import CellMask
 from tiler.ingest.assemble import BucketParts, read_bucket
-from tiler.ingest.coverage import Ints, cells_of, covers, is_of_sources
+from tiler.ingest.coverage import cells_of, covers, is_of_sources
 from tiler.store import TileStore
 
 MIN_POINTS = 3
@@ -131,9 +131,7 @@ def surveys_in(
     return SurveyCells(list(cell), masks, numbers, differences)
 
 
-def flat_heights(
-    keys: Ints, z: npt.NDArray[np.int32], counts: Ints, max_std: float
-) -> npt.NDArray[np.float64]:
+def flat_heights(keys: Int64, z: Int32, counts: Int64, max_std: float) -> Float64:
     """Return the mean height of each cell in counts, NaN if it has few points or is not flat.
 
     Parameters
@@ -153,5 +151,5 @@ def flat_heights(
     deviations = np.clip(z - centres[keys], -MAX_DEVIATION, MAX_DEVIATION).astype(np.float64)
     squares = np.bincount(keys, deviations**2, counts.size)
     flat = (counts >= MIN_POINTS) & (squares <= max_std**2 * n)
-    heights: npt.NDArray[np.float64] = np.where(flat, means, np.nan)
+    heights: Float64 = np.where(flat, means, np.nan)
     return heights

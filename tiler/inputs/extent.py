@@ -11,8 +11,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Float64
 from ptd.matched.evidence import Evidence
 from tiler.core.dates import are_gps_times
 from tiler.core.units import FARTHEST
@@ -21,8 +21,6 @@ from tiler.io.las.headers import LasHeader
 from tiler.io.las.octree import Octree
 from tiler.io.las.point_formats import as_standard_times, evidence, returns
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
-
-Array = npt.NDArray[np.float64]
 
 _PLACES = 32
 """Maximum number of positions in the file at which a sample is read. A small file with one
@@ -172,7 +170,7 @@ def _times_of(header: LasHeader, records: Records) -> tuple[float, float] | None
 
 
 def _patches_of(
-    octree: Octree, counts: list[int], sample: Array, bounds: Sequence[float]
+    octree: Octree, counts: list[int], sample: Float64, bounds: Sequence[float]
 ) -> tuple[DensityPatch, ...]:
     """Return a patch for each square of an octree with points, clipped to the bounds."""
     patches = []
@@ -208,7 +206,7 @@ def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _BoundingB
     return bool(np.all(2 * np.ptp(positions[:, inside], axis=1) >= high - low))
 
 
-def _plan_view(header: LasHeader, records: Records) -> Array:
+def _plan_view(header: LasHeader, records: Records) -> Float64:
     """Return x and y of records in units of the CRS, float64, shape (2, n)."""
     with np.errstate(over="ignore", invalid="ignore"):
         axes = [records[n] * header.scales[i] + header.offsets[i] for i, n in enumerate("XY")]
@@ -219,8 +217,8 @@ def _plan_view(header: LasHeader, records: Records) -> Array:
 class _BoundingBox:
     """Lowest and highest x, y, z, float64, shape (3,) each, infinite without points."""
 
-    low: Array
-    high: Array
+    low: Float64
+    high: Float64
 
     @classmethod
     def around(cls, header: LasHeader, blocks: Iterable[Records]) -> _BoundingBox:
@@ -322,7 +320,7 @@ class DensityPatch:
 
 
 def find_patches(
-    runs: Sequence[Array], points: int, bounds: Sequence[float]
+    runs: Sequence[Float64], points: int, bounds: Sequence[float]
 ) -> tuple[DensityPatch, ...]:
     """Estimate the patches of a file: one or more per run, or one per cell if its order is random.
 
@@ -368,10 +366,10 @@ def find_patches(
 
 
 def _cells(
-    sample: Array,
+    sample: Float64,
     points: int,
-    low: Array,
-    high: Array,
+    low: Float64,
+    high: Float64,
 ) -> tuple[DensityPatch, ...]:
     """Return a patch per cell of the bounds with points of a sample of the whole file."""
     total = sample.shape[1]
@@ -388,7 +386,7 @@ def _cells(
     )
 
 
-def _divide(run: Array, points: float) -> list[Array]:
+def _divide(run: Float64, points: float) -> list[Float64]:
     """Divide a run that represents ``points`` points, until no part is diagonal or has a large gap."""
     sides = np.ptp(run, axis=1)
     density = local_density(run)
@@ -406,10 +404,10 @@ def _divide(run: Array, points: float) -> list[Array]:
 
 
 def _patch(
-    run: Array,
+    run: Float64,
     points: float,
-    low: Array,
-    high: Array,
+    low: Float64,
+    high: Float64,
 ) -> DensityPatch:
     first, last = run.min(axis=1), run.max(axis=1)
     wide, tall = (last - first).tolist()
@@ -427,7 +425,7 @@ def _patch(
     )
 
 
-def local_density(run: Array) -> float:
+def local_density(run: Float64) -> float:
     """Return the points per square unit of the occupied cells, with about `_PER_CELL` points per cell.
 
     The error is at most a factor of two for points distributed over a plane. For a single scan

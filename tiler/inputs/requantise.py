@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Bool, Int64
 from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
 
 _SAFE = 2**62
@@ -34,8 +35,8 @@ class AxisCounts:
         Largest distance of a count from the source's coordinate, in units of the CRS.
     """
 
-    counts: npt.NDArray[np.int64]
-    usable: npt.NDArray[np.bool_]
+    counts: Int64
+    usable: Bool
     largest_rounding: float
 
 
@@ -98,7 +99,7 @@ def _in_floats(values: npt.NDArray[np.integer], scale: float, offset: float) -> 
     return AxisCounts(counts.astype(np.int64), usable, largest)
 
 
-def fits_int32(local: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+def fits_int32(local: Int64) -> Bool:
     """Return a mask of the local counts that fit into int32, without the lowest int32."""
     return np.abs(local) <= INT32_LIMIT
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rasterio
 from affine import Affine
 from rasterio.crs import CRS
@@ -18,6 +17,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
+from ptd.arrays import Float32, UInt8
 from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.errors import write_error
 from tiler.io.atomic_files import atomic_path, cause_of
@@ -68,7 +68,7 @@ class PlainWriter:
     def __init__(self, raster: Any) -> None:
         self._raster = raster
 
-    def write(self, values: npt.NDArray[np.float32], row: int, col: int) -> None:
+    def write(self, values: Float32, row: int, col: int) -> None:
         """Write a block, shape (height, width), whose north-west pixel is (row, col)."""
         values = values.astype(self._raster.dtypes[0], copy=False)
         self._raster.write(values, 1, window=Window(col, row, values.shape[1], values.shape[0]))
@@ -174,9 +174,7 @@ DEFLATE_LEVEL = 4
 percent larger."""
 
 
-def palette_png_bytes(
-    values: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int]]
-) -> bytes:
+def palette_png_bytes(values: UInt8, colours: Mapping[int, tuple[int, int, int]]) -> bytes:
     """Return the bytes of a PNG with a palette, for a picture of few colours.
 
     Parameters
@@ -190,9 +188,7 @@ def palette_png_bytes(
     return _encoded(values[None], {**table, 0: (0, 0, 0, 0)})
 
 
-def _encoded(
-    bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int, int]] | None
-) -> bytes:
+def _encoded(bands: UInt8, colours: Mapping[int, tuple[int, int, int, int]] | None) -> bytes:
     count, height, width = bands.shape
     profile = {
         "driver": "PNG",
@@ -210,7 +206,7 @@ def _encoded(
         return bytes(memory.read())
 
 
-def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:
+def write_png(path: Path, rgba: UInt8) -> None:
     """Write a picture as a PNG, which appears when it is complete. Raise ProcessingError if this fails.
 
     The picture is uint8 (height, width, 4): red, green, blue, opacity.

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Float64, Int64
 from tiler.core.area import Area
 from tiler.core.breaklines import MAX_SEGMENT, two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
@@ -34,7 +34,7 @@ from tiler.io.vector.reading import area_in_counts
 from tiler.plan.model import Plan
 from tiler.schedule import call_isolated
 
-Counts = npt.NDArray[np.int64]
+Counts = Int64
 
 DRAWN_WATER = replace(
     LINES_AND_POLYGONS, point_layers=frozenset({"reaches"}), left_out=frozenset({"breaklines"})
@@ -120,7 +120,7 @@ def read_drawn(
     return features
 
 
-def _lines(feature: Feature) -> list[npt.NDArray[np.float64]]:
+def _lines(feature: Feature) -> list[Float64]:
     """Return the vertices x, y, z of the lines of a feature and of the rings of its polygons."""
     import shapely
 
@@ -133,7 +133,7 @@ def _lines(feature: Feature) -> list[npt.NDArray[np.float64]]:
     return [shapely.get_coordinates(line, include_z=True) for line in lines]
 
 
-def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
+def _counts(feature: Feature, line: Float64) -> Counts:
     if np.abs(line[:, 2]).max() * COUNTS_PER_UNIT > INT32_LIMIT:
         raise InputError(
             f"{feature.place}: its height {line[np.abs(line[:, 2]).argmax(), 2]:g} is not possible for terrain; "
@@ -361,14 +361,12 @@ def _with_line(body: Water, lines: Sequence[Any]) -> Water:
     longest = max(
         inside, key=lambda line: (bool(line.has_z), shapely.intersection(line, shape).length)
     )
-    vertices: npt.NDArray[np.float64] = shapely.get_coordinates(
-        longest, include_z=bool(longest.has_z)
-    )
+    vertices: Float64 = shapely.get_coordinates(longest, include_z=bool(longest.has_z))
     flow = np.rint(vertices * COUNTS_PER_UNIT).astype(np.int64)
     return Water(body.number, RIVER, body.area, None, flow)
 
 
-def _polygon(rings: Sequence[npt.NDArray[np.int64]]) -> Any:
+def _polygon(rings: Sequence[Int64]) -> Any:
     import shapely
 
     return shapely.Polygon(
@@ -444,6 +442,6 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
     return replace(body, level=None, flow=lifted)
 
 
-def _flow(body: Water) -> npt.NDArray[np.int64]:
+def _flow(body: Water) -> Int64:
     assert body.flow is not None
     return body.flow

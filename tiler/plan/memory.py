@@ -15,9 +15,9 @@ from fractions import Fraction
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-import numpy.typing as npt
 import psutil
 
+from ptd.arrays import Float64, Int64
 from tiler.plan.method import PlannedPass, nested
 
 BASE_BYTES = 260 << 20
@@ -85,7 +85,7 @@ GROUPS = Path("/proc/self/cgroup")
 """File that lists the control groups of this process."""
 
 
-def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
+def breakline_bytes(lines: Sequence[Int64], pixel: float, window: float) -> int:
     """Return the bytes that a worker needs for breaklines in the block with most of them.
 
     The breaklines are divided into pieces of half a pixel or more.
@@ -108,9 +108,7 @@ def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window
     )
 
 
-def _most_in_a_window(
-    squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]
-) -> float:
+def _most_in_a_window(squares: Float64, pieces: Float64) -> float:
     """Return the largest number of pieces in 2 x 2 neighbouring squares, since no window intersects more squares."""
     occupied, square_index = np.unique(squares, axis=0, return_inverse=True)
     counts = np.bincount(square_index.ravel(), pieces)

@@ -8,8 +8,8 @@ from fractions import Fraction
 from functools import cache, reduce
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Float64, Int64, UInt64
 from ptd.matched.evidence import DIM
 from tiler.config import RunConfig
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
@@ -214,9 +214,7 @@ class DensityMap:
         return min(most * (side_m / (count * self._cell)) ** 2, self._points)
 
 
-def _summed(
-    cells: npt.NDArray[np.int64], weights: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _summed(cells: Int64, weights: Float64) -> tuple[Int64, Float64]:
     """Return the distinct cells, int64 (n, 2), and the sum of the weights of each."""
     if len(cells) == 0:
         return cells, weights
@@ -230,7 +228,7 @@ def _summed(
     return distinct, np.bincount(cell_index, weights).astype(np.float64)
 
 
-def _covered(cells: npt.NDArray[np.int64], bits: npt.NDArray[np.uint64]) -> int:
+def _covered(cells: Int64, bits: UInt64) -> int:
     """Count the covered parts of cells. A cell may occur several times."""
     if len(cells) == 0:
         return 0
@@ -240,9 +238,7 @@ def _covered(cells: npt.NDArray[np.int64], bits: npt.NDArray[np.uint64]) -> int:
     return int(np.unpackbits(union.view(np.uint8)).sum())
 
 
-def _shares(
-    boxes: npt.NDArray[np.float64], cell: float
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64], npt.NDArray[np.uint64]]:
+def _shares(boxes: Float64, cell: float) -> tuple[Int64, Float64, UInt64]:
     """Distribute the points of rectangles to cells, in proportion to area.
 
     Returns
@@ -273,8 +269,8 @@ def _shares(
 
 
 def _enumerated(
-    counts: npt.NDArray[np.int64],
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    counts: Int64,
+) -> tuple[Int64, Int64]:
     """Return the owner of each item, and its position among the items of the owner.
 
     ``counts`` are the numbers of items per owner. (2, 3) gives 0 0 1 1 1 and 0 1 0 1 2.
@@ -284,9 +280,7 @@ def _enumerated(
     return owner, np.arange(len(owner)) - (ends - counts)[owner]
 
 
-def _parts(
-    low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], cell: float
-) -> npt.NDArray[np.uint64]:
+def _parts(low: Float64, high: Float64, cell: float) -> UInt64:
     """Return the bits of the parts of a cell between two distances from its edge along an axis.
 
     Partly covered parts count.
@@ -298,7 +292,7 @@ def _parts(
     return np.asarray((one << (last + one)) - (one << first), np.uint64)
 
 
-def _row_starts(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+def _row_starts(bits: UInt64) -> UInt64:
     """Move each bit i to position ``i * PARTS``, the lowest of a row of `PARTS` bits."""
     rows = np.arange(PARTS, dtype=np.uint64)
     one = (bits[:, None] >> rows) & np.uint64(1)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float32, Float64
 from tiler.core.edits import ACTIONS, FLAT
 from tiler.core.review import FIXED, OK, OPEN
 from tiler.core.units import length_text, short_unit, small_area_text
@@ -35,9 +35,6 @@ TITLES = {OPEN: "open (u)", OK: "right as it is (o)", FIXED: "change it with the
 CLIPPED_PERCENT = 1.0
 """Percentage of the points at either end of the heights that a section may leave out."""
 
-Floats = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Section:
@@ -60,12 +57,12 @@ class Section:
     """
 
     length: float
-    at: Float64s
-    before: Float64s
-    after: Float64s | None
-    inside: npt.NDArray[np.bool_]
-    ground: Float64s
-    others: Float64s
+    at: Float64
+    before: Float64
+    after: Float64 | None
+    inside: Bool
+    ground: Float64
+    others: Float64
     width: float
 
 
@@ -94,12 +91,12 @@ class Card:
 
     columns: Mapping[str, Any]
     middle: tuple[float, float]
-    outline: tuple[Float64s, ...]
-    ends: Float64s
+    outline: tuple[Float64, ...]
+    ends: Float64
     geometry: str | None
     extent: Extent
-    before: Floats
-    after: Floats | None
+    before: Float32
+    after: Float32 | None
     section: Section
 
 
@@ -215,14 +212,14 @@ def _form(number: int, place: Card, unit: str) -> Node:
     )
 
 
-def _picture(place: Card, heights: Floats, run: Mapping[str, Any], title: str) -> Node:
+def _picture(place: Card, heights: Float32, run: Mapping[str, Any], title: str) -> Node:
     """Return a hillshade with the outline of the place and the line of the section."""
     rows, columns = heights.shape
     west, south, east, north = place.extent
     across, down = columns / (east - west), rows / (north - south)
     shade = hillshade(heights, place.extent, run)
 
-    def text(corners: Float64s) -> str:
+    def text(corners: Float64) -> str:
         at = np.stack(((corners[:, 0] - west) * across, (north - corners[:, 1]) * down), axis=1)
         return " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
 
@@ -322,7 +319,7 @@ def _runs(section: Section) -> list[tuple[float, float]]:
     return [(float(ends[a]), float(ends[b])) for a, b in edges.reshape(-1, 2).tolist()]
 
 
-def _line(at: Float64s, heights: Float64s, across: Any, down: Any, colour: str) -> Node:
+def _line(at: Float64, heights: Float64, across: Any, down: Any, colour: str) -> Node:
     """Return a line through the heights, with gaps where there is none."""
     text, pen_is_down = [], False
     for along, z in zip(at.tolist(), heights.tolist(), strict=True):

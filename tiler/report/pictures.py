@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rasterio
 from fsspec.core import url_to_fs
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 
+from ptd.arrays import Float32, UInt8
 from ptd.gridding.shape import multidirectional_hillshade
 from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
 from tiler.core.units import short_unit
@@ -54,8 +54,6 @@ STRIP_ROWS = 128
 """Number of rows of a picture whose slopes or colours are computed together."""
 
 Colour = tuple[int, int, int]
-UInt8s = npt.NDArray[np.uint8]
-Floats = npt.NDArray[np.float32]
 Extent = tuple[float, float, float, float]
 
 TERRAIN: tuple[Colour, ...] = (
@@ -183,7 +181,7 @@ def _each(
 def _picture(
     name: str,
     title: str,
-    values: UInt8s,
+    values: UInt8,
     colours: Mapping[int, Colour],
     legend: Sequence[tuple[Colour, str]],
 ) -> Picture:
@@ -208,7 +206,7 @@ def raster_extent(place: str) -> Extent:
         return tuple(raster.bounds)
 
 
-def _read(place: str, longer: int, resampling: Resampling) -> Floats:
+def _read(place: str, longer: int, resampling: Resampling) -> Float32:
     """Read pixels, with NaN for nodata, from the overviews of a large raster, block by block."""
     with open_raster(place) as raster:
         shrink = max(max(raster.shape) / longer, 1.0)
@@ -218,8 +216,8 @@ def _read(place: str, longer: int, resampling: Resampling) -> Floats:
         return _values(raster, shape, resampling)
 
 
-def _values(raster: Any, shape: tuple[int, ...], resampling: Resampling) -> Floats:
-    values: Floats = raster.read(1, out_shape=shape, resampling=resampling).astype(
+def _values(raster: Any, shape: tuple[int, ...], resampling: Resampling) -> Float32:
+    values: Float32 = raster.read(1, out_shape=shape, resampling=resampling).astype(
         np.float32, copy=False
     )
     if raster.nodata is not None:
@@ -227,7 +225,7 @@ def _values(raster: Any, shape: tuple[int, ...], resampling: Resampling) -> Floa
     return values
 
 
-def _read_sheets(vrt: Any, shape: tuple[int, ...], resampling: Resampling) -> Floats:
+def _read_sheets(vrt: Any, shape: tuple[int, ...], resampling: Resampling) -> Float32:
     """Read a VRT from the overviews of its sheets, because GDAL would read all pixels between the sheets as well."""
     values = np.full(shape, np.nan, np.float32)
     down, across = (side / whole for side, whole in zip(shape, vrt.shape, strict=True))
@@ -252,7 +250,7 @@ def _strips(rows: int) -> Iterator[slice]:
         yield slice(first, min(first + STRIP_ROWS, rows))
 
 
-def hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Picture:
+def hillshade(heights: Float32, extent: Extent, run: Mapping[str, Any]) -> Picture:
     """Draw a hillshade of the decimated heights, as details smaller than a pixel of the picture are not visible."""
     west, south, east, north = extent
     wide_m, high_m = units_of(run)
@@ -273,7 +271,7 @@ def hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Pictur
     return _ramp("hillshade", "Hillshade", shade, min(low, 120.0), max(high, 200.0), GREY, None)
 
 
-def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
+def _heights(heights: Float32, run: Mapping[str, Any]) -> Picture:
     unit = short_unit(units_of(run)[1])
     low, high = _range(heights)
     decimals = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
@@ -288,7 +286,7 @@ def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
     )
 
 
-def _density(density: Floats) -> Picture:
+def _density(density: Float32) -> Picture:
     """Draw the density with logarithmic shades, so that forest clearings and overlaps of strips are both visible."""
     density[density <= 0] = np.nan
     logarithms = np.log10(density, out=density)
@@ -304,7 +302,7 @@ def _density(density: Floats) -> Picture:
     )
 
 
-def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
+def _sigma(sigma: Float32, run: Mapping[str, Any]) -> Picture:
     """Draw standard errors with logarithmic shades, so that errors of centimetres and of metres are both visible."""
     unit = short_unit(units_of(run)[1])
     logarithms = np.log10(sigma, out=sigma)
@@ -320,14 +318,14 @@ def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
     )
 
 
-def _mask(mask: Floats) -> Picture:
+def _mask(mask: Float32) -> Picture:
     product = PRODUCTS["mask"]
     values = np.nan_to_num(mask, copy=False, nan=OUTSIDE).astype(np.uint8)
     legend = [(product.colours[v], text) for v, text in MASK_VALUES.items() if v != OUTSIDE]
     return _picture("mask", "Source of heights", values, product.colours, legend)
 
 
-def _range(values: Floats) -> tuple[float, float]:
+def _range(values: Float32) -> tuple[float, float]:
     there = values[np.isfinite(values)]
     if there.size == 0:
         return 0.0, 1.0
@@ -338,7 +336,7 @@ def _range(values: Floats) -> tuple[float, float]:
 def _ramp(
     name: str,
     title: str,
-    values: Floats,
+    values: Float32,
     low: float,
     high: float,
     stops: tuple[Colour, ...],

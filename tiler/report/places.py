@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rasterio
 import shapely
 from rasterio.enums import Resampling
 from rasterio.transform import rowcol
 
+from ptd.arrays import Bool, Float32, Float64
 from tiler.core.crs import crs_in_file
 from tiler.core.edits import FLAT, NOT_GROUND, VOID
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
@@ -48,9 +48,6 @@ CERTIFIED = np.uint8(~UNCERTIFIED_BIT & 0xFF)
 """Bits of a label that are its class."""
 MOST_CORNERS = 20_000
 """Largest number of corners of a place on which the user can decide in the page."""
-
-Floats = npt.NDArray[np.float32]
-Float64s = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -220,7 +217,7 @@ def place_card(
 
 def _heights_around(
     survey: Survey, bounds: tuple[float, float, float, float]
-) -> tuple[Extent, Floats]:
+) -> tuple[Extent, Float32]:
     """Return the extent of the picture of a place, and the heights in it, NaN where there is none."""
     raster, (west, south, east, north) = survey.terrain, bounds
     margin = max(MARGIN * max(east - west, north - south), LEAST_MARGIN_M / survey.metres)
@@ -252,9 +249,7 @@ def _heights_around(
     return extent, part.astype(np.float32).filled(np.nan)
 
 
-def _edited(
-    before: Floats, inside: npt.NDArray[np.bool_], columns: Mapping[str, Any]
-) -> Floats | None:
+def _edited(before: Float32, inside: Bool, columns: Mapping[str, Any]) -> Float32 | None:
     """Return the heights after the suggested edit, or None if there is none, or the page cannot show it."""
     action, z = columns.get("action"), columns.get("z")
     if action == VOID:
@@ -266,7 +261,7 @@ def _edited(
     return None
 
 
-def bridged(heights: Floats, inside: npt.NDArray[np.bool_]) -> Floats | None:
+def bridged(heights: Float32, inside: Bool) -> Float32 | None:
     """Return heights that are interpolated from the rim across the pixels ``inside``, or None without a rim.
 
     A run interpolates from the ground points around, so its heights differ a little.
@@ -289,7 +284,7 @@ def bridged(heights: Floats, inside: npt.NDArray[np.bool_]) -> Floats | None:
     return after
 
 
-def section_ends(shape: Any, metres: float) -> Float64s:
+def section_ends(shape: Any, metres: float) -> Float64:
     """Return both ends of the section of a place: across its shorter side, with land on both sides.
 
     Parameters
@@ -317,7 +312,7 @@ def section_ends(shape: Any, metres: float) -> Float64s:
     return np.stack((centre - direction * length / 2, centre + direction * length / 2))
 
 
-def _within(ends: Float64s, extent: Extent) -> Float64s:
+def _within(ends: Float64, extent: Extent) -> Float64:
     """Return the ends of the part of a section that lies in the picture."""
     part = shapely.intersection(shapely.LineString(ends), shapely.box(*extent))
     corners = shapely.get_coordinates(part)
@@ -326,9 +321,9 @@ def _within(ends: Float64s, extent: Extent) -> Float64s:
 
 def _section(
     shape: Any,
-    ends: Float64s,
+    ends: Float64,
     extent: Extent,
-    after: Floats | None,
+    after: Float32 | None,
     columns: Mapping[str, Any],
     survey: Survey,
 ) -> Section:
@@ -355,7 +350,7 @@ def _section(
     )
 
 
-def terrain_at(raster: Any, positions: Float64s) -> Float64s:
+def terrain_at(raster: Any, positions: Float64) -> Float64:
     """Return the height of the pixel at each position along a line, NaN where there is none.
 
     Parameters
@@ -383,7 +378,7 @@ def terrain_at(raster: Any, positions: Float64s) -> Float64s:
     return heights
 
 
-def _points(survey: Survey, ends: Float64s, width: float) -> tuple[Float64s, Float64s]:
+def _points(survey: Survey, ends: Float64, width: float) -> tuple[Float64, Float64]:
     """Return the points of a section, or none if the store is not there or is damaged."""
     none = np.empty((2, 0))
     if survey.store is None:
@@ -396,7 +391,7 @@ def _points(survey: Survey, ends: Float64s, width: float) -> tuple[Float64s, Flo
     return _thinned(ground, most), _thinned(others, most)
 
 
-def _sampled(heights: Floats, extent: Extent, positions: Float64s) -> Float64s:
+def _sampled(heights: Float32, extent: Extent, positions: Float64) -> Float64:
     """Return the height of the pixel at each position, NaN beyond the picture."""
     west, south, east, north = extent
     rows, cols = heights.shape
@@ -409,8 +404,8 @@ def _sampled(heights: Floats, extent: Extent, positions: Float64s) -> Float64s:
 
 
 def points_near(
-    store: TileStore, ends: Float64s, width: float, kept: Sequence[int] | None = None
-) -> tuple[Float64s, Float64s]:
+    store: TileStore, ends: Float64, width: float, kept: Sequence[int] | None = None
+) -> tuple[Float64, Float64]:
     """Return positions and heights of the ground points and of the other points in a strip along a section.
 
     Parameters
@@ -454,5 +449,5 @@ def points_near(
     return points[:2, is_ground], points[:2, ~is_ground]
 
 
-def _thinned(points: Float64s, most: int) -> Float64s:
+def _thinned(points: Float64, most: int) -> Float64:
     return points[:, :: max(math.ceil(points.shape[1] / most), 1)]

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float64, Indices, Int64, UInt8
 from tiler.core.points import GROUND, HIGH_NOISE, LOW_NOISE, WATER
-from tiler.simulate.objects import LOW_VEGETATION, WIRE, Floats, Objects, Rays
-from tiler.simulate.points import Box, SimulatedPoints, UInt8s, alone, vegetation_label
+from tiler.simulate.objects import LOW_VEGETATION, WIRE, Objects, Rays
+from tiler.simulate.points import Box, SimulatedPoints, alone, vegetation_label
 from tiler.simulate.randomness import (
     BIAS,
     BLUNDERS,
@@ -26,8 +26,6 @@ from tiler.simulate.randomness import (
 )
 from tiler.simulate.site import Site
 from tiler.simulate.terrain import Line, Terrain, Waters
-
-Indices = npt.NDArray[np.intp]
 
 PATCH_M = 100.0
 """Side in metres of the squares that are surveyed at once, which bounds the memory.
@@ -156,17 +154,17 @@ class AlsSensor:
         return SimulatedPoints.joined(parts)
 
 
-Hits = list[tuple[npt.NDArray[np.intp], Floats, UInt8s, npt.NDArray[np.bool_]]]
+Hits = list[tuple[Indices, Float64, UInt8, Bool]]
 """Returns in any order: index of the ray, height, label, and True if the pulse ends there."""
 
 
-def _hit(ray: npt.NDArray[np.intp], z: Floats, label: Any, last: Any) -> Any:
+def _hit(ray: Indices, z: Float64, label: Any, last: Any) -> Any:
     return ray, z, np.full(len(ray), label, np.uint8), np.full(len(ray), last, np.bool_)
 
 
 def _pulses(
     sensor: AlsSensor, base: float, box: Box, rng: np.random.Generator
-) -> tuple[Rays, npt.NDArray[np.int64]]:
+) -> tuple[Rays, Int64]:
     """Return rays through a jittered pattern over ``box`` at ``base``, and the strip of each."""
     across, lap = (sensor.density * LINE_STEP) ** -0.5, sensor.overlap_m / 2
     along = across * LINE_STEP
@@ -198,7 +196,7 @@ def _pulses(
     return Rays(ax, ay, lx, ly, base), np.concatenate(strips)
 
 
-def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
+def ground_hit(terrain: Terrain, rays: Rays) -> Float64:
     """Return the height in metres at which each ray meets the terrain.
 
     A fixed-point iteration converges where rays are much steeper than slopes. Bisection finds
@@ -223,7 +221,7 @@ def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
 
 
 def _canopy(
-    objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: Hits
+    objects: Objects, rays: Rays, surface: Float64, rng: np.random.Generator, hits: Hits
 ) -> None:
     """Append the returns from wires and crowns above the surface at which each ray ends."""
     for wire in objects.wires:
@@ -245,8 +243,13 @@ def _canopy(
 
 
 def _surface(
-    site: Site, objects: Objects, rays: Rays, bare: Floats, rng: np.random.Generator, hits: Hits
-) -> Floats:
+    site: Site,
+    objects: Objects,
+    rays: Rays,
+    bare: Float64,
+    rng: np.random.Generator,
+    hits: Hits,
+) -> Float64:
     """Append the last returns, and return the height at which each ray ends.
 
     A ray ends on a solid, a plant, water or the ground. Some rays have no return from there.
@@ -286,12 +289,12 @@ def _surface(
 
 def _on_waters(
     waters: Waters,
-    at: tuple[Floats, Floats],
-    z: Floats,
-    label: UInt8s,
-    lost: Floats,
+    at: tuple[Float64, Float64],
+    z: Float64,
+    label: UInt8,
+    lost: Float64,
     rng: np.random.Generator,
-) -> Floats:
+) -> Float64:
     """Return the share of lost pulses at each position. Set heights and labels of returns from water in place."""
     x, y = at
     if waters.lost_on_land is not None:
@@ -312,9 +315,7 @@ def _on_waters(
     return lost
 
 
-def _numbered(
-    hits: Hits, max_returns: int
-) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
+def _numbered(hits: Hits, max_returns: int) -> tuple[Indices, Float64, UInt8, UInt8, UInt8]:
     """Return ray, height, label, return number and count, in the order of rays and returns."""
     ray, z, label, last = (np.concatenate(column) for column in zip(*hits, strict=True))
     order = np.lexsort((-z, ray))
@@ -408,7 +409,7 @@ class Mirror:
     sigma_m: float
     rise: int
 
-    def inside(self, x: Floats, y: Floats) -> npt.NDArray[np.bool_]:
+    def inside(self, x: Float64, y: Float64) -> Bool:
         """Return a mask of the positions (metres) in the rectangle."""
         along, across = self.line.along_across(x, y)
         return np.asarray(
@@ -456,7 +457,7 @@ def _delayed(
     single_share: float,
     mirrors_km2: float,
     rays: Rays,
-    bare: Floats,
+    bare: Float64,
     ray: Indices,
 ) -> SimulatedPoints:
     """Return the points of a patch with some last returns moved below the ground.

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Float64, UInt8, UInt16
 from tiler.errors import ConfigError
 from tiler.simulate.als import AlsSensor
 from tiler.simulate.dim import DimSensor
-from tiler.simulate.points import Sensor, UInt8s, UInt16s, survey
+from tiler.simulate.points import Sensor, survey
 from tiler.simulate.site import Site
 from tiler.simulate.sites import SITES
-from tiler.simulate.terrain import Floats
 
 SENSORS: dict[str, type[AlsSensor] | type[DimSensor]] = {"als": AlsSensor, "dim": DimSensor}
 
@@ -81,12 +81,12 @@ class Scene:
 
     spec: SceneSpec
     site: Site
-    xyz: Floats
-    classification: UInt8s
-    rgb: UInt16s | None
-    returns: UInt8s
+    xyz: Float64
+    classification: UInt8
+    rgb: UInt16 | None
+    returns: UInt8
 
-    def truth(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
+    def truth(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Float64:
         """Return the reference height of the ground in metres, float64 of the broadcast shape."""
         return self.site.terrain.height_at(x, y)
 

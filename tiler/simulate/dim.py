@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 from scipy.special import ndtri
 
+from ptd.arrays import Bool, Float64, UInt8
 from tiler.core.points import GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from tiler.simulate.matched_surface import (
     PIXEL_M,
@@ -26,9 +26,6 @@ from tiler.simulate.objects import BUILDING, LOW_VEGETATION
 from tiler.simulate.points import Box, SimulatedPoints
 from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, TEXTURE, generator, smooth_noise
 from tiler.simulate.site import Site
-
-Floats = npt.NDArray[np.float64]
-UInt8s = npt.NDArray[np.uint8]
 
 PATCH_M = 50.0
 """Side in metres of the squares that are matched at once, which bounds the memory.
@@ -134,11 +131,11 @@ class DimSensor:
     def _matches(
         self,
         skin: MatchedSurface,
-        dark: npt.NDArray[np.bool_],
+        dark: Bool,
         site: Site,
         box: Box,
         rng: np.random.Generator,
-    ) -> tuple[Floats, UInt8s]:
+    ) -> tuple[Float64, UInt8]:
         """Return xyz and labels of points of the surface.
 
         Points are fewer in shadow, in narrow yards and on water.
@@ -166,12 +163,12 @@ class DimSensor:
     def _noise(
         self,
         site: Site,
-        x: Floats,
-        y: Floats,
-        label: UInt8s,
-        shaded: npt.NDArray[np.bool_],
+        x: Float64,
+        y: Float64,
+        label: UInt8,
+        shaded: Bool,
         rng: np.random.Generator,
-    ) -> Floats:
+    ) -> Float64:
         """Return errors of heights in metres, the sum of a correlated and an independent part."""
         hard = np.isin(label, (GROUND, WATER, BUILDING))
         sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, self.shadow, 1.0)
@@ -189,7 +186,7 @@ class DimSensor:
             sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own)
         )
 
-    def _facades(self, skin: MatchedSurface, box: Box, rng: np.random.Generator) -> Floats:
+    def _facades(self, skin: MatchedSurface, box: Box, rng: np.random.Generator) -> Float64:
         """Return xyz (n, 3) of points on walls, where the surface falls from a building."""
         x, y = skin.positions()
         parts = [np.empty((0, 3))]
@@ -225,7 +222,7 @@ class DimSensor:
 
     def _blunders(
         self, site: Site, skin: MatchedSurface, box: Box, rng: np.random.Generator
-    ) -> tuple[Floats, UInt8s]:
+    ) -> tuple[Float64, UInt8]:
         """Return points below the ground and in the air: xyz (n, 3) in metres and labels."""
         points = self.density * PATCH_M**2
         alone = rng.poisson(points * self.blunders / 2)

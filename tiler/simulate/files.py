@@ -18,6 +18,7 @@ import laspy
 import numpy as np
 import pyproj
 
+from ptd.arrays import UInt8
 from tiler.core.points import UNCLASSIFIED
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError, ProcessingError
@@ -26,14 +27,7 @@ from tiler.io.raster_files import RasterMetadata, plain_geotiff
 from tiler.observe.events import Listener, StageFinished, StageStarted, TaskDone, ignore_events
 from tiler.simulate.als import AlsSensor
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
-from tiler.simulate.points import (
-    CLASS_NAMES,
-    Sensor,
-    SimulatedPoints,
-    UInt8s,
-    patches,
-    survey_patch,
-)
+from tiler.simulate.points import CLASS_NAMES, Sensor, SimulatedPoints, patches, survey_patch
 from tiler.simulate.site import Site
 from tiler.simulate.sites import SITES, city
 from tiler.simulate.terrain import Terrain
@@ -81,7 +75,7 @@ class CloudWriter:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def write(self, points: SimulatedPoints, classes: UInt8s | None = None) -> None:
+    def write(self, points: SimulatedPoints, classes: UInt8 | None = None) -> None:
         """Append points. If given, ``classes`` (uint8, shape (n,)) replaces their labels."""
         if not len(points):
             return

@@ -6,12 +6,11 @@ Colours come from materials, their variation, and shadows.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
+from ptd.arrays import AnyArray, Bool, Float64, Indices, Int64, UInt8, UInt16
 from tiler.core.points import GROUND, WATER
 from tiler.simulate.objects import (
     BRIDGE,
@@ -25,9 +24,6 @@ from tiler.simulate.objects import (
 from tiler.simulate.points import Box, vegetation_label
 from tiler.simulate.randomness import COLOUR, RELIEF, node_normals, smooth_noise
 from tiler.simulate.site import Site
-
-Floats = npt.NDArray[np.float64]
-
 
 PIXEL_M = 0.25
 """Side of a pixel in metres. The lattice of the pixels starts at (0, 0)."""
@@ -58,27 +54,25 @@ class MatchedSurface:
 
     x0: float
     y0: float
-    bare: Floats
-    sharp: Floats
-    smooth: Floats
-    label: npt.NDArray[np.uint8]
-    beside: npt.NDArray[np.uint8]
-    rise: Floats
-    thing: npt.NDArray[np.int64]
+    bare: Float64
+    sharp: Float64
+    smooth: Float64
+    label: UInt8
+    beside: UInt8
+    rise: Float64
+    thing: Int64
 
-    def nearest(
-        self, x: Floats, y: Floats
-    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def nearest(self, x: Float64, y: Float64) -> tuple[Indices, Indices]:
         """Return the row and column of the node nearest to each position in metres."""
         row = np.rint((y - self.y0) / PIXEL_M).astype(np.intp)
         column = np.rint((x - self.x0) / PIXEL_M).astype(np.intp)
         return row, column
 
-    def height(self, x: Floats, y: Floats) -> Floats:
+    def height(self, x: Float64, y: Float64) -> Float64:
         """Return the smoothed height in metres at each position, interpolated bilinearly."""
         return self._between(self.smooth, x, y)
 
-    def labels(self, x: Floats, y: Floats) -> npt.NDArray[np.uint8]:
+    def labels(self, x: Float64, y: Float64) -> UInt8:
         """Return the class of the surface at each position.
 
         Ground or water that is lifted by smoothing has the class of the nearest object.
@@ -88,11 +82,11 @@ class MatchedSurface:
         lifted = np.isin(label, (GROUND, WATER)) & (self._between(self.rise, x, y) > SMEARED_M)
         return np.asarray(np.where(lifted, self.beside[node], label))
 
-    def _between(self, raster: Floats, x: Floats, y: Floats) -> Floats:
+    def _between(self, raster: Float64, x: Float64, y: Float64) -> Float64:
         place = np.stack(((y - self.y0) / PIXEL_M, (x - self.x0) / PIXEL_M))
         return np.asarray(ndimage.map_coordinates(raster, place, order=1, mode="nearest"))
 
-    def positions(self) -> tuple[Floats, Floats]:
+    def positions(self) -> tuple[Float64, Float64]:
         """Return x and y of all nodes in metres, in the shape of the rasters."""
         rows, columns = self.bare.shape
         x, y = np.meshgrid(
@@ -119,7 +113,7 @@ def render_surface(site: Site, box: Box, margin_m: float, edge_m: float) -> Matc
         np.arange(low[0], high[0] + 1) * PIXEL_M, np.arange(low[1], high[1] + 1) * PIXEL_M
     )
     bare = site.terrain.height_at(x, y)
-    flat: tuple[npt.NDArray[Any], ...] = _covered(site, x.ravel(), y.ravel(), bare.ravel())
+    flat: tuple[AnyArray, ...] = _covered(site, x.ravel(), y.ravel(), bare.ravel())
     sharp, label, thing = (column.reshape(bare.shape) for column in flat)
     sigma = edge_m / PIXEL_M
     smooth = ndimage.gaussian_filter(sharp, sigma, mode="nearest")
@@ -137,9 +131,7 @@ def solid_number(solid: Solid) -> int:
     )
 
 
-def _covered(
-    site: Site, x: Floats, y: Floats, bare: Floats
-) -> tuple[Floats, npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+def _covered(site: Site, x: Float64, y: Float64, bare: Float64) -> tuple[Float64, UInt8, Int64]:
     """Return height, label and `solid_number` of the topmost surface at each position."""
     z = bare.copy()
     label = np.where(site.terrain.wet_at(x, y), WATER, GROUND).astype(np.uint8)
@@ -177,7 +169,7 @@ def _covered(
     return z, vegetation_label(label, z - bare), thing
 
 
-def _nearest_object(label: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+def _nearest_object(label: UInt8) -> UInt8:
     """Return the class of the nearest node that is not ground or water.
 
     Labels do not change if there is no such node.
@@ -240,7 +232,7 @@ PAINTS = np.array(
 )
 
 
-def ground_materials(site: Site, x: Floats, y: Floats) -> npt.NDArray[np.intp]:
+def ground_materials(site: Site, x: Float64, y: Float64) -> Indices:
     """Return the material of open ground: asphalt along blocks, rock if steep, lawn or soil."""
     step = 0.5
     rise = np.hypot(
@@ -260,11 +252,11 @@ def ground_materials(site: Site, x: Floats, y: Floats) -> npt.NDArray[np.intp]:
     return np.asarray(material, dtype=np.intp)
 
 
-def _from_edge(x: Floats, side: float) -> Floats:
+def _from_edge(x: Float64, side: float) -> Float64:
     return np.asarray(x - side * np.rint(x / side))
 
 
-def shadows(skin: MatchedSurface) -> npt.NDArray[np.bool_]:
+def shadows(skin: MatchedSurface) -> Bool:
     """Return a mask of the nodes of a surface in the shadow of a node within `SHADOW_REACH_M`."""
     length = float(np.hypot(*SUN_STEP)) * PIXEL_M
     climb = length * np.tan(np.radians(SUN_ELEVATION_DEG))
@@ -281,14 +273,14 @@ def shadows(skin: MatchedSurface) -> npt.NDArray[np.bool_]:
 
 def colours(
     site: Site,
-    x: Floats,
-    y: Floats,
-    label: npt.NDArray[np.uint8],
-    thing: npt.NDArray[np.int64],
-    facade: npt.NDArray[np.bool_],
-    dark: npt.NDArray[np.bool_],
+    x: Float64,
+    y: Float64,
+    label: UInt8,
+    thing: Int64,
+    facade: Bool,
+    dark: Bool,
     rng: np.random.Generator,
-) -> npt.NDArray[np.uint16]:
+) -> UInt16:
     """Return the colour of each point: uint16, shape (n, 3), 8-bit values times 256.
 
     Parameters

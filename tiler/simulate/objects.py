@@ -12,11 +12,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Float64, Indices
 from tiler.simulate.terrain import Line
-
-Floats = npt.NDArray[np.float64]
 
 LOW_VEGETATION, MEDIUM_VEGETATION, HIGH_VEGETATION = 3, 4, 5
 BUILDING = 6
@@ -31,10 +29,10 @@ class Rays:
     ``lx`` and ``ly`` are metres per metre of height. ``level`` is a height near most hits, which shortens searches.
     """
 
-    ax: Floats
-    ay: Floats
-    lx: Floats
-    ly: Floats
+    ax: Float64
+    ay: Float64
+    lx: Float64
+    ly: Float64
     level: float = 0.0
 
     def __len__(self) -> int:
@@ -45,13 +43,11 @@ class Rays:
         """Largest horizontal shift of a ray in metres per metre of height."""
         return float(np.hypot(self.lx, self.ly).max(initial=0.0))
 
-    def at(
-        self, z: Floats, index: npt.NDArray[np.intp] | slice = slice(None)
-    ) -> tuple[Floats, Floats]:
+    def at(self, z: Float64, index: Indices | slice = slice(None)) -> tuple[Float64, Float64]:
         """Return the positions x, y of the rays (or of ``index``) at the heights z."""
         return self.ax[index] + self.lx[index] * z, self.ay[index] + self.ly[index] * z
 
-    def near(self, x: float, y: float, z: float, radius: float) -> npt.NDArray[np.intp]:
+    def near(self, x: float, y: float, z: float, radius: float) -> Indices:
         """Return the ascending indices of the rays within ``radius`` of (x, y) at height z."""
         order, sorted_x = self._from_west
         shift = radius + self.steepest * abs(z - self.level)
@@ -60,7 +56,7 @@ class Rays:
         return np.sort(index[(px - x) ** 2 + (py - y) ** 2 <= radius**2])
 
     @cached_property
-    def _from_west(self) -> tuple[npt.NDArray[np.intp], Floats]:
+    def _from_west(self) -> tuple[Indices, Float64]:
         """Indices of the rays from west to east at `level`, and their positions x."""
         x = self.ax + self.lx * self.level
         order = np.argsort(x, kind="stable")
@@ -114,7 +110,7 @@ class Solid:
             max(abs(along) - self.length / 2, 0.0), max(abs(across) - self.width / 2, 0.0)
         )
 
-    def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
+    def hit(self, rays: Rays) -> tuple[Indices, Float64]:
         """Return indices of the rays that meet the body, and the heights of entry, metres."""
         height = self.top - self.base + abs(self.tilt) * self.length / 2
         index = rays.near(self.x, self.y, self.top, self.radius + height * rays.steepest + 0.01)
@@ -168,7 +164,7 @@ class Crown:
     spacing: float = 1.6
     stop: float = 0.3
 
-    def chord(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats, Floats]:
+    def chord(self, rays: Rays) -> tuple[Indices, Float64, Float64]:
         """Return indices of the rays that meet the crown, and heights of entry and exit, metres."""
         index = rays.near(
             self.x, self.y, self.z, self.radius + self.half_height * rays.steepest + 0.01
@@ -205,7 +201,7 @@ class PlantPatch:
         """Half of the footprint's diagonal, metres."""
         return float(np.hypot(self.length, self.width) / 2)
 
-    def inside(self, x: Floats, y: Floats) -> Floats:
+    def inside(self, x: Float64, y: Float64) -> Float64:
         """Return the depth in the footprint: 1 at the centre, 0 at the edge, negative outside."""
         along, across = Line(self.x, self.y, self.angle_deg).along_across(x, y)
         u, v = 2 * along / self.length, 2 * across / self.width
@@ -241,7 +237,7 @@ class Wire:
         """Half of the span, metres."""
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]) / 2)
 
-    def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
+    def hit(self, rays: Rays) -> tuple[Indices, Float64]:
         """Return indices of the rays that hit the wire, and the heights of their returns, metres."""
         angle = float(
             np.degrees(np.arctan2(self.end[1] - self.start[1], self.end[0] - self.start[0]))

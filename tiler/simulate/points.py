@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float64, UInt8, UInt16
 from tiler.core.points import GROUND, HIGH_NOISE, LOW_NOISE, UNCLASSIFIED, WATER
 from tiler.simulate.objects import (
     BRIDGE,
@@ -21,9 +21,6 @@ from tiler.simulate.objects import (
 )
 from tiler.simulate.site import Site
 
-UInt8s = npt.NDArray[np.uint8]
-UInt16s = npt.NDArray[np.uint16]
-Floats = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """Half-open box x0, y0, x1, y1 in metres."""
 
@@ -60,17 +57,17 @@ class SimulatedPoints:
     rgb : uint16, shape (n, 3), optional
     """
 
-    xyz: Floats
-    label: UInt8s
-    number: UInt8s
-    count: UInt8s
-    angle_deg: Floats
-    rgb: UInt16s | None = None
+    xyz: Float64
+    label: UInt8
+    number: UInt8
+    count: UInt8
+    angle_deg: Float64
+    rgb: UInt16 | None = None
 
     def __len__(self) -> int:
         return len(self.label)
 
-    def take(self, keep: npt.NDArray[np.bool_]) -> SimulatedPoints:
+    def take(self, keep: Bool) -> SimulatedPoints:
         """Return the points of a mask, in the same order."""
         columns: list[Any] = [
             None if column is None else column[keep] for column in self._columns
@@ -91,7 +88,7 @@ class SimulatedPoints:
         return self.xyz, self.label, self.number, self.count, self.angle_deg, self.rgb
 
 
-def alone(xyz: Floats, label: UInt8s) -> SimulatedPoints:
+def alone(xyz: Float64, label: UInt8) -> SimulatedPoints:
     """Return points (metres) that are the only returns of vertical pulses, without colours."""
     one = np.ones(len(label), np.uint8)
     return SimulatedPoints(xyz, label, one, one, np.zeros(len(label)))
@@ -125,7 +122,7 @@ class Sensor(Protocol):
         ...
 
 
-def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
+def vegetation_label(label: UInt8, above_ground_m: Float64) -> UInt8:
     """Return labels with low plants split by height above ground: below 1 m, below 3 m, higher."""
     by_height = np.select(
         [above_ground_m < 1.0, above_ground_m < 3.0],

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-UInt64s = npt.NDArray[np.uint64]
+from ptd.arrays import Float64, Int64, UInt64
 
 BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR, TEXTURE = range(8)
 """Purposes of random numbers. Different purposes give different numbers."""
@@ -24,7 +22,7 @@ def generator(seed: int, purpose: int, *place: int) -> np.random.Generator:
     )
 
 
-def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -> Floats:
+def smooth_noise(seed: int, purpose: int, x: Float64, y: Float64, cell_m: float) -> Float64:
     """Return spatially correlated noise, about standard normal at each position.
 
     Nearly normal numbers are hashed from the nodes of a lattice at coordinate 0, interpolated
@@ -53,9 +51,7 @@ def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -
     return np.asarray(total / np.sqrt((u**2 + (1.0 - u) ** 2) * (v**2 + (1.0 - v) ** 2)))
 
 
-def node_normals(
-    seed: int, purpose: int, column: npt.NDArray[np.int64], row: npt.NDArray[np.int64]
-) -> Floats:
+def node_normals(seed: int, purpose: int, column: Int64, row: Int64) -> Float64:
     """Return nearly normal numbers of mean 0 and variance 1, hashed from lattice indices.
 
     Each is a sum of four uniform numbers.
@@ -68,7 +64,7 @@ def node_normals(
     return np.asarray((total / 65536.0 - 2.0) * np.sqrt(3.0))
 
 
-def _mixed(value: UInt64s) -> UInt64s:
+def _mixed(value: UInt64) -> UInt64:
     """Apply the finaliser of SplitMix64 (Steele, Lea & Flood 2014). Overflow is intended."""
     value = value + np.uint64(0x9E3779B97F4A7C15)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

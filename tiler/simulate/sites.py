@@ -6,19 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ptd.arrays import Float64, UInt8
 from tiler.errors import ConfigError
 from tiler.simulate import blocks
 from tiler.simulate.als import AlsSensor
 from tiler.simulate.blocks import bridge, power_line
 from tiler.simulate.objects import Objects
-from tiler.simulate.points import Sensor, UInt8s, survey
+from tiler.simulate.points import Sensor, survey
 from tiler.simulate.site import Site
 from tiler.simulate.terrain import (
     Bank,
     Basin,
     Cliff,
     Embankment,
-    Floats,
     Hill,
     Line,
     Ridge,
@@ -293,7 +293,7 @@ def make_site(kind: str, seed: int, side_m: float) -> Site:
 
 def scene_points(
     kind: str = "city", seed: int = 1, side_m: float = 100.0, sensor: Sensor | None = None
-) -> tuple[Floats, UInt8s]:
+) -> tuple[Float64, UInt8]:
     """Return the points of a site and their reference classes.
 
     Parameters

@@ -12,12 +12,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
+from ptd.arrays import Bool, Float64, Int64
 
-
-Field = Callable[[Floats, Floats], Floats]
+Field = Callable[[Float64, Float64], Float64]
 """Function that returns a value at each position x, y in metres."""
 
 FACE_SLOPE = 8.0
@@ -78,7 +75,7 @@ class Masonry:
     north: float
     crest: float
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the height in metres of the crest, or of the faces around it, which have no lower end."""
         beside_x = np.maximum(np.maximum(self.west - x, x - self.east), 0.0)
         beside_y = np.maximum(np.maximum(self.south - y, y - self.north), 0.0)
@@ -103,7 +100,7 @@ class Waters:
     masonry: tuple[Masonry, ...] = ()
     lost_on_land: Field | None = None
 
-    def body_at(self, x: Floats, y: Floats) -> Ints:
+    def body_at(self, x: Float64, y: Float64) -> Int64:
         """Return the index of the body of water at each position, int64, or -1 on land and masonry."""
         index = np.full(x.shape, -1)
         surface = np.full(x.shape, -np.inf)
@@ -115,14 +112,14 @@ class Waters:
             index[block.height_at(x, y) > surface] = -1
         return index
 
-    def shore_m(self, x: Floats, y: Floats) -> Floats:
+    def shore_m(self, x: Float64, y: Float64) -> Float64:
         """Return the distance from the nearest shore in metres, negative on the water. Masonry is ignored."""
         nearest = np.full(x.shape, np.inf)
         for body in self.bodies:
             nearest = np.minimum(nearest, body.shore(x, y))
         return nearest
 
-    def height_at(self, x: Floats, y: Floats, land: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64, land: Float64) -> Float64:
         """Return the height of the terrain with water, banks and masonry. ``land`` is the height without them.
 
         Both are in metres and have the shape of x and y.
@@ -139,7 +136,7 @@ class Waters:
 class TerrainFeature(Protocol):
     """Part of a terrain. `Terrain` adds the heights of its parts."""
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres that the feature adds at each position (metres)."""
         ...
 
@@ -152,7 +149,7 @@ class Line:
     y: float
     angle_deg: float
 
-    def along_across(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    def along_across(self, x: Float64, y: Float64) -> tuple[Float64, Float64]:
         """Return each position's distance along the line from (x, y) and to its left, metres."""
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         east, north = x - self.x, y - self.y
@@ -175,7 +172,7 @@ class Hill:
     height: float
     radius: float
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres that the hill adds at each position."""
         squared = (x - self.x) ** 2 + (y - self.y) ** 2
         return np.asarray(self.height * np.exp(squared / (-2.0 * self.radius**2)))
@@ -210,7 +207,7 @@ class Waves:
             rows.append((amplitude, number * np.cos(turn), number * np.sin(turn), phase))
         return cls(tuple(rows))
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres that the waves add at each position."""
         total = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
         for amplitude, east, north, phase in self.waves:
@@ -227,7 +224,7 @@ class Ridge:
     half_width: float
     length: float
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres that the ridge adds at each position."""
         along, across = self.line.along_across(x, y)
         flank = 1.0 - np.abs(across) / self.half_width
@@ -248,7 +245,7 @@ class Terraces:
     rise: float
     face: float
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres that the terraces add at each position."""
         _, across = self.line.along_across(x, y)
         return np.asarray(
@@ -266,7 +263,7 @@ class Cliff:
     swing: float = 0.0
     period: float = 100.0
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres that the cliff adds at each position."""
         along, across = self.line.along_across(x, y)
         across = across + self.swing * np.sin(2 * np.pi * along / self.period)
@@ -299,15 +296,15 @@ class Basin:
     benches: int = 1
     water: bool = False
 
-    def _inward(self, x: Floats, y: Floats) -> Floats:
+    def _inward(self, x: Float64, y: Float64) -> Float64:
         return np.asarray(self.radius - np.hypot(x - self.x, y - self.y))
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres, 0 or negative, that the pit adds at each position."""
         down = _stairs(self._inward(x, y) * self.benches / self.wall_width, self.benches, 0.5)
         return np.asarray(-self.depth / self.benches * down)
 
-    def wet_at(self, x: Floats, y: Floats) -> Bools:
+    def wet_at(self, x: Float64, y: Float64) -> Bool:
         """Return a mask of the positions on water."""
         return np.asarray((self._inward(x, y) > self.wall_width) & self.water)
 
@@ -327,7 +324,7 @@ class Embankment:
     crest_width: float
     slope_width: float
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres that the dam adds at each position."""
         _, across = Line(self.x, self.y, self.angle_deg).along_across(x, y)
         down = np.clip((np.abs(across) - self.crest_width / 2) / self.slope_width, 0.0, 1.0)
@@ -348,7 +345,7 @@ class Bank:
     swing: float
     period: float
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres, negative, that the bank adds at each position."""
         line = self.x + self.swing * np.sin(2 * np.pi * y / self.period)
         return np.asarray(-self.drop * (0.5 + 0.5 * np.tanh((x - line) / self.width)))
@@ -368,19 +365,19 @@ class River:
     swing: float = 0.0
     period: float = 300.0
 
-    def _outside(self, x: Floats, y: Floats) -> Floats:
+    def _outside(self, x: Float64, y: Float64) -> Float64:
         """Return the distance from the edge of the water in metres, negative on the water."""
         along, across = self.line.along_across(x, y)
         across = across + self.swing * np.sin(2 * np.pi * along / self.period)
         return np.asarray(np.abs(across) - self.width / 2)
 
-    def height_at(self, x: Floats, y: Floats) -> Floats:
+    def height_at(self, x: Float64, y: Float64) -> Float64:
         """Return the metres, 0 or negative, that the river adds at each position."""
         return np.asarray(
             -self.depth * (1.0 - np.clip(self._outside(x, y) / self.bank_width, 0.0, 1.0))
         )
 
-    def wet_at(self, x: Floats, y: Floats) -> Bools:
+    def wet_at(self, x: Float64, y: Float64) -> Bool:
         """Return a mask of the positions on water."""
         return np.asarray(self._outside(x, y) < 0.0)
 
@@ -405,7 +402,7 @@ class Terrain:
     features: tuple[TerrainFeature, ...] = ()
     waters: Waters | None = None
 
-    def height_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
+    def height_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Float64:
         """Return the height of the ground in metres, float64 of the broadcast shape of x and y."""
         east, north = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height = self.base + self.slope[0] * east + self.slope[1] * north
@@ -415,7 +412,7 @@ class Terrain:
             height = self.waters.height_at(east, north, height)
         return np.asarray(height)
 
-    def wet_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Bools:
+    def wet_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Bool:
         """Return a mask of the positions on water, of the broadcast shape of x and y (metres)."""
         east, north = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         wet = np.zeros(east.shape, np.bool_)
@@ -436,7 +433,7 @@ class Terrain:
         return float(heights.min()), float(heights.max())
 
 
-def _stairs(t: Floats, steps: int, face: float) -> Floats:
+def _stairs(t: Float64, steps: int, face: float) -> Float64:
     """Return the height of ``steps`` stairs, each 1 high and 1 long, at the distances ``t``.
 
     The last ``face`` (a share) of each step rises, and the rest is level.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from ptd.arrays import Float64
 from tiler.simulate.blocks import bridge
 from tiler.simulate.objects import Objects, Solid
 from tiler.simulate.site import Plot, Site
 from tiler.simulate.terrain import (
     FACE_SLOPE,
     Field,
-    Floats,
     Line,
     Masonry,
     Terrain,
@@ -59,25 +59,25 @@ def weir(seed: int, side_m: float) -> Site:
     pool_level, tail_level = 143.4, 140.4
     phase = rng.uniform(0.0, 2 * np.pi)
 
-    def middle(x: Floats) -> Floats:
+    def middle(x: Float64) -> Float64:
         return np.asarray(130.0 + 12.0 * np.sin(2 * np.pi * x / 520.0 + phase))
 
     at_dam, at_mouth = (float(middle(np.array(x))) for x in (dam, mouth))
 
-    def pool_shore(x: Floats, y: Floats) -> Floats:
+    def pool_shore(x: Float64, y: Float64) -> Float64:
         return np.maximum(np.abs(y - middle(x)) - 19.0, x - dam)
 
-    def tail_shore(x: Floats, y: Floats) -> Floats:
+    def tail_shore(x: Float64, y: Float64) -> Float64:
         return np.maximum(np.abs(y - middle(x)) - 17.0, dam + 6.0 - x)
 
-    def tributary_shore(x: Floats, y: Floats) -> Floats:
+    def tributary_shore(x: Float64, y: Float64) -> Float64:
         across = x - mouth - 0.2 * (y - 130.0)
         return np.maximum(np.abs(across) - 9.0, at_mouth - y)
 
-    def below(x: Floats, y: Floats) -> Floats:
+    def below(x: Float64, y: Float64) -> Float64:
         return np.asarray(tail_level - 0.0005 * (x - dam) + 0.0 * y)
 
-    def tributary_level(x: Floats, y: Floats) -> Floats:
+    def tributary_level(x: Float64, y: Float64) -> Float64:
         return below(np.full_like(x, mouth), y) + 0.002 * np.maximum(y - at_mouth - 17.0, 0.0)
 
     def rough(calm: float, broken: float) -> Field:
@@ -105,15 +105,15 @@ def meander(seed: int, side_m: float) -> Site:
     bend, swing, phase = 480.0, 60.0, rng.uniform(0.0, 2 * np.pi)
     bar_x, gravel_x, ford_x, deck_x = (share * side_m for share in (0.4, 0.76, 0.6, 0.22))
 
-    def middle(x: Floats) -> Floats:
+    def middle(x: Float64) -> Float64:
         return np.asarray(150.0 + swing * np.sin(2 * np.pi * x / bend + phase))
 
-    def steepness(x: Floats) -> Floats:
+    def steepness(x: Float64) -> Float64:
         return np.asarray(2 * np.pi / bend * swing * np.cos(2 * np.pi * x / bend + phase))
 
     at_bar, at_gravel, at_deck = (float(middle(np.array(x))) for x in (bar_x, gravel_x, deck_x))
 
-    def shore(x: Floats, y: Floats) -> Floats:
+    def shore(x: Float64, y: Float64) -> Float64:
         wide = 18.0 * np.exp(-(((x - gravel_x) / 90.0) ** 2))
         river = np.abs(y - middle(x)) / np.hypot(1.0, steepness(x)) - (
             14.0 + 3.0 * np.sin(x / 70.0) + wide
@@ -125,7 +125,7 @@ def meander(seed: int, side_m: float) -> Site:
         )
         return np.maximum(river, dry)
 
-    def level(x: Floats, y: Floats) -> Floats:
+    def level(x: Float64, y: Float64) -> Float64:
         return np.asarray(52.0 - 0.001 * x + 0.0 * y)
 
     def ford(elsewhere: float, there: float) -> Field:
@@ -160,10 +160,10 @@ def canal(seed: int, side_m: float) -> Site:
     tilt = np.radians(rng.uniform(25.0, 40.0))
     middle = side_m / 2
 
-    def across(x: Floats, y: Floats) -> Floats:
+    def across(x: Float64, y: Float64) -> Float64:
         return np.asarray((y - middle) * np.cos(tilt) - (x - middle) * np.sin(tilt))
 
-    def shore(x: Floats, y: Floats) -> Floats:
+    def shore(x: Float64, y: Float64) -> Float64:
         return np.asarray(np.abs(across(x, y)) - half_width)
 
     body = WaterBody(shore, constant(level), FACE_SLOPE, constant(0.03))
@@ -184,7 +184,7 @@ def canal(seed: int, side_m: float) -> Site:
 def _lobed(x0: float, y0: float, radius: float, lobes: int) -> Field:
     """Return the field of the distance from a round shore with ``lobes`` lobes, in metres."""
 
-    def shore(x: Floats, y: Floats) -> Floats:
+    def shore(x: Float64, y: Float64) -> Float64:
         angle = np.arctan2(y - y0, x - x0)
         return np.asarray(
             np.hypot(x - x0, y - y0) - radius * (1.0 + 0.15 * np.sin(lobes * angle))
@@ -202,16 +202,16 @@ def lakes(seed: int, side_m: float) -> Site:
         _lobed(x * unit, 180.0 * unit, r * unit, n) for x, r, n in ((140, 70, 3), (300, 75, 4))
     )
 
-    def upper_shore(x: Floats, y: Floats) -> Floats:
+    def upper_shore(x: Float64, y: Float64) -> Float64:
         return np.maximum(upper(x, y), x - dam)
 
-    def lower_shore(x: Floats, y: Floats) -> Floats:
+    def lower_shore(x: Float64, y: Float64) -> Float64:
         return np.maximum(lower(x, y), dam + 10.0 - x)
 
-    def reeds(x: Floats, y: Floats) -> Floats:
+    def reeds(x: Float64, y: Float64) -> Float64:
         return np.where((upper_shore(x, y) > -REED_BANK_M) & (x < 110.0 * unit), 0.9, 0.0)
 
-    def strips(x: Floats, y: Floats) -> Floats:
+    def strips(x: Float64, y: Float64) -> Float64:
         return np.where(x < 500.0 * unit, 0.0, 0.4) + 0.0 * y
 
     border = _lobed(500.0 * unit, 40.0 * unit, 80.0 * unit, 3)
@@ -232,13 +232,13 @@ def tide(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     phase, beach_slope, fall = rng.uniform(0.0, 2 * np.pi), 0.05, 0.6
 
-    def fallen(x: Floats) -> Floats:
+    def fallen(x: Float64) -> Float64:
         return np.asarray(fall * np.clip(x - side_m / 2, 0.0, 1.0))
 
-    def shore(x: Floats, y: Floats) -> Floats:
+    def shore(x: Float64, y: Float64) -> Float64:
         return np.asarray(150.0 - y - 15.0 * np.sin(x / 60.0 + phase) + fallen(x) / beach_slope)
 
-    def level(x: Floats, y: Floats) -> Floats:
+    def level(x: Float64, y: Float64) -> Float64:
         return np.asarray(1.1 - fallen(x) + 0.0 * y)
 
     body = WaterBody(shore, level, beach_slope, constant(0.3), constant(0.08))
@@ -251,7 +251,7 @@ def wet_meadow(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     phase = rng.uniform(0.0, 2 * np.pi)
 
-    def lost(x: Floats, y: Floats) -> Floats:
+    def lost(x: Float64, y: Float64) -> Float64:
         return np.where(np.sin(x / 30.0 + phase) + np.sin(y / 25.0) > 0.8, 0.65, 0.01)
 
     terrain = Terrain(

@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 import google_crc32c
 import numcodecs.blosc
 import numpy as np
-import numpy.typing as npt
 import zarr
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from zarr.core.buffer import Buffer
 from zarr.storage import MemoryStore
 
+from ptd.arrays import AnyArray
 from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
 from tiler.store.georeference import DIMENSIONS
@@ -75,11 +75,11 @@ class StoredArray:
         """Length of the first axis."""
         return self.shape[0]
 
-    def read_rows(self, numbers: Sequence[int]) -> list[npt.NDArray[Any]]:
+    def read_rows(self, numbers: Sequence[int]) -> list[AnyArray]:
         """Return whole chunks as `read` does, for an array whose chunks follow one another along the first axis."""
         return self.read([self._row(number) for number in numbers])
 
-    def read(self, chunks: Sequence[Chunk]) -> list[npt.NDArray[Any]]:
+    def read(self, chunks: Sequence[Chunk]) -> list[AnyArray]:
         """Return whole chunks, read-only. Raise CorruptStoreError with the keys of damaged and missing chunks."""
         keys = [layout.chunk_key(self.path, chunk) for chunk in chunks]
         decoded = []
@@ -98,11 +98,11 @@ class StoredArray:
             )
         return decoded
 
-    def write_row(self, number: int, values: npt.NDArray[Any]) -> None:
+    def write_row(self, number: int, values: AnyArray) -> None:
         """Write a whole chunk as `write` does, for an array whose chunks follow one another along the first axis."""
         self.write(self._row(number), values)
 
-    def write(self, chunk: Chunk, values: npt.NDArray[Any]) -> None:
+    def write(self, chunk: Chunk, values: AnyArray) -> None:
         """Write a whole chunk. Raise ProcessingError if the file system refuses."""
         key = layout.chunk_key(self.path, chunk)
         if self.kind.sparse and np.all(values == self.fill):
@@ -113,7 +113,7 @@ class StoredArray:
     def _row(self, number: int) -> Chunk:
         return (number, *(0,) * (len(self.shape) - 1))
 
-    def _decoded(self, key: str, data: bytes | None) -> npt.NDArray[Any]:
+    def _decoded(self, key: str, data: bytes | None) -> AnyArray:
         """Return the values of a chunk. Raise ValueError, or RuntimeError from blosc, if the chunk is damaged.
 
         The size in the blosc frame is checked first, since blosc allocates any size that a
@@ -143,7 +143,7 @@ class Unpacked(NamedTuple):
     """Chunk as it is stored, and its values."""
 
     packed: bytes
-    values: npt.NDArray[Any]
+    values: AnyArray
 
 
 class RecentChunks:
@@ -199,7 +199,7 @@ def packed_by_one_thread() -> Iterator[None]:
         numcodecs.blosc.use_threads = used_threads
 
 
-def _encoded(key: str, values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
+def _encoded(key: str, values: AnyArray, kind: ArrayKind) -> bytes:
     items = np.ascontiguousarray(values, kind.dtype).reshape(-1).view(f"V{kind.shuffled}")
     packed: bytes = numcodecs.blosc.compress(
         items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE

@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import Int32, Int64, UInt8
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock, Rows, representatives
 from tiler.errors import StoreError
@@ -108,14 +109,14 @@ class BucketStore(ColumnStore):
         bucket = self._bucket(cell)
         return self._read_points(parts_of(bucket, _count_of(bucket, candidates_only)), columns)
 
-    def read_origin(self, cell: Cell) -> npt.NDArray[np.int64]:
+    def read_origin(self, cell: Cell) -> Int64:
         """Return the origin of the points of a bucket in stored order, int64 (n,), without reading their positions."""
         bucket = self._bucket(cell)
         parts = parts_of(bucket, _count_of(bucket))
         if not parts:
             return np.empty(0, dtype=np.int64)
         (column,) = (c for c in self._columns if c.name == "origin")
-        origin: npt.NDArray[np.int64] = read_rows(self._column(column), parts)[0]
+        origin: Int64 = read_rows(self._column(column), parts)[0]
         return origin
 
     def representatives(self, cell: Cell, block: PointBlock) -> tuple[Rows, Rows]:
@@ -213,7 +214,7 @@ class LabelStore(BucketStore):
         self,
         name: str,
         cell: Cell,
-        labels: npt.NDArray[np.uint8],
+        labels: UInt8,
         candidates_only: bool = False,
     ) -> None:
         """Write the labels of a bucket, uint8 (n,), in the stored order of its points.
@@ -230,18 +231,16 @@ class LabelStore(BucketStore):
             self._made(layout.labels_path(name), layout.LABELS), bucket, labels[np.newaxis]
         )
 
-    def read_labels(
-        self, name: str, cell: Cell, candidates_only: bool = False
-    ) -> npt.NDArray[np.uint8]:
+    def read_labels(self, name: str, cell: Cell, candidates_only: bool = False) -> UInt8:
         """Return the labels of a bucket, uint8 (n,). Raise StoreError if they were not written."""
         bucket = self._bucket(cell)
         parts = parts_of(bucket, _count_of(bucket, candidates_only))
         if not parts:
             return np.empty(0, dtype=np.uint8)
-        labels: npt.NDArray[np.uint8] = read_rows(self._label_array(name), parts)[0]
+        labels: UInt8 = read_rows(self._label_array(name), parts)[0]
         return labels
 
-    def write_elected(self, name: str, cell: Cell, xyz: npt.NDArray[np.int32]) -> None:
+    def write_elected(self, name: str, cell: Cell, xyz: Int32) -> None:
         """Write the points that a pass elected in a bucket, int32 (3, m).
 
         Raise StoreError if a point lies outside the bucket or the bucket has no room for the
@@ -259,9 +258,7 @@ class LabelStore(BucketStore):
             raise StoreError(f"bucket {cell.name}: an elected point lies outside the bucket")
         self._write_first(layout.elected_path(name), layout.ELECTED, cell, xyz)
 
-    def write_elected_labels(
-        self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]
-    ) -> None:
+    def write_elected_labels(self, name: str, cell: Cell, labels: UInt8) -> None:
         """Write the labels of the elected points of a bucket, uint8 (m,) in their stored order."""
         self._write_first(layout.labels_path(name), layout.LABELS, cell, labels[np.newaxis])
 
@@ -279,8 +276,8 @@ class LabelStore(BucketStore):
         """
         array = self._opened(layout.elected_path(name), layout.ELECTED)
         given = None if labels is None else self._label_array(labels)
-        held: list[npt.NDArray[np.int32]] = [np.empty((3, 0), np.int32)]
-        labelled: list[npt.NDArray[np.uint8]] = [np.empty(0, np.uint8)]
+        held: list[Int32] = [np.empty((3, 0), np.int32)]
+        labelled: list[UInt8] = [np.empty(0, np.uint8)]
         places, end = {} if places is None else places, 0
         buckets = [bucket for bucket in self._overlapping(bounds) if _count_of(bucket)]
         for bucket, elected in _elected_rows(array, buckets):
@@ -325,7 +322,7 @@ class LabelStore(BucketStore):
 
 def _elected_rows(
     array: StoredArray, buckets: Sequence[Bucket]
-) -> Iterator[tuple[Bucket, npt.NDArray[np.int32]]]:
+) -> Iterator[tuple[Bucket, Int32]]:
     """Yield the elected points of each bucket: int32 (3, n). Its chunks are read until one has an unused position."""
     width = array.kind.chunks[-1]
     for start in range(0, len(buckets), ELECTED_PIECES * ROWS_PER_BATCH):

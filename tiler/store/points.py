@@ -10,11 +10,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Bool, Int64
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
 from tiler.core.records import digest_of_bytes
@@ -56,7 +55,7 @@ class BucketIndex:
         published.
     """
 
-    def __init__(self, table: npt.NDArray[np.int64]) -> None:
+    def __init__(self, table: Int64) -> None:
         self._table = table[np.lexsort((table[:, _IX], table[:, _IY]))]
         self._iy = np.ascontiguousarray(self._table[:, _IY])
         self._place: dict[tuple[int, int], int] | None = None
@@ -213,7 +212,7 @@ def _bucket(line: list[int]) -> Bucket:
     return Bucket(Cell(line[_IX], line[_IY]), line[_ROW], line[_ROWS], info)
 
 
-Mask = npt.NDArray[np.bool_] | None
+Mask = Bool | None
 Keep = Callable[[PointBlock, "Part"], Mask]
 
 ROWS_PER_BATCH = 8
@@ -263,7 +262,7 @@ class ColumnStore(StorePart):
         for column in self._columns:
             write_rows(self._column(column), bucket, self._joined(column, block, bucket))
 
-    def _joined(self, column: Column, block: PointBlock, bucket: Bucket) -> npt.NDArray[Any]:
+    def _joined(self, column: Column, block: PointBlock, bucket: Bucket) -> AnyArray:
         values = np.empty((column.width, len(block)), dtype=column.kind.dtype)
         for field, part in column.fields.items():
             source = getattr(block, field)
@@ -306,7 +305,7 @@ class ColumnStore(StorePart):
             _gather(opened, parts[start : start + ROWS_PER_BATCH], keep, gathered)
         if kept is not None:
             kept.extend(piece.shape[1] for piece in gathered["xyz"])
-        values_by_field: dict[str, npt.NDArray[Any]] = {}
+        values_by_field: dict[str, AnyArray] = {}
         for column in columns:
             values = _side_by_side(gathered, column.name, column.kind)
             for field, part in column.fields.items():
@@ -330,11 +329,11 @@ class ColumnStore(StorePart):
         ]
 
 
-Gathered = dict[str, list[npt.NDArray[Any]]]
+Gathered = dict[str, list[AnyArray]]
 """Values of each column, as one array per part."""
 
 
-def _side_by_side(gathered: Gathered, name: str, kind: layout.ArrayKind) -> npt.NDArray[Any]:
+def _side_by_side(gathered: Gathered, name: str, kind: layout.ArrayKind) -> AnyArray:
     """Return the values of a column in one array.
 
     The column is removed from ``gathered``, so that at most one column is in memory twice.
@@ -371,12 +370,12 @@ def _gather(
             masks = list(compress(masks, has_points))
 
 
-def _masked(values: npt.NDArray[Any], mask: Mask) -> npt.NDArray[Any]:
+def _masked(values: AnyArray, mask: Mask) -> AnyArray:
     """Return the values (width, n) that a mask selects. They are always a copy, so that their chunk can be freed."""
     if mask is None:
         return values.copy()
     # `np.compress` is three times faster than `values[:, mask]`.
-    kept: npt.NDArray[Any] = np.compress(mask, values, axis=1)
+    kept: AnyArray = np.compress(mask, values, axis=1)
     return kept
 
 
@@ -397,7 +396,7 @@ def inside(
     return keep
 
 
-def write_rows(array: StoredArray, bucket: Bucket, values: npt.NDArray[Any]) -> None:
+def write_rows(array: StoredArray, bucket: Bucket, values: AnyArray) -> None:
     """Write ``values`` (width, n) to the rows of a bucket. The last row is padded with zeros."""
     for part in parts_of(bucket, values.shape[1]):
         start = (part.row - bucket.row) * ROW_POINTS
@@ -406,7 +405,7 @@ def write_rows(array: StoredArray, bucket: Bucket, values: npt.NDArray[Any]) -> 
         array.write_row(part.row, row)
 
 
-def read_rows(array: StoredArray, parts: Sequence[Part]) -> npt.NDArray[Any]:
+def read_rows(array: StoredArray, parts: Sequence[Part]) -> AnyArray:
     """Return the values (width, n) of ``parts``, concatenated in order."""
     chunks = array.read_rows([part.row for part in parts])
     return np.concatenate(

@@ -10,8 +10,8 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Float32, Float64, Int64
 from tiler.core.products import MAX_RESOLUTIONS, NODATA
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.errors import StoreError
@@ -60,7 +60,7 @@ class RasterStore(StorePart):
             arrays.make_group(self._storage, layout.RASTERS)
         self._open[path] = array
 
-    def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:
+    def write_block(self, name: str, block: Block, values: Float32) -> None:
         """Write a whole block as one chunk: 512 x 512 pixels, or fewer at the south and east edge.
 
         Raises
@@ -80,7 +80,7 @@ class RasterStore(StorePart):
         chunk[: block.height, : block.width] = values
         array.write((block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS), chunk)
 
-    def read_block(self, name: str, block: Block) -> npt.NDArray[np.float32]:
+    def read_block(self, name: str, block: Block) -> Float32:
         """Return any window of a raster, float32 (height, width). Pixels that were never written hold the fill.
 
         Raises
@@ -130,14 +130,13 @@ class RasterStore(StorePart):
         return self._opened(self._raster_path(name), layout.raster_kind(0.0))
 
 
-Floats = npt.NDArray[np.float32]
-Steps = tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]
+Steps = tuple[Int64, Float64]
 """For each of some positions, the cell whose centre lies before it, and the share of the way to the next centre."""
 
 
 def read_cells(
     store: RasterStore, name: str, coarse: RasterSpec, window: Block, fill: float = 0.0
-) -> Floats:
+) -> Float32:
     """Return a window of a raster, float32 (height, width). Cells of the window beyond the raster are ``fill``."""
     values = np.full((window.height, window.width), fill, np.float32)
     top, left = max(window.row, 0), max(window.col, 0)
@@ -151,9 +150,7 @@ def read_cells(
     return values
 
 
-def coarse_cells(
-    coarse: RasterSpec, spec: RasterSpec, block: Block
-) -> tuple[npt.NDArray[np.int64], ...]:
+def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[Int64, ...]:
     """Return row and column of the coarse cell at each pixel's centre, int64 (height,) and (width,).
 
     They may be beyond the raster of coarse cells if the side of a cell is not a multiple of the
@@ -197,7 +194,7 @@ def coarse_window(coarse: RasterSpec, spec: RasterSpec, block: Block) -> Block:
 
 def coarse_values(
     store: RasterStore, name: str, coarse: RasterSpec, spec: RasterSpec, block: Block
-) -> Floats:
+) -> Float32:
     """Return the values of a coarse raster at a block's pixels, float32 (height, width), 0 beyond the raster."""
     window = coarse_window(coarse, spec, block)
     cells = read_cells(store, name, coarse, window)

@@ -18,12 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32, UInt8
 from ptd.cells import CellIndex, Xyz, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.labelling import LOW_NOISE, UNCLASSIFIED
 from ptd.ground.morphology import EMPTY, CellRaster, disk_minimum, steepest_drops
 from ptd.ground.slopes import Boxes
-from ptd.kernel import Bool, Float64, Int32, UInt8, kernel
+from ptd.kernel import kernel
 from ptd.passes import Model, Points, Stats
 
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6

@@ -86,6 +86,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
@@ -104,7 +105,6 @@ from ptd.ground.labelling import GROUND, Bands, LabelRule, TinLabels
 from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise
 from ptd.ground.plateaus import ROOF_STEPS_M
-from ptd.kernel import Bool, Int32
 from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.evidence import DIM

@@ -8,6 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from ptd.arrays import UInt8
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.cut_off_land import on_strips, on_summits
@@ -17,7 +18,6 @@ from ptd.ground.morphology import CellRaster, blocks
 from ptd.ground.outliers import low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus, on_plateaus
 from ptd.ground.treetops import on_treetops
-from ptd.kernel import UInt8
 from ptd.matched.step import is_matched
 from ptd.methods.auto.cells import (
     DENSIFIED,

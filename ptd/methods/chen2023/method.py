@@ -66,8 +66,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Indices, Int32, Int64, UInt8
 from ptd.cells import Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
@@ -82,7 +82,6 @@ from ptd.ground.densify import (
 )
 from ptd.ground.labelling import GROUND, LOW_NOISE, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers, search_margin
-from ptd.kernel import Bool, Int32, Int64, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.chen2023.progressive_opening import (
     Opening,
@@ -460,10 +459,10 @@ class ChenModel(TinLabels):
         tin: Tin,
         x: Int32,
         y: Int32,
-        seeds: npt.NDArray[np.intp],
+        seeds: Indices,
         ring: Int32,
         region: UncertifiedRegion,
-    ) -> npt.NDArray[np.intp]:
+    ) -> Indices:
         """Step 4: return the seeds that are noise. Positions of seeds for which this is open become uncertified."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # Seeds share no position with one another, nor with the ring, which lies in cells

@@ -18,9 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from ptd.arrays import Bool, Int32, Int64
 from ptd.frame import CellLattice, Window
 from ptd.ground.morphology import EMPTY, blocks
-from ptd.kernel import Bool, Int32, Int64, kernel
+from ptd.kernel import kernel
 
 
 @kernel

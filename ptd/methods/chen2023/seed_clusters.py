@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.kernel import Bool, Int32, Int64, UInt8, kernel
+from ptd.arrays import Bool, Int32, Int64, UInt8
+from ptd.kernel import kernel
 from ptd.tin.facets import real_facets
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import VERTEX

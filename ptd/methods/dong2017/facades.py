@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64
 from ptd.cells import CellIndex, CellTable, Xyz, slot_of
 from ptd.frame import CellLattice, Scale
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
-from ptd.kernel import Bool, Int32, Int64, kernel
+from ptd.kernel import kernel
 
 BLOCK = 1
 """Number of cells to each side of a seed's cell in which its surroundings have to be flat."""

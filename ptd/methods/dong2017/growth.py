@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64, UInt8
 from ptd.cells import CellTable, cell_keys, slot_of
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
@@ -20,7 +21,7 @@ from ptd.ground.densify import RING, box_with_ring, cells_of
 from ptd.ground.distance_angle import Threshold, Trial, random_per_cell
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.slopes import MOMENTS, add_point, fit_plane
-from ptd.kernel import Bool, Int32, Int64, UInt8, kernel
+from ptd.kernel import kernel
 from ptd.passes import Model, Points
 from ptd.tin.mesh import Tin
 

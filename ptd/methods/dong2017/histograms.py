@@ -13,7 +13,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from ptd.kernel import Int16, UInt16, kernel
+from ptd.arrays import Int16, UInt16
+from ptd.kernel import kernel
 
 BINS = 128
 """Number of bins of the histogram of the index, which ranges from -1 to 1."""

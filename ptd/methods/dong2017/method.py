@@ -60,11 +60,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ptd.arrays import Bool, Int64, UInt8
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import roughness
 from ptd.ground.distance_angle import Bins, Threshold, Trial, contour_reach
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.kernel import Bool, Int64, UInt8
 from ptd.matched.cells import CELL_M
 from ptd.matched.robust_cells import MethodSurveyPass, NearGroundPass, OnLidar, OnMatchedCells
 from ptd.methods.dong2017.growth import Growth, Stage, picks

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64, UInt8, UInt16
 from ptd.cells import lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.kernel import Bool, Int32, Int64, UInt8, UInt16
 from ptd.matched.passes import CellModel, CellPass
 from ptd.matched.robust_cells import RobustCells
 from ptd.matched.step import cell_m

@@ -71,13 +71,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from ptd.arrays import Bool, UInt8
 from ptd.cells import Xyz
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
 from ptd.ground.densify import densify_seeds
 from ptd.ground.distance_angle import contour_reach
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
-from ptd.kernel import Bool, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.classic import Classic, ClassicPass, Progressive, thinned
 from ptd.methods.dong2018.surfaces import (

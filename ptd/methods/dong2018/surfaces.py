@@ -11,12 +11,13 @@ import math
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64
 from ptd.cells import cell_keys, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.distance_angle import Bins, Threshold, Trial, random_per_cell
 from ptd.ground.outliers import LowNoise
-from ptd.kernel import Bool, Int32, Int64, kernel
+from ptd.kernel import kernel
 from ptd.tin.mesh import Tin
 
 PIT_CELL_M = 1.0

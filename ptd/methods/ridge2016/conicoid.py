@@ -16,8 +16,9 @@ import math
 
 import numpy as np
 
+from ptd.arrays import Bool, Float64, Int32, UInt8
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.kernel import Bool, Float64, Int32, UInt8, kernel
+from ptd.kernel import kernel
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import Mesh, next_edge
 

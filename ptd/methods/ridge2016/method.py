@@ -59,13 +59,13 @@ from itertools import islice, pairwise
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, UInt8
 from ptd.cells import Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import RING, box_with_ring, choose_seeds, tin_with_ring
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, low_outliers
-from ptd.kernel import Bool, Int32, UInt8
 from ptd.matched.robust_cells import RobustCells, for_both_kinds
 from ptd.methods.classic import Progressive
 from ptd.methods.ridge2016.conicoid import conicoid_outliers

@@ -14,10 +14,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64, UInt8
 from ptd.cells import CellIndex, CellTable, Xyz, is_lower, slot_of
 from ptd.frame import CellLattice, Scale
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.kernel import Bool, Int32, Int64, UInt8, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin
 from ptd.tin.triangles import Mesh, is_ghost

@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.arrays import Bool, Int32, Int64, UInt8
 from ptd.cells import Xyz
 from ptd.ground.certificates import CheckedMesh, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.densify import tin_with_ring
 from ptd.ground.labelling import is_terrain
-from ptd.kernel import Bool, Int32, Int64, UInt8, as_int64, kernel
+from ptd.kernel import as_int64, kernel
 from ptd.methods.ridge2016.ridges import Stacks
 from ptd.tin.facets import canonical_facet
 from ptd.tin.mesh import Tin

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import find_objects, label, uniform_filter
 
-from tiler.apps.acceptance.counts import SIDE_BITS, Cells, Int64s, Keys, decoded
+from ptd.arrays import AnyArray, Bool, Float32, Float64, Indices, Int32, Int64
+from tiler.apps.acceptance.counts import SIDE_BITS, Cells, Keys, decoded
 
 SPACINGS_PER_CELL = 2
 """Side of a cell in nominal pulse spacings (USGS Lidar Base Specification, spatial distribution and regularity)."""
@@ -56,8 +56,7 @@ _NO_SWATH = 2**32 - 1
 BYTES_PER_CELL, BYTES_PER_KEY = 48, 48
 """Memory that `examine_cells` needs per cell of the survey's extent, and per cell of a swath with points."""
 
-Mask = npt.NDArray[np.bool_]
-Labels = npt.NDArray[np.int32]
+Labels = Int32
 
 
 @dataclass(frozen=True)
@@ -146,7 +145,7 @@ def needed_bytes(keys: Keys) -> int:
 
 
 def examine_cells(
-    keys: Keys, counts: Int64s, cells: Cells, metres: float, asked_per_m2: float | None
+    keys: Keys, counts: Int64, cells: Cells, metres: float, asked_per_m2: float | None
 ) -> CellFindings:
     """Measure density, distribution, voids, overlaps and gaps.
 
@@ -223,7 +222,7 @@ def _number_of_random(keys: Keys) -> int:
     return n_cells.size if found < CHANCES * by_chance else 0
 
 
-def outlined(occupied: Mask) -> tuple[Mask, Mask]:
+def outlined(occupied: Bool) -> tuple[Bool, Bool]:
     """Return two outlines of cells with points: one that follows them, and one for wider gaps.
 
     The second encloses gaps of up to 32 cells, and reaches a few cells too far in places.
@@ -235,7 +234,7 @@ def outlined(occupied: Mask) -> tuple[Mask, Mask]:
     return filled(near), filled(near | inner)
 
 
-def _mean_points(points: npt.NDArray[np.int32], whole: Mask, outline: Mask) -> float:
+def _mean_points(points: Int32, whole: Bool, outline: Bool) -> float:
     """Return the mean number of points in the whole cells, or also in wide gaps that are open to the edge."""
     mean = float(points[whole].mean())
     inner = _without_edge(outline)
@@ -245,7 +244,7 @@ def _mean_points(points: npt.NDArray[np.int32], whole: Mask, outline: Mask) -> f
     return with_gaps if with_gaps < GAPS_RATIO * mean else mean
 
 
-def _means_near(points: npt.NDArray[np.int32], full: Mask) -> npt.NDArray[np.float32]:
+def _means_near(points: Int32, full: Bool) -> Float32:
     """Return the mean number of points in the full cells around each cell, or in the cell itself without any."""
     n, sums = (
         uniform_filter(values.astype(np.float32), NEAR_CELLS, mode="constant")
@@ -255,12 +254,12 @@ def _means_near(points: npt.NDArray[np.int32], full: Mask) -> npt.NDArray[np.flo
     return np.where(found, sums / np.where(found, n, 1), np.maximum(points, 1))
 
 
-def _without_edge(mask: Mask) -> Mask:
+def _without_edge(mask: Bool) -> Bool:
     """Return the cells of a mask with no neighbour outside it. Cells beyond the raster are outside."""
     return ~grown_once(~np.pad(mask, 1))[1:-1, 1:-1]
 
 
-def whole_cells(near: Mask, outline: Mask) -> Mask:
+def whole_cells(near: Bool, outline: Bool) -> Bool:
     """Return the cells that are wholly inside both outlines (`outlined`).
 
     The edge of the survey lies anywhere in the cells at the edge of the outline that follows the points.
@@ -273,17 +272,17 @@ def whole_cells(near: Mask, outline: Mask) -> Mask:
     return whole
 
 
-def _inner(larger: Mask, shape: tuple[int, ...]) -> Mask:
+def _inner(larger: Bool, shape: tuple[int, ...]) -> Bool:
     """Return the cells, in a raster of a shape, in those larger cells of a mask that lie inside it."""
     return _fine(~grown_once(~larger), COARSE, shape)
 
 
-def _fine(raster: Mask, factor: int, shape: tuple[int, ...]) -> Mask:
+def _fine(raster: Bool, factor: int, shape: tuple[int, ...]) -> Bool:
     """Return a mask of cells smaller by a factor, in a raster of a shape."""
     return np.repeat(np.repeat(raster, factor, 0), factor, 1)[: shape[0], : shape[1]]
 
 
-def wide_voids(outline: Mask, occupied: Mask) -> Mask:
+def wide_voids(outline: Bool, occupied: Bool) -> Bool:
     """Return the cells without points of voids that hold a square of two larger cells.
 
     Narrower ones are gaps between scan lines, or chance.
@@ -304,12 +303,10 @@ class _SwathCells:
 
     source: int
     box: tuple[slice, slice]
-    points: npt.NDArray[np.int32]
+    points: Int32
 
 
-def _swaths(
-    source: Int64s, columns: Int64s, rows: Int64s, counts: Int64s
-) -> Iterator[_SwathCells]:
+def _swaths(source: Int64, columns: Int64, rows: Int64, counts: Int64) -> Iterator[_SwathCells]:
     """Yield the swaths by point source id. The cells are sorted by it."""
     starts = np.flatnonzero(np.r_[True, source[1:] != source[:-1]])
     for start, end in zip(starts, [*starts[1:], len(source)], strict=True):
@@ -322,7 +319,7 @@ def _swaths(
 
 
 def _dense_share(
-    per_cell: npt.NDArray[np.int32], outline: Mask, raster: _Raster, asked: float | None
+    per_cell: Int32, outline: Bool, raster: _Raster, asked: float | None
 ) -> float | None:
     """Return the share of the squares inside the outline that reach a density, None without one."""
     if asked is None:
@@ -369,9 +366,9 @@ class Coverage:
     def add(
         self,
         box: tuple[slice, slice],
-        footprint: Mask,
-        whole: Mask,
-        points: npt.NDArray[np.int32],
+        footprint: Bool,
+        whole: Bool,
+        points: Int32,
     ) -> None:
         """Add the footprint of a swath in a box of the raster, its `whole_cells`, and the points in each cell.
 
@@ -408,7 +405,7 @@ class Coverage:
         found &= (self._highest == 0) & (self._n == 0)
         return areas(found, VOID_CELLS)[2]
 
-    def _gaps_in(self, factor: int) -> Mask:
+    def _gaps_in(self, factor: int) -> Bool:
         lowest = _coarse(self._lowest, factor, np.minimum, _NO_SWATH)
         highest = _coarse(self._highest, factor, np.maximum)
         covered = highest > 0
@@ -418,11 +415,11 @@ class Coverage:
             near = grown_once(grown_once(gap))
             if lowest[box][near].min() >= highest[box][near].max():
                 labels[labels == number] = 0
-        gaps: Mask = labels > 0
+        gaps: Bool = labels > 0
         return gaps
 
 
-def _coarse(raster: npt.NDArray[Any], factor: int, join: np.ufunc, empty: int = 0) -> Any:
+def _coarse(raster: AnyArray, factor: int, join: np.ufunc, empty: int = 0) -> Any:
     """Return a raster of cells larger by a factor, whose values are joined. Cells beyond the raster are empty."""
     padded = np.pad(
         raster, [(0, -size % factor) for size in raster.shape], constant_values=empty
@@ -440,7 +437,7 @@ class Area:
     row: float
 
 
-def grown(mask: Mask, steps: int) -> Mask:
+def grown(mask: Bool, steps: int) -> Bool:
     """Return the cells within some steps of a mask, in a shape near a circle.
 
     Steps to the four and to the eight neighbours alternate, which makes an octagon.
@@ -450,7 +447,7 @@ def grown(mask: Mask, steps: int) -> Mask:
     return mask
 
 
-def grown_once(mask: Mask, diagonally: bool = True) -> Mask:
+def grown_once(mask: Bool, diagonally: bool = True) -> Bool:
     """Return the cells of a mask and their eight neighbours, or only the four that share an edge."""
     wider = mask.copy()
     wider[1:] |= mask[:-1]
@@ -461,31 +458,31 @@ def grown_once(mask: Mask, diagonally: bool = True) -> Mask:
     return wider
 
 
-def shrunk(mask: Mask, steps: int) -> Mask:
+def shrunk(mask: Bool, steps: int) -> Bool:
     """Return the cells of a mask that are more than some steps from its other cells. Cells beyond the raster count."""
     return ~grown(~mask, steps)
 
 
-def closed(mask: Mask, steps: int) -> Mask:
+def closed(mask: Bool, steps: int) -> Bool:
     """Return a mask with its gaps of at most two times ``steps`` cells closed."""
     padded = np.pad(mask, steps)
     inner = slice(steps, -steps)
     return shrunk(grown(padded, steps), steps)[inner, inner] | mask
 
 
-def opened(mask: Mask) -> Mask:
+def opened(mask: Bool) -> Bool:
     """Return a mask without its parts that are narrower than three cells."""
     return grown_once(~grown_once(~np.pad(mask, 1)))[1:-1, 1:-1]
 
 
-def filled(mask: Mask) -> Mask:
+def filled(mask: Bool) -> Bool:
     """Return a mask with its holes, which are the cells that it encloses."""
     labels, _ = label(np.pad(~mask, 1, constant_values=True))
-    inside: Mask = labels[1:-1, 1:-1] != labels[0, 0]
+    inside: Bool = labels[1:-1, 1:-1] != labels[0, 0]
     return inside
 
 
-def areas(mask: Mask, min_cells: int) -> tuple[Labels, list[int], list[Area]]:
+def areas(mask: Bool, min_cells: int) -> tuple[Labels, list[int], list[Area]]:
     """Return connected cells: labels of all, and the labels and areas of those with at least ``min_cells``.
 
     The largest area comes first, then the one with the lowest row and column.
@@ -516,7 +513,7 @@ def widened_boxes(labels: Labels, numbers: list[int], margin: int) -> list[tuple
     return found
 
 
-def convex_hull(mask: Mask) -> Mask:
+def convex_hull(mask: Bool) -> Bool:
     """Return the cells whose centres lie in the convex hull of the centres of a mask's cells."""
     rows = np.flatnonzero(mask.any(axis=1))
     if not rows.size:
@@ -533,9 +530,7 @@ def convex_hull(mask: Mask) -> Mask:
     return hull
 
 
-def _envelope(
-    x: npt.NDArray[np.intp], y: npt.NDArray[np.intp], at: npt.NDArray[np.intp]
-) -> npt.NDArray[np.float64]:
+def _envelope(x: Indices, y: Indices, at: Indices) -> Float64:
     """Return the lower convex envelope of points with ascending x at some positions (Andrew's monotone chain)."""
     chain: list[tuple[int, int]] = []
     for c in zip(x.tolist(), y.tolist(), strict=True):

@@ -13,8 +13,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float64, Indices, Int64, UInt8, UInt16, UInt64
 from tiler.apps.acceptance.duplicates import (
     DigestFiles,
     digests,
@@ -78,10 +78,7 @@ N_SUMS = 10
 """Number of sums per cell of heights."""
 
 Bounds = tuple[float, ...]
-Keys = npt.NDArray[np.uint64]
-Int64s = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+Keys = UInt64
 
 
 MAX_NAMED = 5
@@ -116,7 +113,7 @@ class Cells:
         factor = HEIGHT_CELL_FACTOR
         return Cells(self.side * factor, self.column // factor, self.row // factor)
 
-    def keys(self, x: Floats, y: Floats, source: npt.NDArray[np.uint16]) -> Keys:
+    def keys(self, x: Float64, y: Float64, source: UInt16) -> Keys:
         """Return the keys of the cells of points. Points too far away have none."""
         column = np.floor(x / self.side + _EDGE) - self.column
         row = np.floor(y / self.side + _EDGE) - self.row
@@ -126,8 +123,8 @@ class Cells:
         return self._encoded(column, row, source)
 
     def height_sums(
-        self, x: Floats, y: Floats, height_m: Floats, source: npt.NDArray[np.uint16]
-    ) -> tuple[Keys, Int64s]:
+        self, x: Float64, y: Float64, height_m: Float64, source: UInt16
+    ) -> tuple[Keys, Int64]:
         """Return the distinct keys of the cells of points, sorted, and sums per cell, int64, shape (n, `N_SUMS`).
 
         The sums are the number of points, those of their heights z in millimetres and of z z, those of their offsets x
@@ -151,19 +148,19 @@ class Cells:
         return keys[order][first], np.stack((np.diff(first, append=keys.size), *sums), axis=1)
 
     @staticmethod
-    def _encoded(column: Floats, row: Floats, source: npt.NDArray[np.uint16]) -> Keys:
+    def _encoded(column: Float64, row: Float64, source: UInt16) -> Keys:
         found = source.astype(np.uint64) << np.uint64(2 * SIDE_BITS)
         found |= row.astype(np.uint64) << np.uint64(SIDE_BITS)
         found |= column.astype(np.uint64)
         return found
 
 
-def _inside(index: Floats) -> Mask:
-    inside: Mask = (index >= 0) & (index < _SIDE_CELLS)
+def _inside(index: Float64) -> Bool:
+    inside: Bool = (index >= 0) & (index < _SIDE_CELLS)
     return inside
 
 
-def decoded(keys: Keys) -> tuple[Int64s, Int64s, Int64s]:
+def decoded(keys: Keys) -> tuple[Int64, Int64, Int64]:
     """Return point source ids, columns and rows of keys."""
     mask = np.uint64(_SIDE_CELLS - 1)
     source = (keys >> np.uint64(2 * SIDE_BITS)).astype(np.int64)
@@ -172,7 +169,7 @@ def decoded(keys: Keys) -> tuple[Int64s, Int64s, Int64s]:
     return source, column, row
 
 
-def places_of(keys: Keys, factor: int) -> tuple[Int64s, Int64s]:
+def places_of(keys: Keys, factor: int) -> tuple[Int64, Int64]:
     """Return the distinct columns and rows of cells ``factor`` times as large, without their point source ids."""
     _, column, row = decoded(np.unique(keys & np.uint64((1 << 2 * SIDE_BITS) - 1)))
     if factor > 1:
@@ -181,7 +178,7 @@ def places_of(keys: Keys, factor: int) -> tuple[Int64s, Int64s]:
     return column, row
 
 
-def _grouped(keys: Keys) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _grouped(keys: Keys) -> tuple[Indices, Indices]:
     """Return the order that sorts keys, and the position of the first of each distinct key in it."""
     order = np.argsort(keys, kind="stable")  # It is fast for sorted pieces.
     sorted_keys = keys[order]
@@ -194,10 +191,10 @@ class CellCounter:
 
     def __init__(self) -> None:
         self._keys: list[Keys] = []
-        self._counts: list[Int64s] = []
+        self._counts: list[Int64] = []
         self._waiting = 0
 
-    def add(self, keys: Keys, counts: Int64s | None = None) -> None:
+    def add(self, keys: Keys, counts: Int64 | None = None) -> None:
         """Count keys, each once, or ``counts`` times. Counts and sums are of distinct, sorted keys."""
         if counts is None:
             keys, counts = np.unique(keys, return_counts=True)
@@ -210,7 +207,7 @@ class CellCounter:
         if self._waiting > self._keys[0].size:
             self.merge()
 
-    def merge(self) -> tuple[Keys, Int64s]:
+    def merge(self) -> tuple[Keys, Int64]:
         """Return the distinct keys, sorted, and their counts."""
         if not self._keys:
             return np.empty(0, np.uint64), np.empty(0, np.int64)
@@ -223,7 +220,7 @@ class CellCounter:
         return self._keys[0], self._counts[0]
 
 
-def merged(pieces: Iterable[tuple[Keys, Int64s]]) -> tuple[Keys, Int64s]:
+def merged(pieces: Iterable[tuple[Keys, Int64]]) -> tuple[Keys, Int64]:
     """Return the distinct keys of several files, sorted, and the sums of their counts."""
     counter = CellCounter()
     for keys, counts in pieces:
@@ -281,8 +278,8 @@ class FileCounts:
     scale_m: float
     stated_returns: tuple[int, ...]
     outside: int = 0
-    returns: Int64s = field(default_factory=lambda: np.zeros(16, np.int64))
-    classes: Int64s = field(default_factory=lambda: np.zeros(256, np.int64))
+    returns: Int64 = field(default_factory=lambda: np.zeros(16, np.int64))
+    classes: Int64 = field(default_factory=lambda: np.zeros(256, np.int64))
     flags: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FLAG_BITS, 0))
     wrong_returns: int = 0
     sources: dict[int, int] = field(default_factory=dict)
@@ -291,9 +288,9 @@ class FileCounts:
     times_kind: str = NO_TIMES
     first_returns: int = 0
     keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
-    counts: Int64s = field(default_factory=lambda: np.empty(0, np.int64))
+    counts: Int64 = field(default_factory=lambda: np.empty(0, np.int64))
     height_keys: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
-    height_sums: Int64s = field(default_factory=lambda: np.empty((0, N_SUMS), np.int64))
+    height_sums: Int64 = field(default_factory=lambda: np.empty((0, N_SUMS), np.int64))
     too_high: int = 0
     duplicates: int = 0
 
@@ -401,9 +398,7 @@ def _has_time(records: Records) -> bool:
     return "gps_time" in (records.dtype.names or ())
 
 
-def _count_fields(
-    found: FileCounts, records: Records, header: LasHeader
-) -> tuple[npt.NDArray[np.uint8], Mask]:
+def _count_fields(found: FileCounts, records: Records, header: LasHeader) -> tuple[UInt8, Bool]:
     """Add the fields of some records to the counts, and return their flags and the mask of the points for heights."""
     codes, flags = class_and_flags(records, header.point_format)
     found.classes += np.bincount(codes, minlength=256)
@@ -441,7 +436,7 @@ def _number_outside(records: Records, header: LasHeader) -> int:
     return int(outside.sum())
 
 
-def _in_any(x: Floats, y: Floats, boxes: Sequence[Bounds]) -> Mask:
+def _in_any(x: Float64, y: Float64, boxes: Sequence[Bounds]) -> Bool:
     inside = np.zeros(x.size, np.bool_)
     for x0, y0, x1, y1 in boxes:
         inside |= (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
@@ -478,7 +473,7 @@ class Survey:
     """
 
     keys: Keys
-    counts: Int64s
+    counts: Int64
     note: str = ""
     is_apart: bool = False
 
@@ -524,7 +519,7 @@ def _reaches_beyond(file: FileCounts) -> bool:
     return file.first_returns > int(file.counts.sum())
 
 
-def _strays(keys: Keys, counts: Int64s, cells: Cells) -> Mask:
+def _strays(keys: Keys, counts: Int64, cells: Cells) -> Bool:
     """Return the mask of the cells in which all first returns are strays."""
     _, columns, rows = decoded(keys)
     side = max(FAR, cells.side)

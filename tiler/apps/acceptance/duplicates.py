@@ -17,8 +17,8 @@ from tempfile import TemporaryDirectory, gettempdir
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Float64, Indices, UInt64
 from tiler.errors import write_error
 from tiler.io.atomic_files import SCRATCH_PREFIX, replace_file
 
@@ -43,11 +43,10 @@ DIGESTS_PER_PART = 2_000_000
 _LANES = ((0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9), (0xD1B54A32D192ED03, 0x94D049BB133111EB))
 """First value and odd factor of each half of a digest (Steele et al. 2014, OOPSLA, SplitMix)."""
 
-Digests = npt.NDArray[np.uint64]
-Floats = npt.NDArray[np.float64]
+Digests = UInt64
 
 
-def digests(coordinates: Sequence[Floats], times: Floats | None) -> Digests:
+def digests(coordinates: Sequence[Float64], times: Float64 | None) -> Digests:
     """Return the digests of points, uint64, shape (n, 2).
 
     Parameters
@@ -135,7 +134,7 @@ def read_digests(path: Path) -> Digests:
     return np.fromfile(path, np.uint64).reshape(-1, 2)
 
 
-def repeated(found: Digests) -> npt.NDArray[np.intp]:
+def repeated(found: Digests) -> Indices:
     """Return the rows of the digests, shape (n, 2), that equal that of an earlier row."""
     halves = np.sort(found[:, 0])
     again = np.unique(halves[1:][halves[1:] == halves[:-1]])

@@ -16,16 +16,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float64, Indices, Int64, UInt8
 from tiler.apps.acceptance.counts import (
     OFFSET_STEPS,
     SIDE_BITS,
     STEPS_PER_METRE,
     Cells,
-    Int64s,
     Keys,
-    Mask,
     decoded,
 )
 from tiler.apps.difference_statistics import Spread, spread
@@ -78,9 +76,7 @@ _BLOCK_CELLS = 1 << 16
 _CELL_MASK = np.uint64((1 << 2 * SIDE_BITS) - 1)
 _PLANE_PARAMETERS = 3
 
-Floats = npt.NDArray[np.float64]
-Faults = npt.NDArray[np.uint8]
-Indices = npt.NDArray[np.intp]
+Faults = UInt8
 
 
 @dataclass(frozen=True)
@@ -110,11 +106,11 @@ class Separation:
     pairs: list[SwathPair]
     judged: list[tuple[str, Spread]]
     faults: list[int]
-    first: Int64s
-    second: Int64s
-    x: Floats
-    y: Floats
-    difference_m: Floats
+    first: Int64
+    second: Int64
+    x: Float64
+    y: Float64
+    difference_m: Float64
 
     @property
     def uncompared(self) -> list[str]:
@@ -124,11 +120,11 @@ class Separation:
 
 def separate_swaths(
     keys: Keys,
-    sums: Int64s,
+    sums: Int64,
     cells: Cells,
     metres: float,
     memory: float,
-    surfaces: tuple[Floats, Faults] | None = None,
+    surfaces: tuple[Float64, Faults] | None = None,
 ) -> Separation | str:
     """Compare the heights of all swaths that share cells, or return why they cannot be compared.
 
@@ -201,7 +197,7 @@ def _shared(keys: Keys) -> Indices:
     return shared
 
 
-def _pairs(source: Int64s, n_later: Int64s) -> Iterator[tuple[Indices, Indices]]:
+def _pairs(source: Int64, n_later: Int64) -> Iterator[tuple[Indices, Indices]]:
     """Yield the positions of the first and the second swath of each pair in the cells that they share.
 
     ``n_later`` is the number of later swaths in the same cell, which follow. Only the pairs of one first swath are in
@@ -225,11 +221,11 @@ class _Comparison:
 
     def __init__(
         self,
-        source: Int64s,
-        x: Floats,
-        y: Floats,
+        source: Int64,
+        x: Float64,
+        y: Float64,
         cell: Indices,
-        height_m: Floats,
+        height_m: Float64,
         fault: Faults,
     ) -> None:
         self._source, self._x, self._y, self._cell = source, x, y, cell
@@ -237,7 +233,7 @@ class _Comparison:
         self._faults = np.zeros(1 + len(FAULTS), np.int64)
         self._pairs: list[SwathPair] = []
         self._judged: list[tuple[str, Spread]] = []
-        self._small: list[tuple[str, Floats]] = []
+        self._small: list[tuple[str, Float64]] = []
         n_cells = int(cell[-1]) + 1
         self._largest_m = np.full(n_cells, np.nan)
         self._of_largest = np.zeros((2, n_cells), np.intp)
@@ -314,7 +310,7 @@ def _order_of_pair(pair: SwathPair) -> tuple[float, int, int, int]:
     return -size_m, -pair["shared_cells"], pair["first"], pair["second"]
 
 
-def _figures(difference: Floats) -> tuple[Spread, int]:
+def _figures(difference: Float64) -> tuple[Spread, int]:
     """Return the statistics of a pair without the few cells with different surfaces, and the number of these cells."""
     figures = spread(difference)
     if figures["median"] is None or figures["nmad"] is None:
@@ -326,7 +322,7 @@ def _figures(difference: Floats) -> tuple[Spread, int]:
     return spread(difference[~is_far]), int(is_far.sum())
 
 
-def find_surfaces(keys: Keys, sums: Int64s, side_m: float) -> tuple[Floats, Faults]:
+def find_surfaces(keys: Keys, sums: Int64, side_m: float) -> tuple[Float64, Faults]:
     """Return the heights in metres at the centres of cells, and why they are not even (`FAULTS`), 0 if they are.
 
     Parameters
@@ -370,7 +366,7 @@ def find_surfaces(keys: Keys, sums: Int64s, side_m: float) -> tuple[Floats, Faul
     return height_m, fault
 
 
-def _variance(sums: Int64s) -> Floats:
+def _variance(sums: Int64) -> Float64:
     """Return the variance of the heights of cells in square metres.
 
     The sum of squares is moved to the rounded mean. Sums of squares beyond 2**63 wrap around, and the difference wraps
@@ -379,13 +375,13 @@ def _variance(sums: Int64s) -> Floats:
     n, total, squares = sums[:, 0], sums[:, 1], sums[:, 2]
     middle = np.rint(total / n).astype(np.int64)
     moved = (squares - 2 * middle * total + n * middle**2).astype(np.uint64)
-    variance: Floats = (moved / n - (total / n - middle) ** 2) / STEPS_PER_METRE**2
+    variance: Float64 = (moved / n - (total / n - middle) ** 2) / STEPS_PER_METRE**2
     return variance
 
 
 def _planes(
-    keys: Keys, block: slice, means: tuple[Floats, ...], has_points: Mask
-) -> tuple[Floats, Floats, Floats]:
+    keys: Keys, block: slice, means: tuple[Float64, ...], has_points: Bool
+) -> tuple[Float64, Float64, Float64]:
     """Fit planes to the means of 3 x 3 cells around the cells of a block by least squares.
 
     Return their slopes along x and y in metres per cell, and the standard deviation of the means from them. It is
@@ -418,7 +414,7 @@ def _planes(
     )
 
 
-def _neighbours(keys: Keys, block: slice) -> Iterator[tuple[int, int, Indices, Mask]]:
+def _neighbours(keys: Keys, block: slice) -> Iterator[tuple[int, int, Indices, Bool]]:
     """Yield the row and column of each of 3 x 3 neighbours, their positions in the sorted keys, and which exist.
 
     Cells at the edge of the lattice have neighbours of another row or swath, but no survey reaches there.
@@ -462,7 +458,7 @@ class Precision:
 
 
 def repeatability(
-    keys: Keys, sums: Int64s, fault: npt.NDArray[np.uint8], lattice: Cells
+    keys: Keys, sums: Int64, fault: UInt8, lattice: Cells
 ) -> tuple[list[Precision], list[int]]:
     """Return the repeatability of the swaths with at least `MIN_CELLS` even cells, the worst first, and the others.
 
@@ -525,7 +521,7 @@ def repeatability(
     return sorted(found, key=lambda swath: (-swath.sigma_m, swath.source)), others.tolist()
 
 
-def _variances(sums: Int64s) -> Floats:
+def _variances(sums: Int64) -> Float64:
     """Return the variance of heights around the plane of each cell in square metres, NaN without a plane.
 
     The median of these variances is that of the heights: the median of a variance of few points is below its mean by

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
+from ptd.arrays import Bool, Float64
 from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
 from tiler.apps.difference_statistics import spread
 from tiler.apps.evaluate.rasters import (
@@ -61,8 +61,6 @@ MIN_OFFSET_POINTS = 3
 MAX_WINDOW = 1 << 22
 """Largest number of pixels that are read at once to interpolate heights."""
 _ROUNDING = 1e-9
-
-Floats = npt.NDArray[np.float64]
 
 
 def check_dtm(
@@ -125,7 +123,7 @@ def check_dtm(
 
 
 def _why_no_height(
-    raster: Any, points: Checkpoints, options: PointOptions, outside: npt.NDArray[np.bool_]
+    raster: Any, points: Checkpoints, options: PointOptions, outside: Bool
 ) -> str:
     """Return why the DTM has no height at any checkpoint, and a remedy."""
     none = f"none of the checkpoints ({len(points):,})"
@@ -145,7 +143,10 @@ def _why_no_height(
 
 
 def _checked_points(
-    points: Checkpoints, xyz: tuple[Floats, Floats, Floats], sampled: Floats, difference: Floats
+    points: Checkpoints,
+    xyz: tuple[Float64, Float64, Float64],
+    sampled: Float64,
+    difference: Float64,
 ) -> list[CheckedPoint]:
     x, y, z = (values.tolist() for values in xyz)
     columns = (
@@ -168,13 +169,13 @@ def _checked_points(
     ]
 
 
-def _none_for_nan(values: Floats) -> list[float | None]:
+def _none_for_nan(values: Float64) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _in_crs_of(
     raster: Any, points: Checkpoints, options: PointOptions, notes: list[str]
-) -> tuple[Floats, Floats]:
+) -> tuple[Float64, Float64]:
     """Return x and y of the checkpoints in the raster's CRS. Heights are not transformed."""
     text = options.crs or points.crs
     x, y = points.xy
@@ -215,7 +216,7 @@ def _in_crs_of(
     return np.asarray(moved[0], np.float64), np.asarray(moved[1], np.float64)
 
 
-def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+def bilinear(raster: Any, x: Float64, y: Float64) -> tuple[Float64, Bool]:
     """Return heights at positions, interpolated bilinearly between the four pixel centres around each.
 
     Parameters
@@ -241,7 +242,7 @@ def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.
     return heights, outside
 
 
-def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def pixel_places(transform: Any, x: Float64, y: Float64) -> tuple[Float64, Float64]:
     """Return positions as columns and rows, in pixels from the outer corner of the first pixel.
 
     ``transform`` is the affine transform of a rasterio data set.
@@ -254,7 +255,7 @@ def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         return (e * across - b * down) / determinant, (a * down - d * across) / determinant
 
 
-def between_centres(raster: Any, columns: Floats, rows: Floats) -> Floats:
+def between_centres(raster: Any, columns: Float64, rows: Float64) -> Float64:
     """Return heights, interpolated bilinearly, at places in pixels from the outer corner of the first pixel.
 
     Arrays have any shape. Heights are NaN if a pixel of non-zero weight has no data. Places that would need a window of
@@ -295,7 +296,7 @@ def between_centres(raster: Any, columns: Floats, rows: Floats) -> Floats:
     return heights
 
 
-def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
+def outliers(difference: Float64) -> Bool:
     """Return a mask of the differences that lie farther than `OUTLIER_NMADS` from their median.
 
     A difference of NaN is not an outlier.
@@ -304,11 +305,11 @@ def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
     if figures["median"] is None or figures["nmad"] is None:
         return np.zeros(difference.size, np.bool_)
     limit = OUTLIER_NMADS * figures["nmad"] + _ROUNDING
-    is_outlier: npt.NDArray[np.bool_] = np.abs(difference - figures["median"]) > limit
+    is_outlier: Bool = np.abs(difference - figures["median"]) > limit
     return is_outlier
 
 
-def _figures(difference: Floats, own_rmse: float) -> AccuracyFigures:
+def _figures(difference: Float64, own_rmse: float) -> AccuracyFigures:
     """Return the statistics of the differences that are not NaN, and the accuracy by the standard."""
     used = difference[np.isfinite(difference)]
     figures = spread(used)

@@ -15,6 +15,7 @@ import scipy
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
+from ptd.arrays import Float64
 from tiler.apps.check.accuracy import between_centres, pixel_places
 from tiler.apps.difference_statistics import SpreadTally
 from tiler.apps.evaluate.heights import (
@@ -24,7 +25,6 @@ from tiler.apps.evaluate.heights import (
     validate_targets,
 )
 from tiler.apps.evaluate.rasters import (
-    Float64s,
     blocks_with_files,
     crs_parts,
     horizontal_unit,
@@ -229,7 +229,7 @@ def _transformer(dtm: Path, new: Any, old_path: Path, old: Any) -> Transformer |
 
 def _heights_on(
     new: Any, window: tuple[int, int, int, int], old: Any, move: Transformer | None
-) -> Float64s:
+) -> Float64:
     """Return the earlier heights at the pixel centres of a window of the new DTM.
 
     The window is row, column, height and width.
@@ -266,7 +266,7 @@ class _Tally:
         self.by_source = {name: SpreadTally() for name in MASK_VALUES.values()}
 
     def add(
-        self, row: int, col: int, heights: Float64s, old: Float64s, source: Float64s | None
+        self, row: int, col: int, heights: Float64, old: Float64, source: Float64 | None
     ) -> None:
         """Count a block whose first pixel is (row, col). ``source`` has values of the mask."""
         changes = heights - old

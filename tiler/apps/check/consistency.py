@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
+from ptd.arrays import Bool, Float64, Int64
 from tiler.apps.difference_statistics import spread, summed
 from tiler.apps.evaluate.rasters import (
     blocks_with_files,
@@ -57,9 +57,6 @@ KINDS = ("interior", "tiles", "blocks", "beside_tiles", "beside_blocks")
 
 The edges are those of tiles and of the raster's own blocks.
 """
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,7 @@ class StepStatistics:
     squares: float = 0.0
     largest: float = 0.0
 
-    def add(self, values: Floats) -> None:
+    def add(self, values: Float64) -> None:
         """Add the values that are not NaN."""
         known = values[np.isfinite(values)]
         if known.size:
@@ -214,7 +211,7 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> Seams | None:
     return seam_steps(dtm, TileEdges(float(tile_m / metres)))
 
 
-def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict[str, Bools]]]:
+def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Float64, Float64, dict[str, Bool]]]:
     """Yield steps and jumps of neighbouring pixels, and masks of their kinds.
 
     Each block yields the neighbours along rows, then along columns. Values next to pixels
@@ -231,8 +228,8 @@ def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict
 
 
 def _differences(
-    heights: Floats, marks: dict[str, Bools]
-) -> tuple[Floats, Floats, dict[str, Bools]]:
+    heights: Float64, marks: dict[str, Bool]
+) -> tuple[Float64, Float64, dict[str, Bool]]:
     """Return steps and jumps between columns i + 1 and i + 2 of ``heights``, and masks of their kinds.
 
     The results have three columns fewer than ``heights``.
@@ -247,7 +244,7 @@ def _differences(
     )
 
 
-def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
+def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bool]:
     """Return, for each kind of step, a mask of the pixels along an axis with such a step from the previous pixel."""
     low, high = sorted((start, start + size * pixels))
     edge_mask = np.zeros(pixels + 1, np.bool_)
@@ -268,7 +265,7 @@ def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str
     return {"interior": ~np.any(list(marks.values()), axis=0), **marks, **beside}
 
 
-def _within(lines: int, mark: Bools) -> Bools:
+def _within(lines: int, mark: Bool) -> Bool:
     """Return a mask of the lines that are at most ``lines`` lines away from a marked line."""
     return maximum_filter1d(mark.astype(np.uint8), 2 * lines + 1, mode="constant") > 0
 
@@ -317,8 +314,6 @@ MAX_ROUGH_M = 0.1
 
 Other cells are too rough or too steep.
 """
-
-Int64s = npt.NDArray[np.int64]
 
 
 def strip_differences(clouds: Sequence[str | Path]) -> Strips:
@@ -373,7 +368,7 @@ def _strips_of(paths: Sequence[Path]) -> Strips:
     }
 
 
-def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
+def _ground(path: Path) -> Iterator[tuple[Int64, Float64, Float64, Float64]]:
     """Yield source ids and coordinates of the ground points of a file, piece by piece."""
     header = read_header(path)
     with PointReader(header, EVERYTHING) as reader:
@@ -385,8 +380,8 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
 
 
 def _compared(
-    keys: Int64s, sums: Floats, max_rough: float
-) -> tuple[int, Floats, list[StripPair]]:
+    keys: Int64, sums: Float64, max_rough: float
+) -> tuple[int, Float64, list[StripPair]]:
     """Return the number of rough comparisons, all differences of strips in the cells that they share, and each pair's.
 
     The rows of ``keys`` are strip, column and row, sorted by row, column and strip. The rows of

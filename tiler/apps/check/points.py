@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 
+from ptd.arrays import Float64
 from tiler.core.units import FARTHEST
 from tiler.core.words import counted, listed
 from tiler.errors import InputError
@@ -55,8 +55,6 @@ _MEANING = {"x": "eastings", "y": "northings", "z": "heights"}
 """Contents of the columns that every table needs."""
 
 CHECKPOINTS = Kind("checkpoints", POINTS.types)
-
-Floats = npt.NDArray[np.float64]
 
 
 class Row(NamedTuple):
@@ -111,8 +109,8 @@ class Checkpoints:
         Whether the file gives the type of every checkpoint.
     """
 
-    xy: Floats
-    z: Floats
+    xy: Float64
+    z: Float64
     kinds: tuple[str, ...]
     covers: tuple[str, ...]
     names: tuple[str, ...]

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Bool, Indices, Int64, UInt8
 from tiler.apps.evaluate.maps import ErrorGrid
 from tiler.apps.results import ClassScores, CloudScores, LabelScores, Pairing, Scores
 from tiler.core.points import GROUND, WITHHELD_FLAG
@@ -31,11 +31,8 @@ artefacts."""
 
 ERRORS = ("type_1", "type_2", "total", "kappa", "f1", "iou", "mcc")
 
-UInt8s = npt.NDArray[np.uint8]
-Int64s = npt.NDArray[np.int64]
 
-
-def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
+def class_table(labels: UInt8, reference: UInt8) -> Int64:
     """Count points by reference class and by label, which is ground or not.
 
     Parameters
@@ -56,7 +53,7 @@ def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
     return np.bincount(key, minlength=512).reshape(256, 2).astype(np.int64)
 
 
-def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
+def counts_of(table: Int64, ignore: Sequence[int] = IGNORED) -> Int64:
     """Return the counts a, b, c, d of a `class_table` and the number of points left out, int64 [5].
 
     The text of the module defines these counts.
@@ -68,7 +65,7 @@ def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
     return np.array([*ground[::-1], *objects[::-1], table[left_out].sum()], np.int64)
 
 
-def scores(counts: Int64s) -> Scores:
+def scores(counts: Int64) -> Scores:
     """Return errors and agreement from the five counts of `counts_of`."""
     a, b, c, d, ignored = (int(n) for n in counts)
     n = a + b + c + d
@@ -96,9 +93,7 @@ def ratio(part: float, whole: float) -> float | None:
     return part / whole if whole else None
 
 
-def evaluate_labels(
-    labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED
-) -> Scores:
+def evaluate_labels(labels: UInt8, reference: UInt8, ignore: Sequence[int] = IGNORED) -> Scores:
     """Return the `scores` of labels and reference classes.
 
     Parameters
@@ -111,7 +106,7 @@ def evaluate_labels(
     return scores(counts_of(class_table(labels, reference), ignore))
 
 
-def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, ClassScores]:
+def class_scores(table: Int64, ignore: Sequence[int] = IGNORED) -> dict[str, ClassScores]:
     """Return counts and errors of each reference class of a `class_table`, by class as text."""
     scores_by_class: dict[str, ClassScores] = {}
     for code in np.flatnonzero(table.sum(axis=1)).tolist():
@@ -143,11 +138,11 @@ PER_UNIT = 10_000
 class ClassifiedPoints(NamedTuple):
     """Points of a file: coordinates (int64 counts, shape (3, n)), classes and a mask of withheld points."""
 
-    place: Int64s
-    classes: UInt8s
-    withheld: npt.NDArray[np.bool_]
+    place: Int64
+    classes: UInt8
+    withheld: Bool
 
-    def take(self, at: npt.NDArray[Any]) -> ClassifiedPoints:
+    def take(self, at: AnyArray) -> ClassifiedPoints:
         """Return the points of an index array or mask."""
         return ClassifiedPoints(self.place[:, at], self.classes[at], self.withheld[at])
 
@@ -170,7 +165,7 @@ class LabelComparison:
         self.withheld = 0
         self.grid = grid
 
-    def add(self, labels: UInt8s, reference: ClassifiedPoints) -> None:
+    def add(self, labels: UInt8, reference: ClassifiedPoints) -> None:
         """Count the labels of the reference's points."""
         if reference.withheld.any():
             self.withheld += int(reference.withheld.sum())
@@ -276,9 +271,7 @@ def _whole(path: Path) -> ClassifiedPoints:
     )
 
 
-def _pairs(
-    place: Int64s, true_place: Int64s
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _pairs(place: Int64, true_place: Int64) -> tuple[Indices, Indices]:
     both = np.concatenate((place, true_place), axis=1)
     # The n-th point at a position is paired with the n-th point of the other file at that
     # position.
@@ -294,7 +287,7 @@ def _pairs(
     return in_cloud, in_reference
 
 
-def _numbered(group: Int64s) -> Int64s:
+def _numbered(group: Int64) -> Int64:
     """Return a number per point, unique for its position and the number of earlier points there."""
     order = np.argsort(group, kind="stable")
     ordered = group[order]

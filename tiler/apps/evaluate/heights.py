@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pyproj import CRS
 
+from ptd.arrays import Float64, Int64
 from ptd.gridding.shape import gradients, slope_deg
 from tiler.apps.difference_statistics import SpreadTally
 from tiler.apps.evaluate.clouds import ratio
@@ -46,8 +46,6 @@ LOOKED_AT = 0.1
 """Share of the area that a person may inspect."""
 
 N_CLASSES = round((HIGHEST - LOWEST) * PER_DECADE) + 1
-
-Float64s = npt.NDArray[np.float64]
 
 
 class Pair(NamedTuple):
@@ -177,7 +175,7 @@ def difference_writer(path: Path | str | None, like: Any, description: str) -> I
         plain_geotiff(partial, like.height, like.width, transform, look) as raster,
     ):
 
-        def write(block: Float64s, row: int, col: int) -> None:
+        def write(block: Float64, row: int, col: int) -> None:
             raster.write(
                 np.where(np.isfinite(block), block, NODATA).astype(np.float32), row, col
             )
@@ -238,7 +236,7 @@ class _Judge:
         across = abs(pair.truth.transform.a) * horizontal_unit(pair.truth)
         self._step = float(across / float(vertical_unit(pair.truth)))
 
-    def add(self, row: int, col: int, mine: Float64s, true: Float64s) -> None:
+    def add(self, row: int, col: int, mine: Float64, true: Float64) -> None:
         """Add a block of the reference from pixel (row, col), in which the DTM has the heights ``mine``."""
         pair = self._pair
         sigma = read_heights(pair.dtm, row - pair.row, col - pair.col, *true.shape)
@@ -256,7 +254,7 @@ class SigmaTally:
         self._by_sigma = np.zeros((N_CLASSES, 2))
         self._by_error = np.zeros((N_CLASSES, 2))
 
-    def add(self, difference: Float64s, sigma: Float64s, slope: Float64s) -> None:
+    def add(self, difference: Float64, sigma: Float64, slope: Float64) -> None:
         """Count pixels by their errors, standard errors and slopes.
 
         Parameters
@@ -304,7 +302,7 @@ class SigmaTally:
         }
 
 
-def slopes_of(truth: Float64s, step: float) -> Float64s:
+def slopes_of(truth: Float64, step: float) -> Float64:
     """Return the slopes of a block of heights in degrees.
 
     ``step`` is the side of a pixel in units of the heights.
@@ -312,9 +310,9 @@ def slopes_of(truth: Float64s, step: float) -> Float64s:
     return slope_deg(*gradients(np.pad(truth, 1, constant_values=np.nan), step))
 
 
-def _classes(values: Float64s) -> npt.NDArray[np.int64]:
+def _classes(values: Float64) -> Int64:
     logarithm = np.log10(np.maximum(values, 10.0**LOWEST))
-    class_numbers: npt.NDArray[np.int64] = np.rint(
+    class_numbers: Int64 = np.rint(
         (np.minimum(logarithm, HIGHEST) - LOWEST) * PER_DECADE
     ).astype(np.int64)
     return class_numbers
@@ -326,7 +324,7 @@ def _figures(n: float, squared: float, predicted: float) -> SigmaFigures:
     return {"pixels": int(n), "rmse": sqrt(squared / n), "predicted_rmse": sqrt(predicted / n)}
 
 
-def _curve(table: Float64s) -> tuple[Float64s, Float64s] | None:
+def _curve(table: Float64) -> tuple[Float64, Float64] | None:
     """Return shares of the pixels, largest value first, and their shares of the sum of squared errors.
 
     Return None if there are no errors.
@@ -337,7 +335,7 @@ def _curve(table: Float64s) -> tuple[Float64s, Float64s] | None:
     return np.append(0.0, shares[:, 0]), np.append(0.0, shares[:, 1])
 
 
-def _area(curve: tuple[Float64s, Float64s] | None) -> float | None:
+def _area(curve: tuple[Float64, Float64] | None) -> float | None:
     if curve is None:
         return None
     x, y = curve

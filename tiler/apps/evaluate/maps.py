@@ -9,11 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import rasterio
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from ptd.arrays import Int64, UInt8
 from tiler.apps.difference_statistics import summed
 from tiler.core.points import GROUND
 from tiler.core.raster import BLOCK_PIXELS
@@ -57,9 +57,6 @@ _COLOURS = {
 }
 """Colours of the codes. Red and blue are those of figure 12 of Chen 2023."""
 
-Int64s = npt.NDArray[np.int64]
-UInt8s = npt.NDArray[np.uint8]
-
 
 class ErrorGrid:
     """Counts of all points and of wrong points per cell.
@@ -82,10 +79,10 @@ class ErrorGrid:
 
     def clear(self) -> None:
         """Remove all points."""
-        self.places: Int64s = np.empty((2, 0), np.int64)
-        self.counts: Int64s = np.empty((3, 0), np.int64)
+        self.places: Int64 = np.empty((2, 0), np.int64)
+        self.counts: Int64 = np.empty((3, 0), np.int64)
 
-    def add(self, place: Int64s, per_unit: int, labels: UInt8s, truth: UInt8s) -> None:
+    def add(self, place: Int64, per_unit: int, labels: UInt8, truth: UInt8) -> None:
         """Count points and their errors.
 
         Parameters
@@ -120,7 +117,7 @@ class ErrorGrid:
         low, high = self.places.min(axis=1), self.places.max(axis=1)
         return int(low[0]), int(high[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
 
-    def bands(self, first_row: int, rows: int) -> UInt8s:
+    def bands(self, first_row: int, rows: int) -> UInt8:
         """Return `BANDS` for ``rows`` rows from ``first_row``, uint8, shape (3, rows, width).
 
         Rows are counted from the north.

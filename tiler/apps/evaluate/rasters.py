@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rasterio
 from fsspec.core import url_to_fs
 from pyproj import CRS
 from pyproj.exceptions import ProjError
 from rasterio.errors import CRSError, RasterioError
 
+from ptd.arrays import Float64
 from tiler.core.crs import split_wkt
 from tiler.core.units import METRE, exact_unit, unit_named
 from tiler.errors import InputError
@@ -82,8 +82,6 @@ def raster_beside(dtm: Path | str, product: str) -> Path | None:
     return next((other for other in found if other.is_file()), None)
 
 
-Float64s = npt.NDArray[np.float64]
-
 BLOCK = 1024
 """Side in pixels of a block. One block per raster is in memory at a time."""
 
@@ -143,7 +141,7 @@ def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
             yield row, col
 
 
-def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Float64s:
+def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Float64:
     """Read a window of an open raster's first band, with NaN without data and beyond the raster.
 
     Parameters

@@ -15,14 +15,12 @@ import numpy.typing as npt
 import shapely
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from ptd.arrays import Bool, Float64, Int64
 from tiler.apps.evaluate.rasters import blocks_with_files, read_heights
 from tiler.core.records import digest_of_bytes
 
 SQUARE_M = 20.0
 """Side of a square, rounded to a whole number of pixels."""
-
-Bools = npt.NDArray[np.bool_]
-Int64s = npt.NDArray[np.int64]
 
 
 RISE_M = 0.6
@@ -35,7 +33,6 @@ STEPS_PER_M = 1000
 """Heights are whole numbers of millimetres, so that sums do not depend on the window."""
 MAX_HEIGHT_M = 1e5
 """Largest height above or below 0. Pixels beyond it are damaged and have no height."""
-Float64s = npt.NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -55,14 +52,14 @@ class Squares:
         Number of pixels with a height in the raster.
     """
 
-    row: Int64s
-    col: Int64s
-    rising: Int64s
+    row: Int64
+    col: Int64
+    rising: Int64
     side: int
     pixels: int
 
     @cached_property
-    def _ends(self) -> Int64s:
+    def _ends(self) -> Int64:
         return np.cumsum(self.rising)
 
     @property
@@ -95,7 +92,7 @@ class Terrain:
     pixel_m: float
     height_m: float
 
-    def rising(self, row: int, col: int, height: int, width: int) -> tuple[Bools, Bools]:
+    def rising(self, row: int, col: int, height: int, width: int) -> tuple[Bool, Bool]:
         """Return which pixels of a window rise, and which have a height."""
         margin = margin_pixels(self.pixel_m)
         size = height + 2 * margin, width + 2 * margin
@@ -132,7 +129,7 @@ class Terrain:
         steps = np.diff(np.pad(rises, ((0, 0), (1, 1))).astype(np.int8), axis=1)
         (rows, firsts), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
 
-        def box(top: Int64s, left: Int64s, bottom: Int64s, right: Int64s) -> Any:
+        def box(top: Int64, left: Int64, bottom: Int64, right: Int64) -> Any:
             west, east = (transform.c + n * transform.a for n in (left, right))
             north, south = (transform.f + n * transform.e for n in (top, bottom))
             return shapely.box(west, south, east, north)
@@ -151,7 +148,7 @@ def margin_pixels(pixel_m: float) -> int:
     return half_side(PLANE_M, pixel_m) + 2 * half_side(OPENING_M, pixel_m)
 
 
-def rising(heights_m: Float64s, pixel_m: float) -> tuple[Bools, Bools]:
+def rising(heights_m: Float64, pixel_m: float) -> tuple[Bool, Bool]:
     """Return which pixels rise above the land around, and which have a height.
 
     From the heights, the mean of the heights in a square of `MEAN_M` is subtracted. A pixel rises if the rest exceeds
@@ -191,16 +188,16 @@ def _without(values: npt.NDArray[Scalar], margin: int) -> npt.NDArray[Scalar]:
     return values[margin : height - margin, margin : width - margin]
 
 
-def _above_mean(z: Int64s, is_there: Bools, pixel_m: float) -> Float64s:
+def _above_mean(z: Int64, is_there: Bool, pixel_m: float) -> Float64:
     """Return heights above the mean of the land around, without the margin of the plane."""
     wide, near = half_side(PLANE_M, pixel_m), half_side(MEAN_M, pixel_m)
     there = is_there.astype(np.int64)
 
-    def sums(values: Int64s) -> Int64s:
+    def sums(values: Int64) -> Int64:
         return _sums(_without(values, wide - near), near)
 
     number = np.maximum(sums(there), 1)
-    above: Float64s = _without(z, wide) - sums(z) / number
+    above: Float64 = _without(z, wide) - sums(z) / number
     if is_there.all():
         return above
     row, col = np.broadcast_arrays(*np.ogrid[: z.shape[0], : z.shape[1]])
@@ -212,8 +209,8 @@ def _above_mean(z: Int64s, is_there: Bools, pixel_m: float) -> Float64s:
 
 
 def _slopes(
-    z: Int64s, there: Int64s, row: Int64s, col: Int64s, half: int
-) -> tuple[Float64s, Float64s]:
+    z: Int64, there: Int64, row: Int64, col: Int64, half: int
+) -> tuple[Float64, Float64]:
     """Return the slopes to the east and south of the plane through the heights around each pixel, 0 if none is known.
 
     Sums are of differences from the pixel itself, and exact, so that they do not depend on the window. Those of the
@@ -221,11 +218,11 @@ def _slopes(
     """
     number = _sums(there, half)
 
-    def summed(values: Int64s) -> tuple[Int64s, Int64s, Int64s]:
+    def summed(values: Int64) -> tuple[Int64, Int64, Int64]:
         own = _without(values, half)
         return values, own, _sums(values * there, half) - own * number
 
-    def moment(one: tuple[Int64s, ...], other: tuple[Int64s, ...]) -> Float64s:
+    def moment(one: tuple[Int64, ...], other: tuple[Int64, ...]) -> Float64:
         (a, own_a, sum_a), (b, own_b, sum_b) = one, other
         products = _sums(a * b * there, half)
         products -= own_a * sum_b + own_b * sum_a + own_a * own_b * number
@@ -239,7 +236,7 @@ def _slopes(
     return (eh * ss - sh * es) / whole, (sh * ee - eh * es) / whole
 
 
-def _sums(values: Int64s, half: int) -> Int64s:
+def _sums(values: Int64, half: int) -> Int64:
     """Return the sums of the squares around the pixels that are ``half`` or more from the border."""
     side = 2 * half + 1
     for axis in (0, 1):

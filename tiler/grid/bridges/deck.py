@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiler.grid.arrays import Bools, Float64, Index
+from ptd.arrays import Bool, Float64, Indices
 from tiler.grid.bridges.deck_cells import DROP_M, MAX_WIDTH_M
 
 Surface = tuple[float, float, float, float]
@@ -132,7 +132,7 @@ class _View:
 
 
 def find_deck(
-    xyz: Float64, ground: Bools, seeds: Bools, across: tuple[float, float], spacing_m: float
+    xyz: Float64, ground: Bool, seeds: Bool, across: tuple[float, float], spacing_m: float
 ) -> tuple[Deck | None, str]:
     """Find the free part of a deck among points. Return it, or None and the reason why there is none.
 
@@ -187,7 +187,7 @@ def find_deck(
 
 
 def _view(
-    xyz: Float64, seeds: Bools, centre: Float64, along: Float64, spacing: float
+    xyz: Float64, seeds: Bool, centre: Float64, along: Float64, spacing: float
 ) -> _View | None:
     """Return the points in the coordinates of a deck, or None if the seeds do not form a surface."""
     s, t = _rotated(xyz[:, :2] - centre, along)
@@ -203,7 +203,7 @@ def _view(
     return _View(s, t, off, surface, numbers * slice_m, slice_m, edges)
 
 
-def _slope(view: _View, free: Index) -> float:
+def _slope(view: _View, free: Indices) -> float:
     """Return the mean slope of both edges of a free part relative to the s axis, or 0 for less than three slices."""
     if len(free) < 3:
         return 0.0
@@ -232,7 +232,7 @@ def _wrong_levels(levels: Float64) -> str:
 
 
 def _wrong_end(
-    view: _View, ground: Bools, free_edges: Float64, end: int, step: int, clearance: float
+    view: _View, ground: Bool, free_edges: Float64, end: int, step: int, clearance: float
 ) -> str:
     """Check that the ground next to the deck rises beyond the slice ``end``, and that the road continues.
 
@@ -257,7 +257,7 @@ def _wrong_end(
     return "the road does not continue at an end"
 
 
-def _beneath(view: _View, free: Index, free_edges: Float64) -> int:
+def _beneath(view: _View, free: Indices, free_edges: Float64) -> int:
     """Count the points beneath the free part of a deck, at least `INNER_M` inside its edges."""
     inner = view.t > np.median(free_edges[:, 0]) + INNER_M
     inner &= view.t < np.median(free_edges[:, 1]) - INNER_M
@@ -265,7 +265,7 @@ def _beneath(view: _View, free: Index, free_edges: Float64) -> int:
     return int((inner & (view.off < -DROP_M)).sum())
 
 
-def _ring(view: _View, free: Index) -> Float64:
+def _ring(view: _View, free: Indices) -> Float64:
     """Return the corners (s, t) of the outline of the free part, `WIDER_M` wider on each side than its points.
 
     The outline has two corners (left and right) per slice: at its middle, or at its outer end
@@ -288,7 +288,7 @@ def _height(surface: Surface, s: Float64, t: Float64) -> Float64:
     return a + b * s + c * s * s + d * t
 
 
-def _fitted(s: Float64, t: Float64, z: Float64, seeds: Bools) -> Surface | None:
+def _fitted(s: Float64, t: Float64, z: Float64, seeds: Bool) -> Surface | None:
     """Fit a surface to the seeds, without outliers. Return None if too few seeds are near the surface."""
     all_rows = np.flatnonzero(seeds)
     deviations = np.abs(z[all_rows] - np.median(z[all_rows]))
@@ -306,7 +306,7 @@ def _fitted(s: Float64, t: Float64, z: Float64, seeds: Bools) -> Surface | None:
     return surface if len(rows) > 0.4 * seeds.sum() else None
 
 
-def _longest_run(free: Bools) -> Index | None:
+def _longest_run(free: Bool) -> Indices | None:
     """Return the indices of the free slices of the longest run, or None if there are fewer than two.
 
     A single slice that is not free does not end a run.
@@ -357,7 +357,7 @@ class _DeckEdges:
     """
 
     edge: Float64
-    free: Bools
+    free: Bool
     level: Float64
 
 

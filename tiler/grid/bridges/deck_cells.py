@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiler.grid.arrays import Bools, Float32, Int64
+from ptd.arrays import Bool, Float32, Int64
 
 DIRECTIONS = 8
 """Number of directions that are tried as the direction across a deck.
@@ -62,17 +62,17 @@ class CoarseHeights:
 
     top: Float32
     low: Float32
-    ground: Bools
+    ground: Bool
     size_m: float
 
     def steps(self, length_m: float) -> int:
         """Convert a length to a number of cells, at least 1."""
         return max(math.ceil(length_m / self.size_m), 1)
 
-    def inside(self, rows: Int64, cols: Int64) -> Bools:
+    def inside(self, rows: Int64, cols: Int64) -> Bool:
         """Return a mask of the positions within the raster."""
         height, width = self.top.shape
-        inside_mask: Bools = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+        inside_mask: Bool = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
         return inside_mask
 
     def at(self, values: Float32, rows: Int64, cols: Int64) -> Float32:
@@ -114,7 +114,7 @@ def _offset(direction: int, steps: int) -> tuple[int, int]:
 
 def _drops(
     cells: CoarseHeights, rows: Int64, cols: Int64, height: Float32, direction: int, sign: int
-) -> Bools:
+) -> Bool:
     """Return a mask of the cells with a drop next to them, in a direction or (``sign`` -1) against it.
 
     There is a drop if the next cell with points lies at least `MIN_CELL_DROP_M` below
@@ -181,8 +181,8 @@ def _spans(cells: CoarseHeights, direction: int) -> tuple[Int64, Int64, Int64]:
 
 
 def _has_road(
-    cells: CoarseHeights, marked: Bools, rows: Int64, cols: Int64, direction: int, sign: int
-) -> Bools:
+    cells: CoarseHeights, marked: Bool, rows: Int64, cols: Int64, direction: int, sign: int
+) -> Bool:
     """Return a mask of the cells from which a straight path along the deck leads to a road.
 
     A road is two successive cells of ground that are not ``marked`` as deck. Cells without

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ptd.arrays import Bool, Int64
 from tiler.core.lattice import Bounds
 from tiler.core.points import UNCERTIFIED_BIT, PointBlock
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.arrays import Bools, Int64
 from tiler.grid.bridges.deck import Deck, find_deck
 from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells
 from tiler.grid.ground import read_classes, surface_points
@@ -114,7 +114,7 @@ def _examine(
     cells: CandidateCells,
     window: Bounds,
     points: Int64,
-    ground: Bools,
+    ground: Bool,
     metres: Any,
 ) -> tuple[DeckRecord | None, str]:
     """Find a deck among the points of a window. Return its record, or None and the reason why there is none.
@@ -164,7 +164,7 @@ def examined_bounds(spec: RasterSpec, cells: CandidateCells, metres_per_count: f
 
 def _voxels(
     store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any
-) -> tuple[Int64, Bools]:
+) -> tuple[Int64, Bool]:
     """Return the centres of the voxels with points, (n, 3) in counts, and a mask of the voxels with ground points.
 
     Each voxel gets a number, so that the voxels of all buckets can be sorted.
@@ -192,7 +192,7 @@ def _voxels(
 
 def _points(
     store: TileStore, rule: GroundSelection, bucket: Any, bounds: Bounds
-) -> tuple[PointBlock, Bools, Bools]:
+) -> tuple[PointBlock, Bool, Bool]:
     """Return the points of a bucket, a mask of its chosen points, and a mask of its ground points.
 
     Chosen points are in ``bounds``, are not noise, and are not excluded by a flag.
@@ -206,7 +206,7 @@ def _points(
 
 
 def _cells(
-    points: PointBlock, chosen: Bools, store: TileStore, spec: RasterSpec, window: Block
+    points: PointBlock, chosen: Bool, store: TileStore, spec: RasterSpec, window: Block
 ) -> tuple[Int64, Int64]:
     """Return row and column of the cell of each chosen point, counted from the first row and column of a window."""
     x, y = (

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from ptd.arrays import Indices, Int64
 from ptd.matched.crowns import Crowns
 from ptd.matched.passes import CanopyPass
 from tiler.config import VOID_CANOPY
@@ -29,7 +30,6 @@ from tiler.core.results import (
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.errors import CorruptStoreError, ProcessingError
-from tiler.grid.arrays import Index, Int64
 from tiler.grid.coarse import join_pieces, touching_cells
 from tiler.grid.flaws import (
     ABOVE_M,
@@ -376,7 +376,7 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> l
     ]
 
 
-def _central_cells(void_of_cell: Any, n_holes: Any, positions: Int64) -> Index:
+def _central_cells(void_of_cell: Any, n_holes: Any, positions: Int64) -> Indices:
     """Return for each void its cell with most holes, of several the one next to their mean."""
     most = np.zeros(void_of_cell.max() + 1, np.int64)
     np.maximum.at(most, void_of_cell, n_holes)

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from ptd.arrays import Int64
 from tiler.core.edits import OF_PIXELS
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
 from tiler.core.records import BucketRecord
-from tiler.grid.arrays import Int64
 from tiler.grid.block import full_halo, grid_block, grid_blocks
 from tiler.grid.ground import max_points_in_bucket
 from tiler.grid.records import GridBlock

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Int64
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.records import BucketRecord
 from tiler.core.results import SurveyResult, SurveyStep
@@ -171,7 +171,7 @@ def _step(other: str, histogram: Counter[int]) -> SurveyStep:
     return SurveyStep(other, median / BINS_PER_M, spread / BINS_PER_M, int(counts.sum()))
 
 
-def _median(values: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> int:
+def _median(values: Int64, counts: Int64) -> int:
     """Return the lower median of ascending values, each of which occurs several times."""
     total = np.cumsum(counts)
     return int(values[np.searchsorted(total, (total[-1] + 1) // 2)])

@@ -12,12 +12,11 @@ those of lazrs.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Int32, UInt8
 from ptd.kernel import as_int64, kernel
 
-Bytes = npt.NDArray[np.uint8]
-_Int32 = npt.NDArray[np.int32]
+Bytes = UInt8
 
 _SYMBOLS = 256
 _CHANNELS = 4
@@ -73,7 +72,7 @@ class ClassEncoder:
 
 
 @kernel
-def _update(counts: _Int32, lower: _Int32, state: _Int32) -> None:
+def _update(counts: Int32, lower: Int32, state: Int32) -> None:
     """Compute the probabilities of a model from its counts: ``lower`` is that of all lower symbols, in units of 2**-15.
 
     Counts are halved when their sum exceeds 2**15, so that a model follows the latest symbols.
@@ -94,7 +93,7 @@ def _update(counts: _Int32, lower: _Int32, state: _Int32) -> None:
 
 
 @kernel
-def _start(counts: _Int32, lower: _Int32, state: _Int32) -> None:
+def _start(counts: Int32, lower: Int32, state: Int32) -> None:
     """Make all symbols of a model equally probable."""
     counts[:] = 1
     state[_TOTAL], state[_CYCLE] = 0, _SYMBOLS
@@ -117,8 +116,8 @@ def _encode(
     classes: Bytes,
     bit_fields: Bytes,
     flags: Bytes,
-    models: tuple[_Int32, _Int32, _Int32],
-    last: _Int32,
+    models: tuple[Int32, Int32, Int32],
+    last: Int32,
     out: Bytes,
 ) -> int:
     """Write the layer to ``out``, and return its number of bytes.

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import lazrs
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import AnyArray
 from tiler.core.records import KnownSums
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.point_formats import class_and_flags, colours, returns
@@ -108,7 +107,7 @@ def layers_with_fields(header: LasHeader) -> int:
     return int(layers)
 
 
-def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDArray[Any]]]:
+def _fields(records: Records, point_format: int) -> Iterator[tuple[str, AnyArray]]:
     """Yield the fields with the names that PDAL and QGIS use, and their values, without the classes."""
     for name in COORDINATE_FIELDS:
         yield name, records[name]
@@ -121,7 +120,7 @@ def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDAr
         yield from zip(("Red", "Green", "Blue"), rgb, strict=True)
 
 
-def sums_of(values: npt.NDArray[Any]) -> list[int]:
+def sums_of(values: AnyArray) -> list[int]:
     """Return the exact lowest, highest, sum and sum of squares of integers of at most 32 bits."""
     if values.dtype.itemsize <= 2:
         counts = np.bincount(values)

@@ -11,7 +11,8 @@ from typing import BinaryIO
 
 import lazrs
 import numpy as np
-import numpy.typing as npt
+
+from ptd.arrays import Int64
 
 _VLR = struct.Struct("<H16sHH32s")
 _EVLR = struct.Struct("<H16sHQ32s")
@@ -156,8 +157,8 @@ class LazLayout:
     chunk_size: int | None
     layers: int
     item_size: int
-    counts: npt.NDArray[np.int64]
-    sizes: npt.NDArray[np.int64]
+    counts: Int64
+    sizes: Int64
     rebuilt: bool = False
 
     @property
@@ -230,7 +231,7 @@ def coding_of(record_data: bytes) -> tuple[int, int, bytes]:
 
 def read_table(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int, point_count: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+) -> tuple[Int64, Int64]:
     """Return the number of points and bytes of every chunk, int64 each. Raise CorruptLazError if the table is wrong.
 
     The number of chunks is compared with the size of the file before lazrs reads the table.
@@ -273,10 +274,10 @@ def read_table(
 
 def _true_counts(
     layout: LazLayout,
-    counts: npt.NDArray[np.int64],
-    sizes: npt.NDArray[np.int64],
+    counts: Int64,
+    sizes: Int64,
     point_count: int,
-) -> npt.NDArray[np.int64]:
+) -> Int64:
     """Return the number of points in each chunk. The last chunk may not be full.
 
     Raise CorruptLazError if the numbers do not fit ``point_count``.
@@ -387,7 +388,7 @@ def checked_layers(stream: BinaryIO, layout: LazLayout, chunk: int, start: int) 
 
 def walk_chunks(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+) -> tuple[Int64, Int64]:
     """Return the number of points and bytes of the complete layered chunks of a file without a usable table."""
     chunks: list[tuple[int, int]] = []
     start = points_offset + 8

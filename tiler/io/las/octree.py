@@ -13,9 +13,9 @@ from tempfile import TemporaryFile
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 from laspy.copc import CopcInfoVlr, Entry, HierarchyPage
 
+from ptd.arrays import Float64, Int8, Int32, Int64
 from tiler.io.cloud_reading import open_location
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.layout import CorruptLazError
@@ -82,7 +82,7 @@ class Octree:
         return ranges
 
     def spread(
-        self, counts: Sequence[int], sample: npt.NDArray[np.float64], level: int
+        self, counts: Sequence[int], sample: Float64, level: int
     ) -> dict[tuple[int, int, int], float]:
         """Return the squares of a level that contain points, with an estimate of the number of points in each.
 
@@ -231,7 +231,7 @@ def _are_near(one: Box, other: Box) -> bool:
 
 Key = tuple[int, int, int, int]
 """Key of a node: its level, 0 for the root, and its position along x, y and z."""
-Places = npt.NDArray[np.int32]
+Places = Int32
 """Positions of points in the cube of the octree, shape (3, n), from 0 to 2**DEPTH - 1."""
 
 DEPTH = 28
@@ -340,7 +340,7 @@ class Levels:
     def __init__(self) -> None:
         self._taken: set[Key] = set()
 
-    def of_brick(self, key: Key, places: Places) -> npt.NDArray[np.int8]:
+    def of_brick(self, key: Key, places: Places) -> Int8:
         """Return the level of the node to which each point of a brick belongs, int8, shape (n,)."""
         code = curve(places, key[0])
         order = np.argsort(code, kind="stable")
@@ -348,7 +348,7 @@ class Levels:
         levels[order] = self._of_sorted(key, code[order])
         return levels
 
-    def _of_sorted(self, key: Key, code: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
+    def _of_sorted(self, key: Key, code: Int64) -> Int8:
         """Return the levels of points that are sorted along the curve. The points of each cell are adjacent there."""
         deepest = min(key[0] + _BITS - CELLS_OF_NODE, DEEPEST)
         levels = np.full(code.size, deepest, dtype=np.int8)
@@ -380,13 +380,13 @@ class Levels:
 
 
 def _settle(
-    found: npt.NDArray[np.int8],
-    rest: npt.NDArray[np.int64],
-    code: npt.NDArray[np.int64],
+    found: Int8,
+    rest: Int64,
+    code: Int64,
     below: int,
     level: int,
     most: int,
-) -> npt.NDArray[np.int64]:
+) -> Int64:
     """Give ``level`` to all points of small cubes, and return the indices of the other points.
 
     The cubes are ``below`` levels below the brick. A small cube has at most ``most`` points.
@@ -399,7 +399,7 @@ def _settle(
     return rest[~few]
 
 
-def curve(places: Places, level: int) -> npt.NDArray[np.int64]:
+def curve(places: Places, level: int) -> Int64:
     """Return the index of each position on the Z-order curve of its brick, which has the level ``level``."""
     numbers = np.zeros(places.shape[1], dtype=np.int64)
     for axis in _AXES:
@@ -410,12 +410,12 @@ def curve(places: Places, level: int) -> npt.NDArray[np.int64]:
     return numbers
 
 
-def _cut(code: npt.NDArray[np.int64], levels: int) -> npt.NDArray[np.int64]:
+def _cut(code: Int64, levels: int) -> Int64:
     """Return the number of the cube of each point, ``levels`` below the brick."""
     return code >> 3 * (_BITS - levels)
 
 
-def runs(numbers: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def runs(numbers: Int64) -> tuple[Int64, Int64]:
     """Return first index and length of each run of equal numbers. There must be at least one number."""
     starts = np.flatnonzero(np.concatenate(([True], numbers[1:] != numbers[:-1])))
     return starts, np.diff(np.append(starts, numbers.size))

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import laspy
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Bool, Float32, Float64, UInt8, UInt16
 from ptd.matched.evidence import Evidence
 from tiler.core.points import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.io.las.headers import LasHeader
@@ -33,17 +33,13 @@ def is_legacy(point_format: int) -> bool:
     return point_format < 6
 
 
-def coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np.float64]:
+def coordinate(records: Records, header: LasHeader, axis: int) -> Float64:
     """Return coordinates along an axis (0 x, 1 y, 2 z) in units of the CRS, float64 of shape (n,)."""
-    coordinates: npt.NDArray[np.float64] = (
-        records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
-    )
+    coordinates: Float64 = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
     return coordinates
 
 
-def class_and_flags(
-    records: Records, point_format: int
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+def class_and_flags(records: Records, point_format: int) -> tuple[UInt8, UInt8]:
     """Return class and flags (bits of `tiler.core.points`), uint8 of shape (n,) each."""
     if is_legacy(point_format):
         raw = records["raw_classification"].astype(np.uint8)
@@ -62,7 +58,7 @@ def class_and_flags(
     return records["classification"].astype(np.uint8), flags
 
 
-def returns(records: Records, point_format: int) -> npt.NDArray[np.uint8]:
+def returns(records: Records, point_format: int) -> UInt8:
     """Return the return number and the number of returns, uint8, shape (2, n)."""
     raw = records["bit_fields"].astype(np.uint8)
     if is_legacy(point_format):
@@ -70,14 +66,14 @@ def returns(records: Records, point_format: int) -> npt.NDArray[np.uint8]:
     return np.stack((raw & 15, raw >> 4))
 
 
-def scan_angles(records: Records, point_format: int) -> npt.NDArray[np.float32]:
+def scan_angles(records: Records, point_format: int) -> Float32:
     """Return scan angles in degrees, negative to the left of the flight, float32 of shape (n,)."""
     if is_legacy(point_format):
         return records["scan_angle_rank"].astype(np.float32)
     return records["scan_angle"] * np.float32(_SCAN_STEP_DEGREES)
 
 
-def colours(records: Records, point_format: int) -> npt.NDArray[np.uint16] | None:
+def colours(records: Records, point_format: int) -> UInt16 | None:
     """Return red, green, blue, uint16, shape (3, n), or None if the format has no colours."""
     if point_format not in RGB_FORMATS:
         return None
@@ -108,8 +104,8 @@ def evidence(records: Records, point_format: int) -> Evidence:
 def write_classes(
     records: Records,
     point_format: int,
-    classes: npt.NDArray[np.uint8],
-    chosen: npt.NDArray[np.bool_],
+    classes: UInt8,
+    chosen: Bool,
 ) -> None:
     """Set the class of the chosen records in place. Flags do not change."""
     if is_legacy(point_format):
@@ -119,7 +115,7 @@ def write_classes(
         records["classification"][chosen] = classes[chosen]
 
 
-def _bit(raw: npt.NDArray[np.uint8], bit: int, flag: int) -> npt.NDArray[np.uint8]:
+def _bit(raw: UInt8, bit: int, flag: int) -> UInt8:
     return ((raw >> np.uint8(bit)) & np.uint8(1)) * np.uint8(flag)
 
 

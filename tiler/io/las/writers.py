@@ -16,8 +16,8 @@ from typing import Any, BinaryIO
 
 import lazrs
 import numpy as np
-import numpy.typing as npt
 
+from ptd.arrays import Int8, Int64
 from tiler.io.las.class_layer import ClassEncoder
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.layout import (
@@ -431,11 +431,9 @@ class CopcWriter:
             yield key, _by_time(np.concatenate(above[key]))
 
 
-def _of_levels(
-    places: Places, level_of: npt.NDArray[np.int8], brick: Key
-) -> list[tuple[Key, npt.NDArray[np.int64]]]:
+def _of_levels(places: Places, level_of: Int8, brick: Key) -> list[tuple[Key, Int64]]:
     """Return nodes and the ascending rows of their points. Nodes near each other follow one another."""
-    nodes: list[tuple[Key, npt.NDArray[np.int64]]] = []
+    nodes: list[tuple[Key, Int64]] = []
     for level in np.unique(level_of).tolist():
         rows = np.flatnonzero(level_of == level)
         corners = places[:, rows] >> DEPTH - level

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 from pyproj import CRS, Transformer
 from pyproj.enums import TransformDirection
 from pyproj.exceptions import ProjError
 from shapely.geometry.base import BaseGeometry
 
+from ptd.arrays import Float64
 from tiler.core.crs import crs_in_file, same_horizontal, split
 from tiler.errors import InputError
 from tiler.io.foreign_content import excerpt
@@ -31,7 +31,7 @@ RETURN = 1e-2
 RETURN_DEG = 1e-6
 """Tolerance of the inverse transformation in degrees."""
 
-Places = npt.NDArray[np.float64]
+Places = Float64
 
 
 def in_crs(

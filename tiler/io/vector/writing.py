@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 from pyproj import CRS
 
+from ptd.arrays import AnyArray
 from tiler.core.crs import split
 from tiler.errors import ProcessingError, write_error
 from tiler.io.atomic_files import atomic_path, cause_of
@@ -39,7 +39,7 @@ class GeoPackage:
         layer: str,
         kind: str | None,
         geometries: Sequence[Any] | None,
-        columns: Mapping[str, npt.NDArray[Any]],
+        columns: Mapping[str, AnyArray],
     ) -> None:
         """Write features. A layer may be written in several calls with the same columns.
 
