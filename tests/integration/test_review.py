@@ -267,11 +267,12 @@ def test_columns_of_the_user_are_kept_in_a_copy_and_his_notes_in_the_file(
         database.execute(
             "UPDATE review SET status='ok', who='me', note='a pond' WHERE rank = 1"
         )
+        database.execute("UPDATE review SET note='ask' WHERE rank = 2")
     run = made(cloud, out)
     assert any("the columns who are in outdated/review.gpkg" in n for n in run.summary["notes"])
     assert "who" in raw.read(out / "outdated" / "review.gpkg", layer="review")[0]["fields"]
     assert [(row["status"], row["note"]) for row in rows(out)] == [
-        ("open", ""),
+        ("open", "ask"),
         ("ok", "a pond"),
     ]
 

@@ -97,19 +97,34 @@ def ranked(
     time. Places for which it is not known follow in their order in ``found``, and so do equal ones.
 
     A place that was found to be right is not listed again, but is in the second list. A row that is fixed stays,
-    because it is an edit. If its place is still found, the edit did not help, so the place is open.
+    because it is an edit. If its place is still found, the edit did not help, so the place is open. The note of an
+    earlier open row in ``decided`` stays with its place.
     """
     import shapely
 
     listed: list[ReviewRow] = []
     right: list[ReviewRow] = []
+    noted = [row for row in decided if row.status == OPEN]
     covered = {row.reason: _Covered(decided, row.reason) for row in found}
     for row in found:
         shape = shapely.from_wkb(row.shape)
         if not shape.is_empty:
-            is_right = covered[row.reason].share(shape) >= SAME_SHARE
-            (right if is_right else listed).append(row)
-    return [*sorted(listed, key=_by_loss), *decided], right
+            if covered[row.reason].share(shape) >= SAME_SHARE:
+                right.append(row)
+            else:
+                listed.append(replace(row, note=_note(row.reason, shape, noted)))
+    own = (row for row in decided if row.status != OPEN)
+    return [*sorted(listed, key=_by_loss), *own], right
+
+
+def _note(reason: str, shape: Any, noted: Sequence[ReviewRow]) -> str:
+    import shapely
+
+    for row in noted:
+        both = shapely.intersection(shapely.from_wkb(row.shape), shape)
+        if row.reason == reason and both.area >= SAME_SHARE * shape.area:
+            return row.note
+    return ""
 
 
 def _by_loss(row: ReviewRow) -> tuple[bool, float]:
@@ -137,10 +152,10 @@ class _Covered:
         return float(shapely.area(shapely.intersection(near, shape)).sum() / shape.area)
 
 
-def without_open(rows: Sequence[ReviewRow]) -> list[ReviewRow]:
-    """Return the rows on which the user decided, each once, with their status in lower case."""
+def decided_or_noted(rows: Sequence[ReviewRow]) -> list[ReviewRow]:
+    """Return the rows on which the user decided, or that have a note, each once, with their status in lower case."""
     decided = (replace(row, status=row.status.strip().lower() or FIXED) for row in rows)
-    return list(dict.fromkeys(row for row in decided if row.status != OPEN))
+    return list(dict.fromkeys(row for row in decided if row.status != OPEN or row.note))
 
 
 def without_copies(rows: Sequence[ReviewRow], of: Sequence[ReviewRow]) -> list[ReviewRow]:

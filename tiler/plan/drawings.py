@@ -210,8 +210,9 @@ def _edit(number: int, feature: Feature) -> Edit:
     action = action.strip().lower()
     height = feature.height() if action == FLAT else None
     if action == FLAT and (height is None or abs(height) * COUNTS_PER_UNIT > INT32_LIMIT):
+        fault = "without a height" if height is None else f"at {height:g}, which is no height"
         raise InputError(
-            f"{feature.place} is flat without a height; give it in the column `z`, in the unit of the heights"
+            f"{feature.place} is flat {fault}; give one in the column `z`, in the unit of the heights"
         )
     z = None if height is None else round(height * COUNTS_PER_UNIT)
     return Edit(number, action, area_in_counts(feature.place, [feature]), z)

@@ -16,11 +16,11 @@ from tiler.core.review import (
     OK,
     OPEN,
     ReviewRow,
+    decided_or_noted,
     is_edit,
     is_place,
     ranked,
     without_copies,
-    without_open,
 )
 
 
@@ -57,7 +57,7 @@ def test_the_first_places_have_the_largest_expected_squared_error() -> None:
 
 def test_a_decision_keeps_the_chance_that_the_user_saw() -> None:
     right = row(0, status="OK", chance=0.3)
-    assert without_open([right]) == [replace(right, status=OK)]
+    assert decided_or_noted([right]) == [replace(right, status=OK)]
 
 
 CHANCES = st.none() | st.sampled_from([0.1, 0.5, 0.9])
@@ -95,7 +95,13 @@ def test_rows_without_a_status_are_drawn_by_the_user_and_are_edits() -> None:
 
 def test_open_rows_are_left_out_whatever_their_case() -> None:
     rows = [row(0, status=" Open"), row(1, status="OK "), row(1, status=OK), row(2, status="")]
-    assert without_open(rows) == [row(1, status=OK), row(2, status=FIXED)]
+    assert decided_or_noted(rows) == [row(1, status=OK), row(2, status=FIXED)]
+
+
+def test_the_note_of_an_open_place_stays_with_it() -> None:
+    earlier = decided_or_noted([row(2, note="ask"), row(50), row(60, note="it is gone")])
+    assert listed([row(0), row(100)], earlier) == [row(0, note="ask"), row(100)]
+    assert listed([row(0, reason="other")], earlier) == [row(0, reason="other")]
 
 
 def test_a_place_without_an_outline_is_not_listed() -> None:
@@ -132,8 +138,8 @@ def test_the_next_run_lists_the_same_and_loses_no_decision(
     found: list[tuple[int, str]], decided: list[tuple[int, str]]
 ) -> None:
     places = [row(x, reason=reason) for x, reason in found]
-    decisions = without_open([row(x, status=status) for x, status in decided])
+    decisions = decided_or_noted([row(x, status=status) for x, status in decided])
     rows = listed(places, decisions)
     assert rows[len(rows) - len(decisions) :] == decisions
     assert set(rows) <= {*places, *decisions}
-    assert listed(places, without_open(rows)) == rows
+    assert listed(places, decided_or_noted(rows)) == rows

@@ -19,9 +19,9 @@ from tiler.core.review import (
     STATUSES,
     TEXTS,
     ReviewRow,
+    decided_or_noted,
     is_place,
     without_copies,
-    without_open,
 )
 from tiler.core.words import counted
 from tiler.errors import InputError
@@ -106,12 +106,12 @@ def _row(problem: Problem, gridding: Gridded, sheet: str) -> ReviewRow:
 
 
 def _decided(job: Job) -> list[ReviewRow]:
-    """Return the rows that the user decided on, of the file in OUT and of one that is given with ``--edits``.
+    """Return the rows that the user decided on or noted, of the file in OUT and of one that is given with ``--edits``.
 
     A file in OUT that cannot be read is moved, and one with columns of the user is copied, so that nothing is lost.
     """
     given, here = job.plan.config.edits, joined(job.products, REVIEW)
-    edits = without_open(_rows(job, given)) if given is not None else []
+    edits = decided_or_noted(_rows(job, given)) if given is not None else []
     if is_url(here) or state_at(here) is None:
         return edits
     is_given = given is not None and same_file(given, here)
@@ -126,7 +126,7 @@ def _decided(job: Job) -> list[ReviewRow]:
     _keep_other_columns(job, places)
     if is_given:
         return edits
-    decided = without_copies(without_open([_row_of(place) for place in places]), edits)
+    decided = without_copies(decided_or_noted([_row_of(place) for place in places]), edits)
     unknown = sorted({row.status for row in decided} - set(STATUSES))
     if unknown:
         job.listener(
