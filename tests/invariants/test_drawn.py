@@ -298,7 +298,8 @@ def test_spots_are_tops_and_bottoms(made: Path) -> None:
 LINE, FAR = shapely.LineString([(0, 0), (5, 5)]), shapely.LineString([(0, 0, 1), (1e10, 0, 1)])
 BOX = shapely.box(0, 0, 5, 5)
 ROOF = "its action is 'roof'; give one of not_ground, ground, void, flat in"
-FLAT = "is flat without a height; give it in the column `z`, in the unit of the heights"
+FLAT = "is flat without a height; give one in the column `z`, in the unit of the heights"
+TOO_HIGH = "is flat at 1e+09, which is no height; give one in the column `z`"
 
 
 @pytest.mark.parametrize(
@@ -309,6 +310,7 @@ FLAT = "is flat without a height; give it in the column `z`, in the unit of the 
         ("edits", [(BOX, {"action": "roof"})], ROOF),
         ("edits", [(BOX, {"name": "x"})], "has no `action`; give one of"),
         ("edits", [(BOX, {"action": "flat"})], FLAT),
+        ("edits", [(BOX, {"action": "flat", "z": 1e9})], TOO_HIGH),
         ("edits", [(LINE, {"action": "void"})], "needs one layer of polygons, has 0"),
     ],
 )
