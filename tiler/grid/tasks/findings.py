@@ -17,6 +17,7 @@ from ptd.matched.crowns import Crowns
 from ptd.matched.passes import CanopyPass
 from tiler.config import VOID_CANOPY
 from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.products import OUTLINED
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.records import BlockRecord
 from tiler.core.results import (
@@ -78,7 +79,7 @@ def advise(
     # The search is repeated if the terrain or the inputs changed, or if an earlier version
     # stored no positions.
     if (
-        job.record.stages["grid-dtm"].computed
+        job.record.stages[f"grid-{OUTLINED}"].computed
         or not advice_state
         or advice_state.get("asked") != inputs
         or "at" not in advice_state
