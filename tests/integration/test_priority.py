@@ -284,7 +284,10 @@ def test_a_sparse_survey_before_a_dense_one_is_warned_of(
     thin = np.column_stack([x.ravel(), y.ravel(), terrain(x, y).ravel()])
     sparse = write(tmp_path / "sparse.laz", thin, date(2023, 5, 1))
     result = made([files["old"], sparse], tmp_path / "out", priority="newest")
-    assert any("which is much denser" in text for text in result.warnings)
+    [doubt] = result.summary["doubts"]
+    assert "which is much denser" in doubt
+    assert doubt in result.warnings
+    assert doubt in [problem["why"] for problem in result.summary["problems"]]
     assert any("no step to other surveys was measured" in text for text in result.notes)
 
 
@@ -294,4 +297,6 @@ def test_a_step_of_a_geoid_height_is_told_in_full(
     high = survey(NEW, 6, 2) + (0, 0, 47.3)
     other = write(tmp_path / "high.laz", high, date(2023, 5, 1))
     result = made([files["old"], other], tmp_path / "out", priority="newest")
-    assert any("lies 47.00 m below" in text for text in result.warnings)
+    [doubt] = result.summary["doubts"]
+    assert "lies 47.00 m below" in doubt
+    assert doubt in result.warnings
