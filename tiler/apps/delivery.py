@@ -372,7 +372,7 @@ def _entries(folder: Path) -> dict[str, Any]:
             entries[name] = {"bytes": size, "sha256": str(entry["sha256"])}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path}: cannot be used as a manifest ({error}); get the delivery again"
+            f"{path}: cannot be used as a manifest ({error}); get the delivery again, or deliver to another folder"
         ) from error
     return entries
 

@@ -117,7 +117,8 @@ def _names(features: Sequence[Feature], field: str) -> list[str]:
         elif len(name.encode()) > LONGEST:
             fault = f"has more than {LONGEST} bytes"
         elif not fault and folded(name) in places:
-            fault = f"is on some disks also that of {places[folded(name)]}"
+            where = "" if name in names else "on some disks "
+            fault = f"is {where}also that of {places[folded(name)]}"
         if fault:
             raise InputError(
                 f"{feature.place}: its {field} {name!r} {fault}; give each sheet a name of its own that files may have"
