@@ -20,6 +20,7 @@ from pyogrio import raw
 
 from tests.invariants.runs import do
 from tests.scenes.drawings import EAST, NORTH, ground, written
+from tests.scenes.journals import locked
 from tiler.core.products import NODATA
 from tiler.errors import InputError
 from tiler.export import review
@@ -290,9 +291,26 @@ def test_a_damaged_file_is_moved_and_told(cloud: Path, out: Path) -> None:
     before = (out / "review.gpkg").read_bytes()
     (out / "review.gpkg").write_bytes(before[:3000])
     run = made(cloud, out)
-    assert any("review.gpkg" in text and "outdated" in text for text in run.warnings)
+    line = f"{out}/review.gpkg: cannot be read (its database is damaged); get the file again; moved"
+    assert any(text.startswith(line) for text in run.warnings)
     assert (out / "outdated" / "review.gpkg").read_bytes() == before[:3000]
     assert [row["status"] for row in rows(out)] == ["open", "open"]
+
+
+def test_a_file_that_another_program_has_locked_is_not_taken_for_damaged(
+    cloud: Path, out: Path
+) -> None:
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'ok' WHERE rank = 1")
+    before = {
+        path: path.read_bytes() for path in out.rglob("*.*") if path.suffix in (".gpkg", ".tif")
+    }
+    line = r"review.gpkg: is in use by another program; close it there, then run again$"
+    with locked(out / "review.gpkg"), pytest.raises(InputError, match=line):
+        made(cloud, out)
+    assert {path: path.read_bytes() for path in before} == before
+    assert not (out / "outdated").exists()
+    assert made(cloud, out).summary["review"] == {"open": 1, "ok": 1, "fixed": 0}
 
 
 def test_a_run_that_finds_nothing_writes_an_empty_list(tmp_path: Path) -> None:

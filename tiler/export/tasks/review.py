@@ -33,6 +33,7 @@ from tiler.io.locations import is_url, joined, state_at
 from tiler.io.overwrite_check import same_file
 from tiler.io.result_folder import REVIEW
 from tiler.io.vector import CUT, POLYGONS, Feature, read_in_crs
+from tiler.io.vector.opening import IN_USE
 from tiler.observe.events import Note, Warned
 from tiler.report.problems import AT_BORDER, INSIDE, WITHOUT_RETURNS, Problem
 from tiler.runs.found import Gridded, final_raster
@@ -109,6 +110,7 @@ def _decided(job: Job) -> list[ReviewRow]:
     """Return the rows that the user decided on or noted, of the file in OUT and of one that is given with ``--edits``.
 
     A file in OUT that cannot be read is moved, and one with columns of the user is copied, so that nothing is lost.
+    Raise InputError if another program has locked the file.
     """
     given, here = job.plan.config.edits, joined(job.products, REVIEW)
     edits = decided_or_noted(_rows(job, given)) if given is not None else []
@@ -120,6 +122,8 @@ def _decided(job: Job) -> list[ReviewRow]:
         if not is_given and any(not is_place(p.layer, p.attributes) for p in places):
             raise InputError(f"{here}: has no layer of places to review")
     except InputError as error:
+        if IN_USE in str(error):
+            raise
         text = f"{error}; moved to {archive(job, [REVIEW])}/, so its statuses are not used"
         job.listener(Warned(text))
         return edits
