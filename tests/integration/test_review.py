@@ -17,6 +17,7 @@ import pytest
 import rasterio
 import shapely
 from pyogrio import raw
+from shapely import affinity
 
 from tests.invariants.runs import do
 from tests.scenes.drawings import EAST, NORTH, ground, written
@@ -251,6 +252,31 @@ def test_a_row_that_cannot_be_an_edit_is_refused(
         database.execute(change)
     with pytest.raises(InputError, match=told):
         made(cloud, out, edits=str(out / "review.gpkg"))
+
+
+def test_rows_of_another_survey_do_not_enter_the_file(cloud: Path, out: Path) -> None:
+    """Of two rows that were decided, one lies in this survey. The file may be its own, or that of a larger one."""
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'ok'")
+    meta, _, shapes, columns = raw.read(out / "review.gpkg", layer="review")
+    shapes[0] = shapely.to_wkb(affinity.translate(shapely.from_wkb(shapes[0]), 5000.0))
+    other, kind = (
+        out.parent / "other.gpkg",
+        {"geometry_type": "MultiPolygon", "crs": meta["crs"]},
+    )
+    raw.write(other, shapes, columns, meta["fields"], layer="review", **kind)
+    (out / "review.gpkg").unlink()
+    run = made(cloud, out, edits=str(other))
+    assert (
+        f"{other}: 1 place of it lies outside the survey, so review.gpkg does not list it"
+        in [note for note in run.summary["notes"] if "other.gpkg" in note]
+    )
+    assert run.summary["review"] == {"open": 1, "ok": 1, "fixed": 0}
+    assert all(row["shape"].bounds[0] < EAST + SIDE for row in rows(out))
+    # The user's own file keeps all its rows.
+    shutil.copy2(other, out / "review.gpkg")
+    run = made(cloud, out, edits=str(out / "review.gpkg"))
+    assert run.summary["review"] == {"open": 1, "ok": 2, "fixed": 0}
 
 
 def test_an_empty_file_is_no_error_as_edits(cloud: Path, out: Path) -> None:
