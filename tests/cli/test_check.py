@@ -17,6 +17,7 @@ from cli.main import main
 from tests.tiler.apps.acceptance.pulses import Pulses, lattice
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tests.tiler.report import results
+from tiler.errors import InputError
 
 
 @pytest.fixture
@@ -29,6 +30,15 @@ def folder(tmp_path: Path) -> Path:
     ]
     (tmp_path / "points.csv").write_text("x,y,z,type,cover\n" + "\n".join(lines))
     return tmp_path
+
+
+def test_an_empty_folder_is_refused_with_all_that_may_be_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(tmp_path)]) == InputError.exit_code
+    remedy = "give a raster, or a folder with clouds or the results of a run"
+    line = f"{tmp_path}: cannot be read (the folder is not a raster); {remedy}"
+    assert capsys.readouterr().err.strip().endswith(line)
 
 
 def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
