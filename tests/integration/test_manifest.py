@@ -117,16 +117,28 @@ def test_a_second_delivery_replaces_only_what_changed(out: Path, delivery: Path)
     assert same >= times.keys() - {delivery / MANIFEST}
 
 
-def test_a_file_that_a_client_changed_is_not_removed(out: Path, delivery: Path) -> None:
-    change_manifest(
-        delivery,
-        lambda content: content["files"].append(
-            {"path": "gone.tif", "bytes": 3, "sha256": hashlib.sha256(b"old").hexdigest()}
-        ),
-    )
-    (delivery / "gone.tif").write_bytes(b"new")
-    assert deliver(out, delivery).removed == []
-    assert verify(delivery).extra == ["gone.tif"]
+def test_files_that_are_not_delivered_any_more_are_removed_and_others_named(
+    out: Path, delivery: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A client changed one of the files, another is the client's own, and a killed delivery left a third."""
+    run = json.loads((out / "run.json").read_text())
+    gone = sorted(name for name in run["outputs"] if name.endswith((".laz", ".vpc")))
+    (delivery / gone[0]).write_bytes(b"new")
+    for name in ("mine.txt", "dtm/killed.tif"):
+        (delivery / name).parent.mkdir(exist_ok=True)
+        (delivery / name).write_bytes(b"other")
+    for name in gone:
+        del run["outputs"][name]
+    (out / "run.json").write_text(json.dumps(run))
+    left = sorted([gone[0], "mine.txt", "dtm/killed.tif"])
+    assert main(["deliver", str(out), "--to", str(delivery)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:-1] == [
+        f"removed    {name}, which this run does not deliver" for name in gone[1:]
+    ]
+    assert lines[-1] == f"left       {', '.join(left)}, changed or not of a delivery"
+    assert not any((delivery / name).exists() for name in gone[1:])
+    assert verify(delivery).extra == left
 
 
 def test_a_page_that_no_delivery_wrote_is_not_replaced(out: Path, delivery: Path) -> None:

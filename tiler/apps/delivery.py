@@ -64,12 +64,16 @@ MAX_BYTES = 1 << 28
 
 @dataclass(frozen=True)
 class Delivery:
-    """Delivered folder: number and bytes of its files, files removed from it, and whether the run left nothing out."""
+    """Delivered folder: number and bytes of its files, whether the run left nothing out, and other files.
+
+    Those of an earlier delivery are removed. Those that no delivery wrote, or that somebody changed, are left.
+    """
 
     folder: str
     files: int
     bytes: int
     removed: list[str]
+    left: list[str]
     complete: bool
 
 
@@ -89,6 +93,7 @@ def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events)
     The folder gets the files that the run wrote, the report, and ``index.html``, a page for the client. It does not get
     the store, the log and the places to review. A folder of an earlier delivery is brought up to date: files with the
     same bytes keep their times, and files that are not delivered any more are removed unless somebody changed them.
+    Other files are left.
 
     Parameters
     ----------
@@ -125,11 +130,13 @@ def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events)
         check = read_measured(source, CHECK, run)
         entries.append(_page(source, target, {**run, "check": check}, entries))
         manifest = _manifest(run, check, entries)
-    removed = list(_remove(target, earlier, {entry["path"] for entry in entries}))
+    delivered = {entry["path"] for entry in entries}
+    removed = list(_remove(target, earlier, delivered))
     write_whole(target / MANIFEST, json.dumps(manifest, indent=1).encode())
     (target / UNDER_WAY).unlink(missing_ok=True)
-    size = sum(entry["bytes"] for entry in entries)
-    return Delivery(str(to), len(entries), size, removed, manifest["verdicts"]["complete"])
+    size, left = sum(entry["bytes"] for entry in entries), _others(target, delivered)
+    complete = manifest["verdicts"]["complete"]
+    return Delivery(str(to), len(entries), size, removed, left, complete)
 
 
 def verify(folder: str | Path, listener: Listener = ignore_events) -> Verification:
@@ -150,10 +157,15 @@ def verify(folder: str | Path, listener: Listener = ignore_events) -> Verificati
                 path.stat().st_size != entry["bytes"] or _sha256(path, done) != entry["sha256"]
             ):
                 changed.append(name)
-    present = (path for path in Path(folder).rglob("*") if not path.is_dir())
-    names = {path.relative_to(folder).as_posix() for path in present}
-    extra = sorted(names - entries.keys() - {MANIFEST})
-    return Verification(len(entries), missing, changed, extra)
+    return Verification(len(entries), missing, changed, _others(Path(folder), entries))
+
+
+def _others(folder: Path, names: Iterable[str]) -> list[str]:
+    """Return the files in a folder, other than the manifest and ``names``."""
+    present = (path for path in folder.rglob("*") if not path.is_dir())
+    return sorted(
+        {path.relative_to(folder).as_posix() for path in present} - {MANIFEST, *names}
+    )
 
 
 def _folders(out: str | Path, to: str | Path) -> tuple[Path, Path]:
