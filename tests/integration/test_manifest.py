@@ -18,7 +18,7 @@ import rasterio
 from cli.main import main
 from tests.scenes.finished import Finished
 from tiler.apps.delivery import MANIFEST, PAGE, UNDER_WAY, deliver, verify
-from tiler.errors import ConfigError, InputError
+from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.observe.events import (
     Event,
     JobStarted,
@@ -150,7 +150,9 @@ def test_a_page_that_no_delivery_wrote_is_not_replaced(out: Path, delivery: Path
     )
     (delivery / PAGE).write_text("mine")
     (delivery / "dtm.tif").write_bytes(b"older")
-    with pytest.raises(ConfigError, match=r"no delivery wrote its index\.html; move it away"):
+    with pytest.raises(
+        ConfigError, match=r"its index\.html is not of a delivery; move it away"
+    ):
         deliver(out, delivery)
     assert (delivery / PAGE).read_text() == "mine"
     assert (delivery / "dtm.tif").read_bytes() == b"older"
@@ -240,6 +242,37 @@ def test_a_delivery_that_was_killed_goes_on(out: Path, tmp_path: Path) -> None:
     assert verify(tmp_path / "to").changed == []
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_delivery_that_stops_in_the_middle_is_incomplete_until_it_is_repeated(
+    is_first: bool, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    to, run = tmp_path / "to", json.loads((out / "run.json").read_text())
+    if not is_first:
+        deliver(out, to)
+    gone = next(name for name in run["outputs"] if name.endswith(".laz"))
+    del run["outputs"][gone]
+    (out / "run.json").write_text(json.dumps(run))
+    opened = []
+
+    def full(path: Any, mode: str = "r", **kwargs: Any) -> Any:
+        opened.append(mode)
+        if opened.count("xb") == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return open(path, mode, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tiler.apps.delivery.open", full, raising=False)
+        with pytest.raises(ProcessingError, match=r"cannot be written \(No space left"):
+            deliver(out, to)
+    assert not (to / MANIFEST).exists()
+    with pytest.raises(InputError, match="to: is incomplete, because"):
+        verify(to)
+    made = deliver(out, to)
+    assert (made.removed, made.left) == ([] if is_first else [gone], [])
+    found = verify(to)
+    assert (found.missing, found.changed, found.extra) == ([], [], [])
+
+
 def test_a_result_that_somebody_changed_is_not_delivered(out: Path, tmp_path: Path) -> None:
     spoilt = bytearray((out / "dtm.tif").read_bytes())
     spoilt[-1] ^= 1
@@ -249,9 +282,40 @@ def test_a_result_that_somebody_changed_is_not_delivered(out: Path, tmp_path: Pa
     ):
         deliver(out, tmp_path / "to")
     assert not (tmp_path / "to" / "dtm.tif").exists()
-    (out / "dtm.tif").unlink()
-    with pytest.raises(InputError, match=r"dtm\.tif: missing; run again"):
-        deliver(out, tmp_path / "to")
+    assert not (tmp_path / "to" / MANIFEST).exists()
+
+
+def forget_catalogue(content: dict[str, Any]) -> None:
+    content["files"] = [entry for entry in content["files"] if entry["path"] != "stac.json"]
+
+
+DAMAGES: dict[str, Callable[[Path, Path], Any]] = {
+    "missing; run again": lambda out, to: (out / "stac.json").unlink(),
+    "changed since the run": lambda out, to: (out / "stac.json").write_text("changed"),
+    "cannot be read": lambda out, to: (
+        (out / "stac.json").unlink() or (out / "stac.json").mkdir()
+    ),
+    "stac.json is not of a delivery": lambda out, to: change_manifest(to, forget_catalogue),
+}
+
+
+@pytest.mark.parametrize("reason", DAMAGES)
+def test_a_refused_delivery_changes_nothing(
+    reason: str, out: Path, delivery: Path, tmp_path: Path
+) -> None:
+    DAMAGES[reason](out, delivery)
+
+    def content() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in delivery.rglob("*") if path.is_file()}
+
+    before = content()
+    with pytest.raises((ConfigError, InputError), match=reason):
+        deliver(out, delivery)
+    assert content() == before
+    if reason != "stac.json is not of a delivery":
+        with pytest.raises(InputError, match=reason):
+            deliver(out, tmp_path / "new")
+        assert not (tmp_path / "new").exists()
 
 
 def test_folders_that_cannot_be_used_are_refused(out: Path, tmp_path: Path) -> None:
