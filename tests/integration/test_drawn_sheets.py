@@ -100,10 +100,13 @@ def test_rasters_are_cut_to_polygons(
         assert_cut(whole, tmp_path / "out", product, SHEETS)
         assert_voids_of_polygons(tmp_path / "out", product, SHEETS)
     assert {p.stem for p in (tmp_path / "out/stac").iterdir()} == {f"stac_{n}" for n in SHEETS}
-    _, _, _, columns = pyogrio.raw.read(
+    _, _, shapes, columns = pyogrio.raw.read(
         tmp_path / "out/sheets.gpkg", layer="dtm", columns=["location"]
     )
-    assert set(columns[0]) == {f"dtm/dtm_{name}.tif" for name in SHEETS}
+    found = dict(zip(columns[0], shapely.from_wkb(shapes), strict=True))
+    assert found.keys() == {f"dtm/dtm_{name}.tif" for name in SHEETS}
+    for name, shape in zip(SHEETS, polygons(*SHEETS.values()), strict=True):
+        assert found[f"dtm/dtm_{name}.tif"].symmetric_difference(shape).area < 0.1
     assert file in (tmp_path / "out/report.html").read_text()
     assert do(cloud, tmp_path / "out", sheets=file, sheet_field="Blatt", **HOW).did_nothing
 
