@@ -265,8 +265,8 @@ class WaterFileRecord(FileRecord):
 class ReviewFileRecord(FileRecord):
     """Record of the places to review: numbers of those that are open, right as they are, and edits.
 
-    ``right`` are the problems that the run found again at places that are right as they are: kind, west, south, east
-    and north of each.
+    ``right`` are the problems that the run found again at places that are right as they are: kind, cause, west, south,
+    east and north of each.
     """
 
     open: int
