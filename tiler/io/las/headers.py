@@ -84,8 +84,6 @@ class LasHeader:
         Number of points that the file states, 0 if it states none.
     salvaged : bool
         Whether the file is damaged and is read nevertheless.
-    unread_points : int
-        Number of records behind the last point that the file states, which are only read with salvage.
     scales, offsets : tuple of 3 float
         Scales from `FINEST_SCALE` to `COARSEST_SCALE`, and finite offsets.
     mins, maxs : tuple of 3 float
@@ -139,7 +137,6 @@ class LasHeader:
     time_offset: int | None = None
     stated_points: int = 0
     salvaged: bool = False
-    unread_points: int = 0
     points_by_return: tuple[int, ...] = ()
 
     @property
@@ -209,7 +206,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
             header = _fixed_block(path, stream, state, salvage)
             header = _records(header, stream)
             if header.laz is None:
-                header = _plain_points(header, stream, salvage)
+                header = _plain_points(header, salvage)
             else:
                 header = _compressed_points(header, header.laz, stream, salvage)
             if header.point_count == 0 and header.notes and salvage:
@@ -389,21 +386,16 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     return replace(header, laz=layout)
 
 
-def _plain_points(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
+def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
     """Check the number of points of a LAS file against the bytes for them."""
     room = (header.points_end - header.points_offset) // header.record_length
     if header.point_count == 0 and room:
         problem = f"says 0 points, has room for {room}: it was never finished"
         return replace(_salvaged(header, problem, salvage), point_count=room)
     if header.point_count < room:
-        problem = f"says {header.point_count} points, has room for {room}"
-        stream.seek(header.points_offset + header.point_count * header.record_length)
-        if not any(stream.read(header.record_length)):
-            return header.noted(f"{problem}: the rest is empty")
-        if salvage:
-            return replace(_salvaged(header, problem, salvage), point_count=room)
-        header = header.noted(f"{problem}: the rest is not read")
-        return replace(header, unread_points=room - header.point_count)
+        return header.noted(
+            f"says {header.point_count} points, has room for {room}: the rest is not read"
+        )
     room = max(header.size - header.points_offset, 0) // header.record_length
     if header.point_count <= room:
         return header
