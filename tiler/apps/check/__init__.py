@@ -15,7 +15,6 @@ from tiler.apps.check.measuring import (
     measure,
     parse_requirements,
     terrain_in,
-    with_earlier,
 )
 from tiler.apps.check.points import Checkpoints, PointOptions, read_checkpoints
 
@@ -34,6 +33,5 @@ __all__ = [
     "seam_steps",
     "strip_differences",
     "terrain_in",
-    "with_earlier",
     "write_figures",
 ]
