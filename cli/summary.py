@@ -95,7 +95,9 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     for product, file in rasters[:1]:
         section = summary["dtm"]
         pixel = length_text(section["resolution_m"], unit)
-        size = f"{section['width']:,} x {section['height']:,} pixels of {pixel}"
+        # The VRT of the sheets covers whole sheets.
+        cut = "sheets cut from " if summary.get("sheets") else ""
+        size = f"{cut}{section['width']:,} x {section['height']:,} pixels of {pixel}"
         if "voids" in summary:
             size += f", {share_with_height(summary['voids'])} of the survey has a height"
         lines.append(f"{product.upper():12s}{joined(out, file)}, {size}")

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd.arrays import AnyArray, Float64, Int32, UInt8
 from ptd.cells import lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import Float64, Int32, UInt8
 from ptd.matched.evidence import Evidence
 from ptd.matched.survey import run_facts
 from ptd.methods import METHODS
@@ -358,7 +358,7 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
     if rows.dtype.kind not in "biuf":
         raise ValueError(f"{name} must be whole numbers from 0 to {np.iinfo(dtype).max}")
     with np.errstate(invalid="ignore"):  # The comparison below refuses NaN.
-        column: npt.NDArray[Any] = np.ascontiguousarray(rows.T, dtype)
+        column: AnyArray = np.ascontiguousarray(rows.T, dtype)
     if not np.array_equal(column, rows.T):
         raise ValueError(f"{name} must be whole numbers from 0 to {np.iinfo(dtype).max}")
     return column

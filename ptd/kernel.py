@@ -37,30 +37,7 @@ import numpy as np
 from numba.core import caching as numba_caching
 from numba.core import config as numba_config
 
-from ptd.arrays import (
-    Bool,
-    Float32,
-    Float64,
-    Int16,
-    Int32,
-    Int64,
-    UInt8,
-    UInt16,
-    UInt32,
-    UInt64,
-)
-
 __all__ = [
-    "Bool",
-    "Float32",
-    "Float64",
-    "Int16",
-    "Int32",
-    "Int64",
-    "UInt8",
-    "UInt16",
-    "UInt32",
-    "UInt64",
     "as_int64",
     "cache_folder",
     "cache_refusal",

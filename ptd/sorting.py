@@ -6,9 +6,8 @@ numba compiles its own sort again for each kernel that calls it, which takes a s
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.arrays import AnyArray, Int64
+from ptd.arrays import AnyArray, Int64, Integer
 from ptd.kernel import inlined, kernel
 
 GAPS = np.array(
@@ -30,7 +29,7 @@ def sort(values: AnyArray) -> None:
 
 
 @kernel
-def sort_by(index: npt.NDArray[np.integer], values: AnyArray) -> None:
+def sort_by(index: Integer, values: AnyArray) -> None:
     """Sort indices in place, so that ``values[index]`` ascends. Indices of equal values end in any order."""
     for gap in GAPS:
         for i in range(gap, index.size):

@@ -25,6 +25,7 @@ from tiler.apps.check import (
     measure,
     parse_requirements,
     terrain_in,
+    with_earlier,
 )
 from tiler.apps.classify import ClassifySummary, classify_file, classify_files, is_one_file
 from tiler.apps.resolutions import run_resolutions
@@ -33,11 +34,11 @@ from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
 from tiler.io.locations import as_path, local_or_url
-from tiler.io.result_folder import CHECK, is_results, local_folder
+from tiler.io.result_folder import CHECK, is_results, local_folder, read_run
 from tiler.observe.events import Event, Listener, Note, Warned, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.observe.progress import NotebookBar, in_notebook, open_progress
-from tiler.report.accuracy import write_measured
+from tiler.report.accuracy import read_measured, write_measured
 from tiler.report.html import write_report_at
 from tiler.report.notebook import check_markup, classified_markup
 from tiler.runs.job import RunResult
@@ -330,7 +331,13 @@ def check(
     )
     report = None
     if is_out:
-        write_measured(local_folder(place), CHECK, summary)
+        out = local_folder(place)
+        earlier = read_measured(out, CHECK, read_run(str(place)) or {})
+        # A check that is older than the terrain measured another one.
+        if earlier and not earlier.get("older", "unreadable" in earlier):
+            write_measured(out, CHECK, with_earlier(summary, earlier))
+        else:
+            write_measured(out, CHECK, summary)
         report = write_report_at(place)
     met = all(requirement["met"] for requirement in summary["requirements"])
     return CheckResult(0 if met else 5, summary, report)

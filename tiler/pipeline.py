@@ -56,6 +56,7 @@ from tiler.plan import (
     stage_seconds,
     water_is_given,
 )
+from tiler.plan.drawn_sheets import validate_on_clouds
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
@@ -324,6 +325,9 @@ def _stages(job: Job, until: str) -> None:
         job.compiler.begin(job.plan, until)
     spooled, sources = spool(job, sources)
     assembled = assemble(job, sources, spooled)
+    # Headers may give a larger extent than that of the points.
+    areas = [sheet.area for sheet in job.plan.inputs.sheets]
+    validate_on_clouds(job.plan.config, areas, assembled.bounds)
     if until == "ingest":
         return
     labelled = filter_points(job, assembled)

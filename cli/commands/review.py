@@ -68,11 +68,9 @@ def command(
     from tiler.apps.review import write_review_page
 
     written = write_review_page(out, places, page, store)
-    line = "no place is open, so there is no page"
-    if written.page:
-        rest = "" if written.shown == written.open else f" of {written.open:,}"
-        line = f"page  {written.page}: {counted(written.shown, 'place')}{rest}"
-    print_result(written, as_json, [line])
+    rest = "" if written.shown == written.open else f" of {written.open:,}"
+    text = f"{counted(written.shown, 'place')}{rest}" if written.open else "no place is open"
+    print_result(written, as_json, [f"page  {written.page}: {text}"])
 
 
 def _make_statement(

@@ -18,7 +18,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from ptd.arrays import Float64
+from ptd.arrays import AnyArray, Float64
 
 LIDAR, DIM = "lidar", "dim"
 
@@ -46,8 +46,6 @@ SURE = 0.9
 """Minimum confidence with which the fields of the points decide alone."""
 MAX_CONFIDENCE = 0.99
 """Largest confidence that the weights allow."""
-
-Column = npt.NDArray[np.generic]
 
 
 class Piece(NamedTuple):
@@ -226,11 +224,11 @@ def percent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g}"
 
 
-def _differs(values: Column) -> bool:
+def _differs(values: AnyArray) -> bool:
     return bool(values.size and values.min() != values.max())
 
 
-def _measured(times: Column) -> bool:
+def _measured(times: AnyArray) -> bool:
     """Return whether a sensor measured the GPS times."""
     finite = times[np.isfinite(times)]
     return bool(np.unique(finite).size > max(TIMES_PER_POINT * times.size, 2))

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
+from ptd.arrays import Float64
 from ptd.matched.evidence import SAME, Evidence, concluded
 
 RIDGE = 0.3
@@ -33,8 +33,6 @@ NAMES = (
     "colour",
     "no colour",
 )
-
-Float64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from unittest import mock
 import numpy as np
 
 import ptd
-from ptd.kernel import Int32
+from ptd.arrays import Int32
 from ptd.matched import last_look
 from ptd.matched.last_look import DEPTH, LEAVES, NODES, UNIT, DecisionTrees, scores
 from tests.benchmarks.measuring import GROUND, dtm_rmse_m

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from pathlib import Path
 
 import laspy
@@ -15,6 +17,7 @@ from cli.main import main
 from tests.tiler.apps.acceptance.pulses import Pulses, lattice
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tests.tiler.report import results
+from tiler.errors import InputError
 
 
 @pytest.fixture
@@ -27,6 +30,15 @@ def folder(tmp_path: Path) -> Path:
     ]
     (tmp_path / "points.csv").write_text("x,y,z,type,cover\n" + "\n".join(lines))
     return tmp_path
+
+
+def test_an_empty_folder_is_refused_with_all_that_may_be_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(tmp_path)]) == InputError.exit_code
+    remedy = "give a raster, or a folder with clouds or the results of a run"
+    line = f"{tmp_path}: cannot be read (the folder is not a raster); {remedy}"
+    assert capsys.readouterr().err.strip().endswith(line)
 
 
 def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,8 +138,25 @@ def test_check_of_a_result_folder_writes_its_check_and_its_page(
     assert "measured mean = 0.05 m; the limit is 0.04 m" in page.texts["problems"]
     assert "RMSEV = 5.1 cm with 32 checkpoints" in page.texts["accuracy"]
     assert len(page.data["checkpoints"]) == 32
+    # Another check keeps what it does not measure, and limits.
+    assert main(["check", str(out), "--tile-size", "20", "--require", "seam=1"]) == 0
+    later = json.loads((out / "check.json").read_text())
+    assert later["accuracy"] == check["accuracy"]
+    assert later["seams"] != check["seams"]
+    assert [r["name"] for r in later["requirements"]] == ["mean", "seam"]
+    assert later["requirements"][0] == check["requirements"][0]
+    # A limit is judged by the latest measurement.
+    assert main(["check", str(out), "--tile-size", "10", "--require", "seam=2"]) == 0
+    (first, second) = json.loads((out / "check.json").read_text())["requirements"]
+    assert (first, second["limit"]) == (check["requirements"][0], 2.0)
+    # Another terrain was not measured.
+    write_surface(out / "dtm.tif", tilted)
+    os.utime(out / "dtm.tif", (time.time() + 60,) * 2)
+    assert main(["check", str(out), "--tile-size", "10"]) == 0
+    assert "accuracy" not in json.loads((out / "check.json").read_text())
     # If a DTM is given, the result is only printed.
     (out / "check.json").unlink()
+    capsys.readouterr()
     assert main(["check", str(out / "dtm.tif"), *points, "--json"]) == 5
     assert json.loads(capsys.readouterr().out)["requirements"] == check["requirements"]
     assert not (out / "check.json").exists()

@@ -148,7 +148,7 @@ def test_a_summary_tells_what_was_made() -> None:
     assert lines[1:15] == [
         "ground      1,999,000 points, in 6 tiles, 3 labels not certified",
         "low noise   1,200 points below the ground",
-        f"DTM         OUT{os.sep}dtm.tif, 12 x 6 pixels of 2 ft",
+        f"DTM         OUT{os.sep}dtm.tif, sheets cut from 12 x 6 pixels of 2 ft",
         f"contours    12 lines every 5 ft, OUT{os.sep}contours.gpkg",
         f"spots       1 top, 2 bottoms, OUT{os.sep}spots.gpkg",
         "water       none found",

@@ -100,10 +100,13 @@ def test_rasters_are_cut_to_polygons(
         assert_cut(whole, tmp_path / "out", product, SHEETS)
         assert_voids_of_polygons(tmp_path / "out", product, SHEETS)
     assert {p.stem for p in (tmp_path / "out/stac").iterdir()} == {f"stac_{n}" for n in SHEETS}
-    _, _, _, columns = pyogrio.raw.read(
+    _, _, shapes, columns = pyogrio.raw.read(
         tmp_path / "out/sheets.gpkg", layer="dtm", columns=["location"]
     )
-    assert set(columns[0]) == {f"dtm/dtm_{name}.tif" for name in SHEETS}
+    found = dict(zip(columns[0], shapely.from_wkb(shapes), strict=True))
+    assert found.keys() == {f"dtm/dtm_{name}.tif" for name in SHEETS}
+    for name, shape in zip(SHEETS, polygons(*SHEETS.values()), strict=True):
+        assert found[f"dtm/dtm_{name}.tif"].symmetric_difference(shape).area < 0.1
     assert file in (tmp_path / "out/report.html").read_text()
     assert do(cloud, tmp_path / "out", sheets=file, sheet_field="Blatt", **HOW).did_nothing
 
@@ -272,6 +275,27 @@ def far_away(folder: Path) -> str:
     return drawn(folder / "sheets.gpkg", {"a": [(5000, 0), (6000, 0), (6000, 900)]})
 
 
+def on_the_edge(folder: Path) -> str:
+    return drawn(folder / "sheets.gpkg", {"a": [(100, 0), (150, 0), (150, 100), (100, 100)]})
+
+
+def test_sheets_without_a_part_of_the_terrain_are_refused(tmp_path: Path) -> None:
+    """The points lie in two corners of their extent, and the only sheet in a third one."""
+    parts = [plane(0.0, 0.0, 20.0), plane(80.0, 80.0, 20.0)]
+    points = clouds.Cloud(
+        *(np.concatenate([getattr(p, n) for p in parts]) for n in ("xyz", "truth"))
+    )
+    cloud = clouds.write(tmp_path / "in.laz", points)
+    sheets = {"a": [(70, 0), (100, 0), (100, 30), (70, 30)]}
+    how = {**HOW, "max_edge": "10", "sheet_field": "Blatt"}
+    with pytest.raises(InputError, match=r"s.gpkg: no polygon contains a part of the clouds"):
+        do(cloud, tmp_path / "out", sheets=drawn(tmp_path / "s.gpkg", sheets), **how)
+    assert not (tmp_path / "out/stac.json").exists()
+    both = drawn(tmp_path / "s.gpkg", {**sheets, "b": [(0, 0), (20, 0), (20, 20), (0, 20)]})
+    assert do(cloud, tmp_path / "out", sheets=both, **how).exit_code == 0
+    assert [p.name for p in (tmp_path / "out/dtm").iterdir()] == ["dtm_b.tif"]
+
+
 def test_files_in_the_folder_of_contours_are_refused_before_a_point_is_read(
     cloud: Path, tmp_path: Path
 ) -> None:
@@ -303,6 +327,7 @@ def test_files_in_the_folder_of_contours_are_refused_before_a_point_is_read(
         (with_names("a", "b", "nul"), {}, r"feature 3: its Blatt 'nul' is the name of a device"),
         (with_names("a", "b", 201 * "c"), {}, r"feature 3: .* has more than 200 bytes"),
         (far_away, {}, r"no polygon contains a part of the clouds"),
+        (on_the_edge, {}, r"no polygon contains a part of the clouds"),
         (lambda folder: None, {}, r"--sheet-field Blatt: names the sheets of a file; give"),
         (lambda folder: str(folder / "no.gpkg"), {}, r"no.gpkg: no such file"),
         (given, {"sheet_name": "{name}_{x_km:.1f}_{y_km:.1f}"}, "two sheets would have the name"),

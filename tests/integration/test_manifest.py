@@ -18,7 +18,7 @@ import rasterio
 from cli.main import main
 from tests.scenes.finished import Finished
 from tiler.apps.delivery import MANIFEST, PAGE, UNDER_WAY, deliver, verify
-from tiler.errors import ConfigError, InputError
+from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.observe.events import (
     Event,
     JobStarted,
@@ -117,16 +117,28 @@ def test_a_second_delivery_replaces_only_what_changed(out: Path, delivery: Path)
     assert same >= times.keys() - {delivery / MANIFEST}
 
 
-def test_a_file_that_a_client_changed_is_not_removed(out: Path, delivery: Path) -> None:
-    change_manifest(
-        delivery,
-        lambda content: content["files"].append(
-            {"path": "gone.tif", "bytes": 3, "sha256": hashlib.sha256(b"old").hexdigest()}
-        ),
-    )
-    (delivery / "gone.tif").write_bytes(b"new")
-    assert deliver(out, delivery).removed == []
-    assert verify(delivery).extra == ["gone.tif"]
+def test_files_that_are_not_delivered_any_more_are_removed_and_others_named(
+    out: Path, delivery: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A client changed one of the files, another is the client's own, and a killed delivery left a third."""
+    run = json.loads((out / "run.json").read_text())
+    gone = sorted(name for name in run["outputs"] if name.endswith((".laz", ".vpc")))
+    (delivery / gone[0]).write_bytes(b"new")
+    for name in ("mine.txt", "dtm/killed.tif"):
+        (delivery / name).parent.mkdir(exist_ok=True)
+        (delivery / name).write_bytes(b"other")
+    for name in gone:
+        del run["outputs"][name]
+    (out / "run.json").write_text(json.dumps(run))
+    left = sorted([gone[0], "mine.txt", "dtm/killed.tif"])
+    assert main(["deliver", str(out), "--to", str(delivery)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:-1] == [
+        f"removed    {name}, which this run does not deliver" for name in gone[1:]
+    ]
+    assert lines[-1] == f"left       {', '.join(left)}, changed or not of a delivery"
+    assert not any((delivery / name).exists() for name in gone[1:])
+    assert verify(delivery).extra == left
 
 
 def test_a_page_that_no_delivery_wrote_is_not_replaced(out: Path, delivery: Path) -> None:
@@ -138,7 +150,9 @@ def test_a_page_that_no_delivery_wrote_is_not_replaced(out: Path, delivery: Path
     )
     (delivery / PAGE).write_text("mine")
     (delivery / "dtm.tif").write_bytes(b"older")
-    with pytest.raises(ConfigError, match=r"no delivery wrote its index\.html; move it away"):
+    with pytest.raises(
+        ConfigError, match=r"its index\.html is not of a delivery; move it away"
+    ):
         deliver(out, delivery)
     assert (delivery / PAGE).read_text() == "mine"
     assert (delivery / "dtm.tif").read_bytes() == b"older"
@@ -228,6 +242,37 @@ def test_a_delivery_that_was_killed_goes_on(out: Path, tmp_path: Path) -> None:
     assert verify(tmp_path / "to").changed == []
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_delivery_that_stops_in_the_middle_is_incomplete_until_it_is_repeated(
+    is_first: bool, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    to, run = tmp_path / "to", json.loads((out / "run.json").read_text())
+    if not is_first:
+        deliver(out, to)
+    gone = next(name for name in run["outputs"] if name.endswith(".laz"))
+    del run["outputs"][gone]
+    (out / "run.json").write_text(json.dumps(run))
+    opened = []
+
+    def full(path: Any, mode: str = "r", **kwargs: Any) -> Any:
+        opened.append(mode)
+        if opened.count("xb") == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return open(path, mode, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tiler.apps.delivery.open", full, raising=False)
+        with pytest.raises(ProcessingError, match=r"cannot be written \(No space left"):
+            deliver(out, to)
+    assert not (to / MANIFEST).exists()
+    with pytest.raises(InputError, match="to: is incomplete, because"):
+        verify(to)
+    made = deliver(out, to)
+    assert (made.removed, made.left) == ([] if is_first else [gone], [])
+    found = verify(to)
+    assert (found.missing, found.changed, found.extra) == ([], [], [])
+
+
 def test_a_result_that_somebody_changed_is_not_delivered(out: Path, tmp_path: Path) -> None:
     spoilt = bytearray((out / "dtm.tif").read_bytes())
     spoilt[-1] ^= 1
@@ -237,9 +282,40 @@ def test_a_result_that_somebody_changed_is_not_delivered(out: Path, tmp_path: Pa
     ):
         deliver(out, tmp_path / "to")
     assert not (tmp_path / "to" / "dtm.tif").exists()
-    (out / "dtm.tif").unlink()
-    with pytest.raises(InputError, match=r"dtm\.tif: missing; run again"):
-        deliver(out, tmp_path / "to")
+    assert not (tmp_path / "to" / MANIFEST).exists()
+
+
+def forget_catalogue(content: dict[str, Any]) -> None:
+    content["files"] = [entry for entry in content["files"] if entry["path"] != "stac.json"]
+
+
+DAMAGES: dict[str, Callable[[Path, Path], Any]] = {
+    "missing; run again": lambda out, to: (out / "stac.json").unlink(),
+    "changed since the run": lambda out, to: (out / "stac.json").write_text("changed"),
+    "cannot be read": lambda out, to: (
+        (out / "stac.json").unlink() or (out / "stac.json").mkdir()
+    ),
+    "stac.json is not of a delivery": lambda out, to: change_manifest(to, forget_catalogue),
+}
+
+
+@pytest.mark.parametrize("reason", DAMAGES)
+def test_a_refused_delivery_changes_nothing(
+    reason: str, out: Path, delivery: Path, tmp_path: Path
+) -> None:
+    DAMAGES[reason](out, delivery)
+
+    def content() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in delivery.rglob("*") if path.is_file()}
+
+    before = content()
+    with pytest.raises((ConfigError, InputError), match=reason):
+        deliver(out, delivery)
+    assert content() == before
+    if reason != "stac.json is not of a delivery":
+        with pytest.raises(InputError, match=reason):
+            deliver(out, tmp_path / "new")
+        assert not (tmp_path / "new").exists()
 
 
 def test_folders_that_cannot_be_used_are_refused(out: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,14 @@ import laspy
 import numpy as np
 import numpy.typing as npt
 import pytest
+import rasterio
 
 from tests.invariants.runs import all_digests, computed, do
 from tests.invariants.runs import dtm as read_dtm
+from tests.invariants.runs import settings as run_settings
 from tiler.apps.clean import clean
 from tiler.pipeline import RunResult
+from tiler.plan import make_plan
 
 WEST, SOUTH = 500_000.0, 5_400_000.0
 OLD, NEW = (0, 0, 130, 120), (60, 20, 170, 100)
@@ -284,7 +288,10 @@ def test_a_sparse_survey_before_a_dense_one_is_warned_of(
     thin = np.column_stack([x.ravel(), y.ravel(), terrain(x, y).ravel()])
     sparse = write(tmp_path / "sparse.laz", thin, date(2023, 5, 1))
     result = made([files["old"], sparse], tmp_path / "out", priority="newest")
-    assert any("which is much denser" in text for text in result.warnings)
+    [doubt] = result.summary["doubts"]
+    assert "which is much denser" in doubt
+    assert doubt in result.warnings
+    assert doubt in [problem["why"] for problem in result.summary["problems"]]
     assert any("no step to other surveys was measured" in text for text in result.notes)
 
 
@@ -294,4 +301,27 @@ def test_a_step_of_a_geoid_height_is_told_in_full(
     high = survey(NEW, 6, 2) + (0, 0, 47.3)
     other = write(tmp_path / "high.laz", high, date(2023, 5, 1))
     result = made([files["old"], other], tmp_path / "out", priority="newest")
-    assert any("lies 47.00 m below" in text for text in result.warnings)
+    [doubt] = result.summary["doubts"]
+    assert "lies 47.00 m below" in doubt
+    assert doubt in result.warnings
+
+
+def test_the_plan_has_the_pixel_of_the_run(tmp_path: Path) -> None:
+    """The older survey has 4 points per m2, and the newer one, which counts, a point per 2 m2."""
+    new = survey(NEW, 2, 2)[::4]
+    inside = tuple(side + margin for side, margin in zip(NEW, (5, 5, -5, -5), strict=True))
+    paths = [
+        write(tmp_path / "old.laz", survey(inside, 4, 1), date(2015, 5, 1)),
+        write(tmp_path / "new.laz", new, date(2023, 5, 1)),
+    ]
+    settings = {"crs": "EPSG:25832", "kind": "als", "resolution": None}
+    pixels = {}
+    for priority in ("newest", None):
+        how = {**settings, "priority": priority}
+        pixels[priority] = make_plan(
+            [str(p) for p in paths], run_settings(**how)
+        ).grid.resolution
+    assert pixels == {"newest": Fraction(3, 2), None: 1}
+    made(paths, tmp_path / "out", **settings, priority="newest")
+    with rasterio.open(tmp_path / "out/dtm.tif") as raster:
+        assert raster.res == (1.5, 1.5)

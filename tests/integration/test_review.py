@@ -17,9 +17,11 @@ import pytest
 import rasterio
 import shapely
 from pyogrio import raw
+from shapely import affinity
 
 from tests.invariants.runs import do
 from tests.scenes.drawings import EAST, NORTH, ground, written
+from tests.scenes.journals import locked
 from tiler.core.products import NODATA
 from tiler.errors import InputError
 from tiler.export import review
@@ -252,6 +254,31 @@ def test_a_row_that_cannot_be_an_edit_is_refused(
         made(cloud, out, edits=str(out / "review.gpkg"))
 
 
+def test_rows_of_another_survey_do_not_enter_the_file(cloud: Path, out: Path) -> None:
+    """Of two rows that were decided, one lies in this survey. The file may be its own, or that of a larger one."""
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'ok'")
+    meta, _, shapes, columns = raw.read(out / "review.gpkg", layer="review")
+    shapes[0] = shapely.to_wkb(affinity.translate(shapely.from_wkb(shapes[0]), 5000.0))
+    other, kind = (
+        out.parent / "other.gpkg",
+        {"geometry_type": "MultiPolygon", "crs": meta["crs"]},
+    )
+    raw.write(other, shapes, columns, meta["fields"], layer="review", **kind)
+    (out / "review.gpkg").unlink()
+    run = made(cloud, out, edits=str(other))
+    assert (
+        f"{other}: 1 place of it lies outside the survey, so review.gpkg does not list it"
+        in [note for note in run.summary["notes"] if "other.gpkg" in note]
+    )
+    assert run.summary["review"] == {"open": 1, "ok": 1, "fixed": 0}
+    assert all(row["shape"].bounds[0] < EAST + SIDE for row in rows(out))
+    # The user's own file keeps all its rows.
+    shutil.copy2(other, out / "review.gpkg")
+    run = made(cloud, out, edits=str(out / "review.gpkg"))
+    assert run.summary["review"] == {"open": 1, "ok": 2, "fixed": 0}
+
+
 def test_an_empty_file_is_no_error_as_edits(cloud: Path, out: Path) -> None:
     with edited(out) as database:
         database.execute("DELETE FROM review")
@@ -290,9 +317,26 @@ def test_a_damaged_file_is_moved_and_told(cloud: Path, out: Path) -> None:
     before = (out / "review.gpkg").read_bytes()
     (out / "review.gpkg").write_bytes(before[:3000])
     run = made(cloud, out)
-    assert any("review.gpkg" in text and "outdated" in text for text in run.warnings)
+    line = f"{out}/review.gpkg: cannot be read (its database is damaged); get the file again; moved"
+    assert any(text.startswith(line) for text in run.warnings)
     assert (out / "outdated" / "review.gpkg").read_bytes() == before[:3000]
     assert [row["status"] for row in rows(out)] == ["open", "open"]
+
+
+def test_a_file_that_another_program_has_locked_is_not_taken_for_damaged(
+    cloud: Path, out: Path
+) -> None:
+    with edited(out) as database:
+        database.execute("UPDATE review SET status = 'ok' WHERE rank = 1")
+    before = {
+        path: path.read_bytes() for path in out.rglob("*.*") if path.suffix in (".gpkg", ".tif")
+    }
+    line = r"review.gpkg: is in use by another program; close it there, then run again$"
+    with locked(out / "review.gpkg"), pytest.raises(InputError, match=line):
+        made(cloud, out)
+    assert {path: path.read_bytes() for path in before} == before
+    assert not (out / "outdated").exists()
+    assert made(cloud, out).summary["review"] == {"open": 1, "ok": 1, "fixed": 0}
 
 
 def test_a_run_that_finds_nothing_writes_an_empty_list(tmp_path: Path) -> None:

@@ -103,7 +103,9 @@ def test_the_report_shows_the_open_places(out: Path) -> None:
     assert "Places to look at" not in (out / "report.html").read_text("utf-8")
 
 
-def test_decisions_become_edits_and_are_remembered(cloud: Path, out: Path) -> None:
+def test_decisions_become_edits_and_are_remembered(
+    cloud: Path, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = Path(write_review_page(out).page)
     first, second = (row["shape"] for row in rows(out))
     file = decided(page, "fixed", "ok")
@@ -122,8 +124,12 @@ def test_decisions_become_edits_and_are_remembered(cloud: Path, out: Path) -> No
     again = made(cloud, out, edits=str(out / "review.gpkg"))
     assert again.exit_code == 0
     assert sorted(row["status"] for row in rows(out)) == ["fixed", "ok"]
-    assert write_review_page(out).page == ""
+    assert "<article" in page.read_text("utf-8")
     assert main(["review", str(out)]) == 0
+    assert f"page  {page}: no place is open" in capsys.readouterr().out
+    text = page.read_text("utf-8")
+    assert "No place of the run written" in text
+    assert "<article" not in text
 
 
 def voids(out: Path, shape: Any) -> float:

@@ -18,7 +18,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings
 from tests.scenes.drawings import EAST, NORTH, digests, draw, ground, pixels, written
 from tests.scenes.journals import connected
-from tiler.core.products import WATER
+from tiler.core.products import NODATA, WATER
 from tiler.errors import ConfigError, InputError
 from tiler.plan import make_plan
 
@@ -67,6 +67,27 @@ def test_a_lake_is_level_and_a_river_falls_and_the_land_stays(folder: Path) -> N
     assert np.ptp(river, axis=1).max() < 0.02  # from bank to bank
     assert np.diff(river, axis=0).min() >= 0  # rows go up the river
     assert np.abs(river[:, 12] - 28 - 0.02 * y[:, 0]).max() < 0.15
+
+
+def test_edits_of_heights_at_a_shore_change_nothing_beside_them(
+    folder: Path, tmp_path: Path
+) -> None:
+    void, flat = shapely.box(25, 15, 31, 25), shapely.box(48, 20, 55, 40)
+    places = [(void, {"action": "void"}), (flat, {"action": "flat", "z": 40.0})]
+    edits = draw(tmp_path / "edits.json", places)
+    drawn = str(folder / "w.json")
+    run = do(
+        folder / "valley.laz", tmp_path / "out",
+        method="keep", resolution="0.5", water=drawn, edits=edits,
+    )  # fmt: skip
+    before, after = pixels(folder / "wet"), pixels(tmp_path / "out")
+    y, x = (np.mgrid[0:120, 0:120] + 0.5) / 2
+    in_void, in_flat = (shapely.contains_xy(shape, x, y) for shape in (void, flat))
+    assert (after[in_void] == NODATA).all()
+    assert (after[in_flat] == 40.0).all()
+    assert (before == after)[~(in_void | in_flat)].all()
+    changed = [np.count_nonzero((before != after) & inside) for inside in (in_void, in_flat)]
+    assert [edit["pixels"] for edit in run.summary["edits"]] == changed
 
 
 def test_the_file_that_a_run_writes_gives_the_same_terrain(

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import closing
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 FUNCTIONS = ("ST_IsEmpty", "ST_MinX", "ST_MaxX", "ST_MinY", "ST_MaxY")
@@ -49,6 +52,25 @@ def in_transaction(path: Path) -> sqlite3.Connection:
     database.execute("CREATE TABLE large (x)")
     database.executemany("INSERT INTO large VALUES (?)", [("x" * 1000,)] * 300)
     return database
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Another process has begun an exclusive transaction, in which it has not changed anything yet."""
+    code = (
+        "import sqlite3, sys; base = sqlite3.connect(sys.argv[1], isolation_level=None);"
+        "base.execute('BEGIN EXCLUSIVE'); print('locked', flush=True); sys.stdin.read()"
+    )
+    # Locks of a file do not exclude the process that has them.
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        try:
+            yield
+        finally:
+            process.communicate()
 
 
 def layer_of(database: sqlite3.Connection) -> tuple[str, int]:

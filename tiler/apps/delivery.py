@@ -20,7 +20,7 @@ from tiler.core.crs import split_wkt, vertical_name
 from tiler.core.records import new_digest
 from tiler.core.review import OK
 from tiler.errors import ConfigError, InputError, write_error
-from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path
+from tiler.io.atomic_files import SCRATCH_PREFIX, atomic_path, replace_file
 from tiler.io.cloud_reading import BLOCK_BYTES
 from tiler.io.foreign_content import excerpt, parse_json_object
 from tiler.io.las.headers import read_header
@@ -55,7 +55,8 @@ MANIFEST = "manifest.json"
 PAGE = "index.html"
 """Page for the client."""
 UNDER_WAY = f"{SCRATCH_PREFIX}delivery"
-"""File in a folder to which a delivery is under way, or was when it was killed."""
+"""File in a folder to which a delivery is under way, or was when it was stopped. It is the manifest of the delivery
+before it, or empty."""
 FORMAT = 1
 """Version of the manifest's form."""
 MAX_BYTES = 1 << 28
@@ -64,12 +65,16 @@ MAX_BYTES = 1 << 28
 
 @dataclass(frozen=True)
 class Delivery:
-    """Delivered folder: number and bytes of its files, files removed from it, and whether the run left nothing out."""
+    """Delivered folder: number and bytes of its files, whether the run left nothing out, and other files.
+
+    Those of an earlier delivery are removed. Those that no delivery wrote, or that somebody changed, are left.
+    """
 
     folder: str
     files: int
     bytes: int
     removed: list[str]
+    left: list[str]
     complete: bool
 
 
@@ -89,6 +94,7 @@ def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events)
     The folder gets the files that the run wrote, the report, and ``index.html``, a page for the client. It does not get
     the store, the log and the places to review. A folder of an earlier delivery is brought up to date: files with the
     same bytes keep their times, and files that are not delivered any more are removed unless somebody changed them.
+    Other files are left. A folder to which a delivery was stopped has no manifest.
 
     Parameters
     ----------
@@ -112,24 +118,26 @@ def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events)
     """
     source, target = _folders(out, to)
     run = _finished_run(source)
-    _make(target)
     with locked_folder(str(source)), run_file_errors(source):
         names = [name for name in run["outputs"] if name != REVIEW]
         names += [REPORT] if (source / REPORT).is_file() else []
         earlier = _earlier_delivery(target)
         check_links("--to", target, [PAGE, *names, *earlier])
-        _check_page(target, earlier)
-        write_whole(target / UNDER_WAY, b"")
+        _check_foreign(target, [PAGE, *names], earlier)
+        _check_results(source, names, run)
+        _begin(target)
         with _shown(listener, "copy", "copy the files", map(source.joinpath, names)) as done:
             entries = [_copied(source, target, name, run, done) for name in sorted(names)]
         check = read_measured(source, CHECK, run)
         entries.append(_page(source, target, {**run, "check": check}, entries))
         manifest = _manifest(run, check, entries)
-    removed = list(_remove(target, earlier, {entry["path"] for entry in entries}))
+    delivered = {entry["path"] for entry in entries}
+    removed = list(_remove(target, earlier, delivered))
     write_whole(target / MANIFEST, json.dumps(manifest, indent=1).encode())
     (target / UNDER_WAY).unlink(missing_ok=True)
-    size = sum(entry["bytes"] for entry in entries)
-    return Delivery(str(to), len(entries), size, removed, manifest["verdicts"]["complete"])
+    size, left = sum(entry["bytes"] for entry in entries), _others(target, delivered)
+    complete = manifest["verdicts"]["complete"]
+    return Delivery(str(to), len(entries), size, removed, left, complete)
 
 
 def verify(folder: str | Path, listener: Listener = ignore_events) -> Verification:
@@ -137,7 +145,7 @@ def verify(folder: str | Path, listener: Listener = ignore_events) -> Verificati
 
     Raise InputError if the manifest cannot be read. ``listener`` receives events, see `tiler.observe.events`.
     """
-    entries = _entries(Path(folder))
+    entries = _entries(Path(folder, MANIFEST))
     missing, changed = [], []
     with _shown(
         listener, "verify", "read the files", map(Path(folder).joinpath, entries)
@@ -150,10 +158,15 @@ def verify(folder: str | Path, listener: Listener = ignore_events) -> Verificati
                 path.stat().st_size != entry["bytes"] or _sha256(path, done) != entry["sha256"]
             ):
                 changed.append(name)
-    present = (path for path in Path(folder).rglob("*") if not path.is_dir())
-    names = {path.relative_to(folder).as_posix() for path in present}
-    extra = sorted(names - entries.keys() - {MANIFEST})
-    return Verification(len(entries), missing, changed, extra)
+    return Verification(len(entries), missing, changed, _others(Path(folder), entries))
+
+
+def _others(folder: Path, names: Iterable[str]) -> list[str]:
+    """Return the files in a folder, other than the manifest and ``names``."""
+    present = (path for path in folder.rglob("*") if not path.is_dir())
+    return sorted(
+        {path.relative_to(folder).as_posix() for path in present} - {MANIFEST, *names}
+    )
 
 
 def _folders(out: str | Path, to: str | Path) -> tuple[Path, Path]:
@@ -167,13 +180,21 @@ def _folders(out: str | Path, to: str | Path) -> tuple[Path, Path]:
     return source, target
 
 
-def _make(target: Path) -> None:
+def _begin(target: Path) -> None:
+    """Make the folder, and rename its manifest, which does not describe the folder until the delivery is done."""
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(
             f"--to {target}: cannot be made ({error.strerror}); give a folder"
         ) from error
+    try:
+        if (target / MANIFEST).is_file():
+            replace_file(target / MANIFEST, target / UNDER_WAY)
+        elif not (target / UNDER_WAY).exists():
+            write_whole(target / UNDER_WAY, b"")
+    except OSError as error:
+        raise write_error(str(target / UNDER_WAY), error, target) from error
 
 
 def _finished_run(out: Path) -> dict[str, Any]:
@@ -188,25 +209,45 @@ def _finished_run(out: Path) -> dict[str, Any]:
 
 
 def _earlier_delivery(target: Path) -> dict[str, Any]:
-    """Return the entries of the manifest in a folder. Raise ConfigError if the folder has other content."""
-    if (target / MANIFEST).is_file():
-        return _entries(target)
-    if any(target.iterdir()) and not (target / UNDER_WAY).exists():
+    """Return the entries of the last manifest in a folder. Raise ConfigError if the folder has other content."""
+    manifest, under_way = target / MANIFEST, target / UNDER_WAY
+    if manifest.is_file():
+        return _entries(manifest)
+    if under_way.exists():
+        return _entries(under_way) if under_way.stat().st_size else {}
+    if target.is_dir() and any(target.iterdir()):
         raise ConfigError(
             f"--to {target}: is not empty and has no {MANIFEST}; give a new folder"
         )
     return {}
 
 
-def _check_page(target: Path, earlier: Mapping[str, Any]) -> None:
-    """Raise ConfigError if no delivery wrote the page in a folder."""
-    page = target / PAGE
-    is_ours = PAGE in earlier or (target / UNDER_WAY).exists()
-    if not page.exists() or (is_ours and _is_file(page)):
-        return
-    raise ConfigError(
-        f"--to {target}: no delivery wrote its {PAGE}; move it away, or give another folder"
-    )
+def _check_foreign(target: Path, names: Iterable[str], earlier: Mapping[str, Any]) -> None:
+    """Raise ConfigError if the folder has a file with the name of a result that is not of a delivery."""
+    is_under_way = (target / UNDER_WAY).exists()
+    for name in names:
+        path = target / name
+        if path.exists() and not ((name in earlier or is_under_way) and _is_file(path)):
+            raise ConfigError(
+                f"--to {target}: its {name} is not of a delivery; move it away, or give another folder"
+            )
+
+
+def _check_results(source: Path, names: Iterable[str], run: Mapping[str, Any]) -> None:
+    """Raise InputError if a file of a run is missing, cannot be read, or has another size than the run wrote."""
+    for name in names:
+        path = source / name
+        try:
+            with open(path, "rb") as stream:
+                size = os.fstat(stream.fileno()).st_size
+        except FileNotFoundError as error:
+            raise InputError(f"{path}: missing; run again") from error
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be read ({error.strerror}); allow reading"
+            ) from error
+        if size != run["outputs"].get(name, size):
+            raise InputError(f"{path}: changed since the run wrote it; run again")
 
 
 @contextmanager
@@ -251,8 +292,6 @@ def _copied(
                 raise InputError(f"{path}: changed since the run wrote it; run again")
             times = path.stat()
             os.utime(partial, ns=(times.st_atime_ns, times.st_mtime_ns))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: missing; run again") from error
     except OSError as error:
         raise write_error(str(copy), error, target) from error
     facts = {"path": name, "bytes": copy.stat().st_size, "sha256": sha256.hexdigest()}
@@ -353,10 +392,14 @@ def _remove(target: Path, earlier: Mapping[str, Any], delivered: set[str]) -> It
                 path.parent.rmdir()
 
 
-def _entries(folder: Path) -> dict[str, Any]:
+def _entries(path: Path) -> dict[str, Any]:
     """Return the entries of a manifest by path. Raise InputError if it is none, or a path leads out of its folder."""
-    path, entries = folder / MANIFEST, dict[str, Any]()
+    entries = dict[str, Any]()
     if not _is_file(path):
+        if (path.parent / UNDER_WAY).exists():
+            raise InputError(
+                f"{path.parent}: is incomplete, because its delivery was stopped or is under way; deliver again"
+            )
         raise InputError(f"{path}: no such file; give a folder that tiler deliver made")
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -372,7 +415,7 @@ def _entries(folder: Path) -> dict[str, Any]:
             entries[name] = {"bytes": size, "sha256": str(entry["sha256"])}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path}: cannot be used as a manifest ({error}); get the delivery again"
+            f"{path}: cannot be used as a manifest ({error}); get the delivery again, or deliver to another folder"
         ) from error
     return entries
 

@@ -31,7 +31,7 @@ MAKER = "tiler review"
 
 @dataclass(frozen=True)
 class ReviewPage:
-    """Page that was written: its path, or an empty text if no place is open, and numbers of places shown and open."""
+    """Page that was written: its path, and numbers of places shown and open."""
 
     page: str
     shown: int
@@ -44,7 +44,7 @@ def write_review_page(
     page_path: str | Path | None = None,
     store_url: str | None = None,
 ) -> ReviewPage:
-    """Write a page with a card for each of the first open places of a run.
+    """Write a page with a card for each of the first open places of a run, or one that says that none is open.
 
     Parameters
     ----------
@@ -89,8 +89,6 @@ def write_review_page(
             remedy="give fewer places with --places",
             smaller=CUT,
         )
-    if not found.number:
-        return ReviewPage("", 0, 0)
     write_whole(target, _page(Path(out), run, found))
     return ReviewPage(str(target), len(found.cards), found.number)
 
@@ -125,8 +123,13 @@ def _other_edits(run: Mapping[str, Any], source: Path) -> Path | None:
 def _page(out: Path, run: Mapping[str, Any], found: OpenPlaces) -> bytes:
     cards, number, crs = found.cards, found.number, crs_name_in_geojson(found.crs)
     title = f"Places to review of {out.resolve().name}"
+    written = f"of the run written {run.get('written', 'at an unknown time')} (UTC)"
+    if not number:
+        text = f"No place {written} is open."
+        header = el("header", el("h1", title), el("p", text, class_="lead"))
+        return page(title, header, [], maker=MAKER)
     text = (
-        f"{counted(number, 'place')} of the run written {run.get('written', 'at an unknown time')} (UTC) "
+        f"{counted(number, 'place')} {written} "
         f"{'is' if number == 1 else 'are'} open, the most serious first. "
         "Decide on each, save the decisions, and run again with --edits and the saved file."
     )

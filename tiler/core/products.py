@@ -29,6 +29,8 @@ MASK_VALUES = {
 
 NODATA = -9999.0
 """Nodata value of rasters in the store, and the default of files."""
+OUTLINED = "dtm-outlined"
+"""Raster of the store that is the delivered terrain."""
 
 MAX_RESOLUTIONS = 4
 """Maximum number of resolutions of a run, which bounds the rasters that a store keeps."""

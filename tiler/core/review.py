@@ -20,6 +20,8 @@ NUMBERS = ("z", "stake_m", "area_m2", "chance")
 OPEN, OK, FIXED = "open", "ok", "fixed"
 """Values of the column ``status``: not looked at, right as it is, and to be changed by the edit of the row."""
 STATUSES = (OPEN, OK, FIXED)
+FAILED = "failed task"
+"""Reason of places that cannot be right, since their task failed."""
 BARE, HOLES = "bare", "holes"
 """Pixels with a height in a gap without returns, and pixels of the survey without a height."""
 SAME_SHARE = 0.5
@@ -104,7 +106,7 @@ def ranked(
 
     listed: list[ReviewRow] = []
     right: list[ReviewRow] = []
-    noted = [row for row in decided if row.status == OPEN]
+    noted = [(row, shapely.from_wkb(row.shape)) for row in decided if row.status == OPEN]
     covered = {row.reason: _Covered(decided, row.reason) for row in found}
     for row in found:
         shape = shapely.from_wkb(row.shape)
@@ -117,13 +119,14 @@ def ranked(
     return [*sorted(listed, key=_by_loss), *own], right
 
 
-def _note(reason: str, shape: Any, noted: Sequence[ReviewRow]) -> str:
+def _note(reason: str, shape: Any, noted: Sequence[tuple[ReviewRow, Any]]) -> str:
     import shapely
 
-    for row in noted:
-        both = shapely.intersection(shapely.from_wkb(row.shape), shape)
-        if row.reason == reason and both.area >= SAME_SHARE * shape.area:
-            return row.note
+    for row, outline in noted:
+        if row.reason == reason and shapely.intersects(outline, shape):
+            both = shapely.intersection(outline, shape)
+            if both.area >= SAME_SHARE * shape.area:
+                return row.note
     return ""
 
 
@@ -154,8 +157,13 @@ class _Covered:
 
 def decided_or_noted(rows: Sequence[ReviewRow]) -> list[ReviewRow]:
     """Return the rows on which the user decided, or that have a note, each once, with their status in lower case."""
-    decided = (replace(row, status=row.status.strip().lower() or FIXED) for row in rows)
+    decided = (replace(row, status=_status(row)) for row in rows)
     return list(dict.fromkeys(row for row in decided if row.status != OPEN or row.note))
+
+
+def _status(row: ReviewRow) -> str:
+    status = row.status.strip().lower() or FIXED
+    return OPEN if (row.reason, status) == (FAILED, OK) else status
 
 
 def without_copies(rows: Sequence[ReviewRow], of: Sequence[ReviewRow]) -> list[ReviewRow]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict
 
+from tiler.core.drawn_sheets import StoredAreas
 from tiler.core.lattice import Cell
 from tiler.core.points import Counts
 from tiler.core.raster import RasterSpec
@@ -80,7 +81,10 @@ class RasterPart:
 
 @dataclass(frozen=True)
 class SheetFile:
-    """File of a sheet: product, path in OUT, pixels, percentage without a value, lowest and highest value."""
+    """File of a sheet: product, path in OUT, pixels, percentage without a value, lowest and highest value.
+
+    ``clip`` is the area of a drawn sheet and those before it that overlap it.
+    """
 
     product: str
     path: str
@@ -88,6 +92,7 @@ class SheetFile:
     void_percent: float
     low: float | None
     high: float | None
+    clip: StoredAreas | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,8 +265,8 @@ class WaterFileRecord(FileRecord):
 class ReviewFileRecord(FileRecord):
     """Record of the places to review: numbers of those that are open, right as they are, and edits.
 
-    ``right`` are the problems that the run found again at places that are right as they are: kind, west, south, east
-    and north of each.
+    ``right`` are the problems that the run found again at places that are right as they are: kind, cause, west, south,
+    east and north of each.
     """
 
     open: int

@@ -262,7 +262,7 @@ def _with_height(
 def write_sheet_index(
     store: TileStore, *, to: OutFile, sheets: tuple[SheetFile, ...]
 ) -> FileRecord:
-    """Write the index of the sheets, a layer per product with a polygon per sheet.
+    """Write the index of the sheets, a layer per product with a polygon per sheet: its bounds, or what the user drew.
 
     Columns are ``location`` (path relative to the folder of the file, with the column name of gdaltindex), ``west``,
     ``south``, ``east``, ``north``, ``void_percent`` (share of the pixels without a value), ``min`` and ``max``.
@@ -282,5 +282,7 @@ def write_sheet_index(
                 "location": np.array([sheet.path for sheet in product_sheets], object),
                 **numbers,
             }
-            file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
+            shapes = [sheet_shape(store, sheet.spec, sheet.clip) for sheet in product_sheets]
+            is_drawn = any(sheet.clip for sheet in product_sheets)
+            file.add(product, "MultiPolygon" if is_drawn else "Polygon", shapes, columns)
     return new.record

@@ -94,7 +94,7 @@ def write_review(
         open=counts[OPEN],
         ok=counts[OK],
         fixed=counts[FIXED],
-        right=[[row.reason, *row.where] for row in right],
+        right=[[row.reason, row.why, *row.where] for row in right],
     )
 
 

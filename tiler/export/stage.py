@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tiler.core.products import CONTOURS, SPOTS
+from tiler.core.products import CONTOURS, OUTLINED, SPOTS
 from tiler.core.records import digest_of
 from tiler.core.results import ContourResult, SpotCounts
 from tiler.core.units import Sides, short_unit, sides_text
@@ -318,7 +318,7 @@ def _basis(gridding: Gridded) -> str:
     Settings that only change the format of the files are not in it.
     """
     config = gridding.plan.config
-    terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
+    terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made[OUTLINED].items())]
     into: Any = config.product_name
     if config.sheets is not None:
         drawn = [[sheet.name, sheet.area.key] for sheet in gridding.plan.inputs.sheets]

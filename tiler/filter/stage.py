@@ -29,7 +29,7 @@ from tiler.filter.tasks.passes import (
     labels_scope,
     tile_records,
 )
-from tiler.observe.events import StagesPassedOver, Warned
+from tiler.observe.events import StagesPassedOver
 from tiler.plan import KEEP
 from tiler.plan.warnings import overridden_kind
 from tiler.runs.compiling import filter_kernels, likely_kind
@@ -199,8 +199,7 @@ def _warn_of_doubtful_kind(job: Job, survey: Mapping[str, Any]) -> None:
         )
     else:
         return
-    job.results.doubts = [text]
-    job.listener(Warned(text))
+    job.doubt(text)
 
 
 def _write_empty_results(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:

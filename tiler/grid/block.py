@@ -20,7 +20,6 @@ from ptd.arrays import Float32, Float64, Int32
 from ptd.gridding.nearest import inverse_distance
 from ptd.tin import KnownWindow, Pixels, Tin, TinRaster, rasterise
 from ptd.tin.mesh import MAX_EXTENT
-from tiler.core.edits import OF_PIXELS
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.core.records import JoinedRecord
@@ -78,21 +77,9 @@ def grid_blocks(
     """
     parts = []
     for block, heights, record in heights_of_blocks(store, works):
-        edited = edit_heights(store, block.rule.edits, block.spec, block.block, heights)
-        if edited:
-            filled = _n_filled(heights)
-            record = replace(record, filled=filled, nodata=heights.size - filled, edited=edited)
         store.write_block(block.name, block.block, heights)
         parts.append(replace(record, checksum=checksum(heights)))
     return JoinedRecord(parts)
-
-
-def edit_heights(
-    store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Float32
-) -> list[tuple[str, int]]:
-    """Set the heights of the edits under a key of the store, if there are any. Return `Edits.set_heights`."""
-    edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
-    return [] if edits is None else edits.set_heights(spec, block, heights)
 
 
 def _n_filled(heights: Float32) -> int:

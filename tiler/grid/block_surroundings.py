@@ -16,12 +16,12 @@ from ptd.arrays import Bool, Float32, Float64, Floating, Indices, Int32, Int64
 from ptd.gridding.above_ground import HighestReturns
 from ptd.gridding.ground_cells import CellWindow, add_counts, cell_numbers
 from ptd.gridding.nearest import nearest_points
-from tiler.core.edits import FLAT, Edit
+from tiler.core.edits import FLAT, OF_PIXELS, Edit
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, CoordFrame
 from tiler.core.points import WATER
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.water import Waters
-from tiler.grid.block import edit_heights, pixels_of
+from tiler.grid.block import pixels_of
 from tiler.grid.coarse import padded
 from tiler.grid.ground import classed, read_ground, read_ground_and_objects, surface_points
 from tiler.grid.records import GroundSelection
@@ -207,7 +207,11 @@ class EditsNear:
 
     def set_heights(self, heights: Float32) -> list[tuple[str, int]]:
         """Set the heights of edits, see `Edits.set_heights`."""
-        return edit_heights(self.store, self.key, self.spec, self.block, heights)
+        if self.key is None:
+            return []
+        bounds = self.spec.block_bounds(self.block)
+        edits = self.store.edits(self.key, bounds, OF_PIXELS)
+        return [] if edits is None else edits.set_heights(self.spec, self.block, heights)
 
 
 class PixelCells:

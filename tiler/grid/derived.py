@@ -232,8 +232,9 @@ def outline(
     area : bool (height + 2, width + 2)
         Pixels in the area of the run. Holes outside it do not count.
     edits : EditsNear
-        They are applied after water and canopy.
+        They set heights of the terrain after water and canopy.
     waters : WatersNear, optional
+        Only the terrain has them.
     canopy : float64 (height, width), optional
         Canopy. Where it hides the ground, pixels get no height.
     below : float64 (height, width), optional
@@ -248,35 +249,36 @@ def outline(
     heights : float32 (height, width)
     counts : dict
         ``cut``: number of pixels that lost their height other than to a canopy. ``water``: key of the area of each body
-        of water, and the number of its pixels. ``bare``: cells with pixels in places without returns that have a height
+        of water, and the number of its pixels. ``edited``: key of each edit of pixels, and the number of pixels that it
+        changed. ``bare``: cells with pixels in places without returns that have a height
         and are not in water (`hole_cells`). ``surveyed``, ``voided``, ``holes``, ``edit_holes``: see `holes_of_block`.
     """
     nodata = np.float32(NODATA)
     had = ~np.isnan(heights)
-    before = np.where(had, heights, nodata).astype(np.float32)
-    values = before.copy()
+    values = np.where(had, heights, nodata).astype(np.float32)
     if canopy is not None:
         values[canopy > OPEN] = nodata
     if below is not None:
         values = np.where(np.isnan(below), values, below).astype(np.float32)
-    if not np.array_equal(values, before):
-        edits.set_heights(values)
-    hidden = int(np.count_nonzero(had & (values == nodata)))
     beyond, bare = survey[1:-1, 1:-1] == BEYOND, survey[1:-1, 1:-1] >= VOID
     water: list[tuple[str, int]] = []
     if waters is not None and waters.waters is not None:
         wet = waters.inside
         water = waters.set_heights(values, had | ~beyond | finds_water)
-        edits.set_heights(values)
         beyond &= ~wet
         bare &= ~wet
+    # Surfaces keep the heights of roofs and crowns.
+    edited = [] if waters is None else edits.set_heights(values)
+    n_cut = 0
     if cut:
+        n_cut = int(np.count_nonzero(had & beyond & (values != nodata)))
         values[beyond] = nodata
     known = values != nodata
     holes = holes_of_block(known, survey >= SURVEYED, edits, area)
     return values, {
-        "cut": max(int(np.count_nonzero(had & ~known)) - hidden, 0),
+        "cut": n_cut,
         "water": water,
+        "edited": edited,
         "bare": hole_cells(bare & known & area[1:-1, 1:-1], edits.block, survey < SURVEYED),
         **holes,
     }

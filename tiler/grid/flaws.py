@@ -16,6 +16,7 @@ from ptd.gridding.above_ground import NOTHING
 from ptd.ground.plateaus import ROOF_CELL_M, reach_m, remaining_roofs
 from ptd.matched.crowns import BLOCK, Crowns, crowns
 from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.products import OUTLINED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units import length_text
 from tiler.grid.block_surroundings import EditsNear, PointsNear, WatersNear
@@ -200,7 +201,9 @@ def find_roofs(
     The arguments are those of `roofs_in_terrain`, with ``filled`` as the names of blocks.
     """
     blocks = (spec.block_named(key, BLOCK_PIXELS) for key in filled)
-    return {"advice": roofs_in_terrain(store, "dtm", spec, blocks, building_m, roof_m, waters)}
+    return {
+        "advice": roofs_in_terrain(store, OUTLINED, spec, blocks, building_m, roof_m, waters)
+    }
 
 
 def roofs_in_terrain(
@@ -305,7 +308,7 @@ for a warning."""
 def find_crowns(store: TileStore, *, spec: RasterSpec, names: tuple[str, ...]) -> Counts:
     """Search blocks of the terrain for crowns: ``n_tested`` and ``found`` of `ptd.matched.crowns.Crowns`."""
     blocks = [spec.block_named(name, BLOCK_PIXELS) for name in names]
-    parts = [crowns_in_block(store, "dtm", spec, block) for block in blocks]
+    parts = [crowns_in_block(store, OUTLINED, spec, block) for block in blocks]
     return {
         "n_tested": sum(part.n_tested for part in parts),
         "found": list(chain.from_iterable(part.found for part in parts)),

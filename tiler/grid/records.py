@@ -134,8 +134,6 @@ class TerrainRecord(BlockRecord):
         Number of tries, and the halo of the last one in counts.
     ground_read, ground_used, ground_marked : int
         Number of ground points in the window of the last try: all, vertices of the TIN, and uncertified points.
-    edited : list of [key, pixels], optional
-        Key of each edit in the block, and count of the pixels that it changed.
     """
 
     nodata: int
@@ -145,7 +143,6 @@ class TerrainRecord(BlockRecord):
     ground_read: int
     ground_used: int
     ground_marked: int
-    edited: list[tuple[str, int]] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

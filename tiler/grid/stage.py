@@ -14,6 +14,7 @@ import numpy as np
 
 from tiler.config import NO_WATER
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
+from tiler.core.products import OUTLINED
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import records_of
 from tiler.core.results import Implausible, OutlineResult, TerrainResult
@@ -69,21 +70,22 @@ def grid(
     rasters = required_rasters(job.plan)
     for raster in rasters:
         name = raster.name
-        if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
+        if name == OUTLINED and job.plan.config.water != NO_WATER:
             gridding.waters = find_waters(job, gridding)
         tasks = list(raster.tasks(gridding))
         join = partial(join_blocks, job.plan, assembled.records) if name == "dtm" else None
         gridding.fills[name] = raster.fill
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster.grid), tasks, join)
         if name == "dtm":
-            report_edited_pixels(job, gridding.made[name])
             _report_terrain(job, gridding, tasks, gridding.made[name])
-    advise(job, labelled, gridding.spec, gridding.made["dtm"], gridding.waters.stored_key)
+    outlined = gridding.made[OUTLINED]
+    report_edited_pixels(job, outlined)
+    advise(job, labelled, gridding.spec, outlined, gridding.waters.stored_key)
     if job.plan.config.water != NO_WATER:
-        report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
+        report_waters(job, gridding.waters, outlined)
     job.results.dtm = replace(job.results.dtm, filled=gridding.delivered_heights("dtm"))
     _report_outline(job, gridding)
-    report_voids(job, gridding, gridding.made["dtm-outlined"])
+    report_voids(job, gridding, outlined)
     for raster in rasters:
         if isinstance(raster, Step) and raster.finish is not None:
             counts = gridding.counts(raster.name, raster.grid, raster.side)
@@ -158,7 +160,7 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
 
 
 def _report_outline(job: Job, gridding: GridContext) -> None:
-    made = gridding.made["dtm-outlined"]
+    made = gridding.made[OUTLINED]
     if not made or job.plan.config.outline != "survey":
         return
     cut = sum(counts["cut"] for _, counts in made.values())

@@ -133,7 +133,6 @@ def _within_large_pixels(heights: PixelsUnder, survey: Float32, place: Position)
 def fill_voids(
     heights: PixelsUnder,
     cells: PixelsUnder,
-    edits: EditsNear,
     place: Position,
     *,
     voids: tuple[Void, ...] = (),
@@ -150,8 +149,6 @@ def fill_voids(
         Model.
     cells : PixelsUnder
         Coarse cells with the labels of `find_voids`.
-    edits : EditsNear
-        They are applied to the filled heights.
     place : Position
     voids : tuple of Void
         Voids that may touch the block.
@@ -172,7 +169,6 @@ def fill_voids(
             rim = _rim(heights, cells, place, void)
             raster = rasterise(Tin.build(*rim), pixels_of(spec, block, place.frame.origin))
             values = np.where(inside, heights_in_units(raster.heights), values)
-    edits.set_heights(values)
     return values, {}
 
 

@@ -14,7 +14,7 @@ from tiler.core.records import SpoolRecord, TileRecord, buckets_in
 from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray, SurveyResult
 from tiler.core.selection import WITHHELD
 from tiler.core.units import in_unit_of_crs
-from tiler.core.words import counted
+from tiler.core.words import counted, listed
 from tiler.errors import InputError, ProcessingError
 from tiler.ingest.assemble import BucketParts
 from tiler.ingest.spool import OUTSIDE_AREA
@@ -143,8 +143,10 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
             f"{reason}: {unselected[key]:,} of the points read are neither filtered nor gridded; the clouds keep them"
         )
     if stored == 0:
+        files = listed([str(s.info.path) for s in good], 5, "files")
         raise InputError(
-            f"all {read:,} points were dropped ({', '.join(dropped)}): nothing is left to make a terrain of"
+            f"{files}: all {read:,} points were dropped ({', '.join(dropped)}): nothing is left to make a terrain of; "
+            "check their coordinates and the offsets of their headers"
         )
     return spooled, good
 
@@ -343,11 +345,9 @@ def _report_surveys(
         ]
         if denser and result.used < result.points:
             others = ", ".join(f"{o.name} ({o.density:.2g} points/m2)" for o in denser)
-            job.listener(
-                Warned(
-                    f"{others} counts before {result.name} ({result.density:.2g} points/m2), which is much denser; "
-                    "give --priority FILE if the denser survey is better"
-                )
+            job.doubt(
+                f"{others} counts before {result.name} ({result.density:.2g} points/m2), which is much denser; "
+                "give --priority FILE if the denser survey is better"
             )
 
 
@@ -367,7 +367,7 @@ def _report_steps(job: Job, result: SurveyResult) -> None:
             job.note(text)
             continue
         remedy = "check whether both have the same vertical datum, and shift one of them"
-        job.listener(Warned(in_unit_of_crs(f"{text}; {remedy}", job.plan.frame.units)))
+        job.doubt(in_unit_of_crs(f"{text}; {remedy}", job.plan.frame.units))
 
 
 def _settle_grid(job: Job, assembled: IngestResult, complete: bool) -> None:

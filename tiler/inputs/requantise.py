@@ -11,9 +11,8 @@ from fractions import Fraction
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
-from ptd.arrays import Bool, Int64
+from ptd.arrays import Bool, Int64, Integer
 from tiler.core.lattice import COUNTS_PER_UNIT, INT32_LIMIT, Bounds
 
 _SAFE = 2**62
@@ -57,7 +56,7 @@ def decimal_terms(scale: float, offset: float) -> tuple[int, int, int] | None:
     return whole_a, whole_c, d
 
 
-def to_counts(values: npt.NDArray[np.integer], scale: float, offset: float) -> AxisCounts:
+def to_counts(values: Integer, scale: float, offset: float) -> AxisCounts:
     """Convert the coordinates of one axis to absolute counts.
 
     Parameters
@@ -89,7 +88,7 @@ def to_counts(values: npt.NDArray[np.integer], scale: float, offset: float) -> A
     return AxisCounts(counts, usable, largest)
 
 
-def _in_floats(values: npt.NDArray[np.integer], scale: float, offset: float) -> AxisCounts:
+def _in_floats(values: Integer, scale: float, offset: float) -> AxisCounts:
     with np.errstate(over="ignore", invalid="ignore"):
         exact = (values.astype(np.float64) * scale + offset) * COUNTS_PER_UNIT
         usable = np.isfinite(exact) & (np.abs(exact) < BEYOND)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from tiler.config import RunConfig
+from tiler.core.area import Area
 from tiler.core.drawn_sheets import DrawnSheet
 from tiler.core.file_names import LONGEST, fault_of_name, folded
-from tiler.core.lattice import COUNTS_PER_UNIT
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.words import listed
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import POLYGONS, Feature
@@ -56,12 +58,7 @@ def with_drawn_sheets(plan: Plan) -> Plan:
     areas = [area_in_counts(feature.place, [feature]) for feature in features]
     near = plan.inputs.extent.pad(REACH)
     here = [i for i, area in enumerate(areas) if area.touches(near)]
-    if not any(areas[i].touches(plan.inputs.extent) for i in here):
-        west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
-        raise InputError(
-            f"{file}: no polygon contains a part of the clouds, which lie in ({west:.10g}, {south:.10g}) to "
-            f"({east:.10g}, {north:.10g}); give polygons there"
-        )
+    validate_on_clouds(config, [areas[i] for i in here], plan.inputs.extent)
     names = _names([features[i] for i in here], field)
     sheets = [DrawnSheet(name, areas[i]) for name, i in zip(names, here, strict=True)]
     pixel = float(plan.frame.counts(plan.grid.resolution))
@@ -69,6 +66,18 @@ def with_drawn_sheets(plan: Plan) -> Plan:
     warnings += _overlap_warnings(file, sheets, wide)
     inputs = replace(plan.inputs, sheets=tuple(sheets))
     return replace(plan, inputs=inputs, notes=tuple(notes), warnings=tuple(warnings))
+
+
+def validate_on_clouds(config: RunConfig, areas: Iterable[Area], extent: Bounds) -> None:
+    """Raise InputError if no area of the drawn sheets contains a part of the clouds, with this extent in counts."""
+    # Points on the outer edge of the extent make no pixel, so a sheet beyond it would be empty.
+    if config.sheet_file is None or any(area.touches(extent.pad(-2)) for area in areas):
+        return
+    west, south, east, north = (v / COUNTS_PER_UNIT for v in extent.to_json())
+    raise InputError(
+        f"{config.sheet_file}: no polygon contains a part of the clouds, which lie in ({west:.10g}, {south:.10g}) to "
+        f"({east:.10g}, {north:.10g}); give polygons there"
+    )
 
 
 def _overlap_warnings(
@@ -117,7 +126,8 @@ def _names(features: Sequence[Feature], field: str) -> list[str]:
         elif len(name.encode()) > LONGEST:
             fault = f"has more than {LONGEST} bytes"
         elif not fault and folded(name) in places:
-            fault = f"is on some disks also that of {places[folded(name)]}"
+            where = "" if name in names else "on some disks "
+            fault = f"is {where}also that of {places[folded(name)]}"
         if fault:
             raise InputError(
                 f"{feature.place}: its {field} {name!r} {fault}; give each sheet a name of its own that files may have"

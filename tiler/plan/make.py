@@ -56,7 +56,7 @@ from tiler.plan.method import (
 )
 from tiler.plan.model import Grid, Inputs, Plan, Resources, filled_sources
 from tiler.plan.sizes import DensityMap, resolution_of
-from tiler.plan.surveys import surveys_of
+from tiler.plan.surveys import Survey, surveys_of, visible_share
 from tiler.plan.validation import (
     validate,
     validate_output_paths,
@@ -163,8 +163,10 @@ def make_plan(
             f"the terrain is the surface of the run with pixels of {length_text(finest, crs.units.horizontal)}"
         )
 
+    surveys, survey_notes, survey_warnings = surveys_of(config, paths, sources)
+
     def planned(inspected: InspectedInputs, config: RunConfig) -> Plan:
-        plan = _plan_for(inspected, config, params)
+        plan = _plan_for(inspected, config, params, surveys)
         return replace(plan, grid=replace(plan.grid, finest=finest))
 
     plan = planned(inspected, config)
@@ -178,12 +180,11 @@ def make_plan(
         plan = planned(inspected, config)
     validate_distances(plan, inputs)
     plan = with_drawn_sheets(with_user_features(plan))
-    surveys, notes, warnings = surveys_of(config, paths, sources)
     plan = replace(
         plan,
         inputs=replace(plan.inputs, surveys=surveys),
-        notes=(*plan.notes, *notes),
-        warnings=(*plan.warnings, *warnings),
+        notes=(*plan.notes, *survey_notes),
+        warnings=(*plan.warnings, *survey_warnings),
     )
 
     def replan(**values: Any) -> Plan:
@@ -205,7 +206,9 @@ def make_plan(
     return plan
 
 
-def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Plan:
+def _plan_for(
+    inspected: InspectedInputs, config: RunConfig, params: Any, surveys: Sequence[Survey]
+) -> Plan:
     """Return the plan for the inspected files. Memory, disk and sizes are validated later."""
     units = inspected.crs.units
     inputs = inspected.planned(CLOUD_SUFFIXES[config.classified])
@@ -215,9 +218,9 @@ def _plan_for(inspected: InspectedInputs, config: RunConfig, params: Any) -> Pla
     frame = CoordFrame(units, sizes.origin_of(inputs.extent), inspected.crs.wkt)
     meta = _store_meta(inputs, frame, config, resources.memory, params)
     method = _method_plan(inputs, meta, resources, config, params, notes)
-    resolution = sizes.resolution_of(
-        config, inputs.density, method.kind, units.horizontal, notes
-    )
+    bounds = None if inputs.area is None else inputs.area.bounds
+    density = inputs.density * visible_share(surveys, inputs.filled, bounds)
+    resolution = sizes.resolution_of(config, density, method.kind, units.horizontal, notes)
     plan = Plan(
         config=config,
         inputs=inputs,

@@ -10,10 +10,13 @@ from fnmatch import translate
 from glob import escape, has_magic
 from pathlib import Path
 
+import numpy as np
+
 from tiler.config import RunConfig
 from tiler.core.dates import BY_GPS, Days, days_of, days_text, span_of
+from tiler.core.lattice import COUNTS_PER_UNIT, Bounds
 from tiler.core.words import counted, listed
-from tiler.errors import ConfigError
+from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo
 from tiler.inputs.lists import is_virtual
 from tiler.inputs.point_tiles import DATA_FOLDER, is_ept
@@ -84,6 +87,43 @@ def surveys_of(
     number = counted(len(surveys), "survey")
     note = f"decided: {number}{kind}, the first counts most: {names} (--priority)"
     return surveys, [note], warnings
+
+
+def visible_share(
+    surveys: Sequence[Survey], sources: Sequence[SourceInfo], area: Bounds | None
+) -> float:
+    """Estimate the share of the points that no survey that counts more covers, 1 without surveys.
+
+    Parameters
+    ----------
+    surveys : sequence of Survey
+        Surveys, the one that counts most first.
+    sources : sequence of SourceInfo
+        Files with points.
+    area : Bounds or None
+        Bounds in absolute counts within which points count; None for all points.
+    """
+    import shapely
+
+    visible, total, hidden = 0.0, 0.0, shapely.Polygon()
+    for survey in surveys:
+        patches = [p for s in sources if s.path in survey.paths for p in s.patches]
+        whole = shapely.box(
+            [p.x0 for p in patches],
+            [p.y0 for p in patches],
+            [p.x1 for p in patches],
+            [p.y1 for p in patches],
+        )
+        # A file whose points lie on a line has no area.
+        per_area = [p.points for p in patches] / np.maximum(shapely.area(whole), 1e-9)
+        if area is not None:
+            whole = shapely.intersection(
+                whole, shapely.box(*(v / COUNTS_PER_UNIT for v in area.to_json()))
+            )
+        total += float(shapely.area(whole) @ per_area)
+        visible += float(shapely.area(shapely.difference(whole, hidden)) @ per_area)
+        hidden = shapely.union(hidden, shapely.union_all(whole))
+    return visible / total if visible else 1.0
 
 
 def _days_of(sources: Sequence[SourceInfo]) -> tuple[list[Days | None], str]:
@@ -188,7 +228,7 @@ def _lines_of(file: Path) -> list[tuple[int, str]]:
     remedy = "give a text file (UTF-8) with a line per survey, or newest"
     try:
         if not file.exists():
-            raise no_such_file(file, remedy)
+            raise InputError(f"--priority {no_such_file(file, remedy)}")
         if not file.is_file():  # Opening a pipe would wait for its writer.
             raise ConfigError(f"--priority {file}: is not a regular file; {remedy}")
         with file.open("rb") as stream:

@@ -34,6 +34,9 @@ TITLES = {OPEN: "open (u)", OK: "right as it is (o)", FIXED: "change it with the
 """Texts of the decisions, with their keys."""
 CLIPPED_PERCENT = 1.0
 """Percentage of the points at either end of the heights that a section may leave out."""
+BEYOND_M = 10.0
+"""Height above and below the terrain beyond which a section shows no points. The top of a tree would flatten the
+terrain."""
 
 
 @dataclass(frozen=True)
@@ -141,12 +144,11 @@ def card(
 
 def views(place: Card, run: Mapping[str, Any], units: tuple[float, float]) -> Node:
     """Return the pictures of a place, before and after the suggested edit, and the section."""
-    wide, high = units
     figures = [_picture(place, place.before, run, "terrain")]
     if place.after is not None:
         action = place.columns["action"]
         figures.append(_picture(place, place.after, run, f"with the edit {action}"))
-    return el("div", *figures, _section(place.section, short_unit(high), wide), class_="views")
+    return el("div", *figures, _section(place.section, units), class_="views")
 
 
 def _title(columns: Mapping[str, Any]) -> str:
@@ -161,7 +163,7 @@ def _likely(columns: Mapping[str, Any]) -> str | None:
 
 def small_card(place: Card, run: Mapping[str, Any], units: tuple[float, float]) -> Node:
     """Return what a report shows of a place: a picture of the terrain and the section."""
-    columns, (wide, high) = place.columns, units
+    columns = place.columns
     likely = _likely(columns)
     return el(
         "article",
@@ -171,7 +173,7 @@ def small_card(place: Card, run: Mapping[str, Any], units: tuple[float, float]) 
         el(
             "div",
             _picture(place, place.before, run, "terrain"),
-            _section(place.section, short_unit(high), wide),
+            _section(place.section, units),
             class_="views",
         ),
         class_="place small",
@@ -217,7 +219,7 @@ def _picture(place: Card, heights: Float32, run: Mapping[str, Any], title: str) 
     rows, columns = heights.shape
     west, south, east, north = place.extent
     across, down = columns / (east - west), rows / (north - south)
-    shade = hillshade(heights, place.extent, run)
+    shade = hillshade(heights, place.extent, run, like=place.before)
 
     def text(corners: Float64) -> str:
         at = np.stack(((corners[:, 0] - west) * across, (north - corners[:, 1]) * down), axis=1)
@@ -247,9 +249,9 @@ def _picture(place: Card, heights: Float32, run: Mapping[str, Any], title: str) 
     return el("figure", picture, el("figcaption", title))
 
 
-def _section(section: Section, unit: str, metres: float) -> Node:
+def _section(section: Section, units: tuple[float, float]) -> Node:
     """Return the section: points of a strip, the terrain, and the terrain after the suggested edit."""
-    low, high = _height_range(section)
+    low, high = _height_range(section, BEYOND_M / units[1])
 
     def across(along: float) -> float:
         return LEFT + (WIDTH - LEFT - RIGHT) * along / max(section.length, 1e-9)
@@ -288,28 +290,40 @@ def _section(section: Section, unit: str, metres: float) -> Node:
         role="img",
         class_="section",
     )
-    caption = el("figcaption", _caption(section, unit, metres))
+    caption = el("figcaption", _caption(section, units, low, high))
     return el("figure", picture, caption, class_="across")
 
 
-def _height_range(section: Section) -> tuple[float, float]:
-    """Return the lowest and highest height of the picture, without the few highest and lowest points."""
-    lines = [section.before] if section.after is None else [section.before, section.after]
-    points = np.concatenate((section.ground[1], section.others[1]))
+def _height_range(section: Section, beyond: float) -> tuple[float, float]:
+    """Return the lowest and highest height of the picture, at most ``beyond`` the terrain for points."""
+    lines = np.concatenate((section.before, () if section.after is None else section.after))
+    heights, points = lines[np.isfinite(lines)], _heights_of_points(section)
     if points.size:
-        lines.append(np.percentile(points, (CLIPPED_PERCENT, 100 - CLIPPED_PERCENT)))
-    heights = np.concatenate(lines)
-    return height_range(heights[np.isfinite(heights)].tolist() or [0.0], [])
+        ends = np.percentile(points, (CLIPPED_PERCENT, 100 - CLIPPED_PERCENT))
+        if heights.size:
+            ends = np.clip(ends, heights.min() - beyond, heights.max() + beyond)
+        heights = np.concatenate((heights, ends))
+    return height_range(heights.tolist() or [0.0], [])
 
 
-def _caption(section: Section, unit: str, metres: float) -> str:
+def _heights_of_points(section: Section) -> Float64:
+    return np.concatenate((section.ground[1], section.others[1]))
+
+
+def _caption(section: Section, units: tuple[float, float], low: float, high: float) -> str:
+    metres, unit, points = units[0], short_unit(units[1]), _heights_of_points(section)
     text = f"Section along the dashed line, heights in {unit}: terrain (line)"
     if section.after is not None:
         text += ", terrain with the edit (red)"
     if not section.width:
         return f"{text}. Points are not shown, because the store of the run is not there or cannot be read."
     width = length_text(round(section.width * metres, 2), metres)
-    return f"{text}, points of a strip of {width}: ground (brown), others (blue)."
+    text += f", points of a strip of {width}: ground (brown), others (blue)."
+    if (points > high).any():
+        text += f" Points above {high:,.1f} {unit} are not shown."
+    if (points < low).any():
+        text += f" Points below {low:,.1f} {unit} are not shown."
+    return text
 
 
 def _runs(section: Section) -> list[tuple[float, float]]:

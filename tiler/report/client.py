@@ -11,10 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import shapely
+
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.units import area_text, short_unit, small_area_text
 from tiler.core.words import counted
-from tiler.io.result_folder import results_name, written_rasters
+from tiler.io.result_folder import SHEETS, results_name, written_rasters
+from tiler.io.vector import POLYGONS
+from tiler.io.vector.reading import read_features
 from tiler.observe.progress import size_text
 from tiler.report.accuracy import (
     AtCheckpoints,
@@ -83,6 +87,8 @@ def client_page(out: Path, run: Run, entries: Sequence[Mapping[str, Any]]) -> by
 
     Raises
     ------
+    InputError
+        The index of sheets cannot be read.
     ProcessingError
         A raster cannot be read.
     """
@@ -92,7 +98,7 @@ def client_page(out: Path, run: Run, entries: Sequence[Mapping[str, Any]]) -> by
         checked = at_checkpoints(run["check"], rasters)
         drawn = el("p", "No terrain model is delivered, so there is no map.")
         if terrain := rasters.get("dtm"):
-            drawn = client_map(run, entries, terrain)
+            drawn = client_map(out, run, entries, terrain)
     header = el(
         "header",
         el("p", state_text(run), class_=f"state {'good' if is_good(run) else 'bad'}"),
@@ -221,11 +227,13 @@ def _content(entry: Mapping[str, Any]) -> str:
     return str(entry["kind"])
 
 
-def client_map(run: Run, entries: Sequence[Mapping[str, Any]], terrain: str) -> Node:
+def client_map(out: Path, run: Run, entries: Sequence[Mapping[str, Any]], terrain: str) -> Node:
     """Return the map as a figure.
 
     Parameters
     ----------
+    out : Path
+        Folder of the run, whose index of sheets has their polygons.
     run : mapping
         Content of run.json.
     entries : sequence of mapping
@@ -235,6 +243,8 @@ def client_map(run: Run, entries: Sequence[Mapping[str, Any]], terrain: str) -> 
 
     Raises
     ------
+    InputError
+        The index of sheets cannot be read.
     rasterio.errors.RasterioError
         The terrain cannot be read.
     """
@@ -242,7 +252,8 @@ def client_map(run: Run, entries: Sequence[Mapping[str, Any]], terrain: str) -> 
     drawing = _Drawing(picture, extent)
     sheets = [e for e in entries if e.get("product") == "dtm" and "/" in e["path"]]
     width, height = picture.size
-    shapes = [*_areas(run, drawing), *_drawn_voids(run, drawing), *_sheets(sheets, drawing)]
+    shapes = [*_areas(run, drawing), *_drawn_voids(run, drawing)]
+    shapes += _sheets(sheets, _sheet_shapes(out, len(sheets)), drawing)
     # A picture inside the picture cuts off what lies beyond the terrain.
     inside = el(
         "svg",
@@ -278,7 +289,7 @@ def _legend(run: Run, n_sheets: int) -> Iterator[tuple[str, str]]:
     if n_sheets:
         is_drawn = n_sheets <= MAX_SHEETS
         yield (
-            "extents of the sheets" if is_drawn else f"{n_sheets:,} sheets are not drawn",
+            "sheets" if is_drawn else f"{n_sheets:,} sheets are not drawn",
             SHEET_COLOUR,
         )
 
@@ -297,18 +308,31 @@ def _drawn_voids(run: Run, drawing: _Drawing) -> Iterator[Node]:
         yield drawing.area(rings, VOID_COLOUR, 0.3)
 
 
-def _sheets(sheets: Sequence[Mapping[str, Any]], drawing: _Drawing) -> Iterator[Node]:
-    """Yield the extents of the sheets, and those names that fit into them."""
+def _sheet_shapes(out: Path, number: int) -> dict[Any, Any]:
+    """Return the polygons of the sheets by path, or none if the run wrote no index or the map does not draw them."""
+    if not (0 < number <= MAX_SHEETS and (out / SHEETS).is_file()):
+        return {}
+    rows = read_features(out / SHEETS, POLYGONS, every_layer=True, may_be_empty=True).features
+    return {row.attributes.get("location"): row.geometry for row in rows}
+
+
+def _sheets(
+    sheets: Sequence[Mapping[str, Any]], shapes: Mapping[Any, Any], drawing: _Drawing
+) -> Iterator[Node]:
+    """Yield the outlines of the sheets, and those names that fit into them."""
     if not 0 < len(sheets) <= MAX_SHEETS:
         return
-    yield drawing.area([_corners(sheet["bounds"]) for sheet in sheets], SHEET_COLOUR, 0.0)
-    for sheet in sheets:
+    drawn = [shapes.get(sheet["path"]) or shapely.box(*sheet["bounds"]) for sheet in sheets]
+    parts = shapely.get_parts(drawn)
+    rings = [shapely.get_coordinates(r).ravel().tolist() for r in shapely.get_rings(parts)]
+    yield drawing.area(rings, SHEET_COLOUR, 0.0)
+    for sheet, shape in zip(sheets, drawn, strict=True):
         text = PurePosixPath(sheet["path"]).stem.removeprefix("dtm_")
-        west, south, east, north = sheet["bounds"]
+        west, south, east, north = shape.bounds
         (left, _), (right, _) = drawing.at(west, south), drawing.at(east, north)
         if LETTER_WIDTH * drawing.text_size * len(text) <= right - left:
-            middle = drawing.at((west + east) / 2, (south + north) / 2)
-            yield drawing.text(*middle, text, "middle", class_="on")
+            middle = shape.representative_point()
+            yield drawing.text(*drawing.at(middle.x, middle.y), text, "middle", class_="on")
 
 
 def _corners(bounds: Sequence[float]) -> list[float]:

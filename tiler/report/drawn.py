@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from tiler.core.edits import VOID
 from tiler.core.units import length_text, short_unit, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
@@ -117,6 +118,9 @@ def _levels(body: Mapping[str, Any]) -> str:
 
 def changed_text(edit: Mapping[str, Any]) -> str:
     """Return the effect of an edit in words, as if it did not overlap with other edits."""
+    if edit["action"] == VOID:
+        # At the border of the survey they are outside now, elsewhere they are holes.
+        return f"{counted(edit.get('pixels', 0), 'pixel')} set to nodata"
     holes = f"; {counted(edit['holes'], 'pixel')} without a height" if edit.get("holes") else ""
     if "pixels" in edit:
         return f"{counted(edit['pixels'], 'pixel')}{holes}"

@@ -250,8 +250,19 @@ def _strips(rows: int) -> Iterator[slice]:
         yield slice(first, min(first + STRIP_ROWS, rows))
 
 
-def hillshade(heights: Float32, extent: Extent, run: Mapping[str, Any]) -> Picture:
-    """Draw a hillshade of the decimated heights, as details smaller than a pixel of the picture are not visible."""
+def hillshade(
+    heights: Float32, extent: Extent, run: Mapping[str, Any], like: Float32 | None = None
+) -> Picture:
+    """Draw a hillshade of the decimated heights, as details smaller than a pixel of the picture are not visible.
+
+    Its scale of greys is that of a picture of the heights ``like`` in the same extent, by default its own.
+    """
+    shade = _shade(heights, extent, run)
+    low, high = _range(shade if like is None else _shade(like, extent, run))
+    return _ramp("hillshade", "Hillshade", shade, min(low, 120.0), max(high, 200.0), GREY, None)
+
+
+def _shade(heights: Float32, extent: Extent, run: Mapping[str, Any]) -> Float32:
     west, south, east, north = extent
     wide_m, high_m = units_of(run)
     rows, columns = heights.shape
@@ -267,8 +278,7 @@ def hillshade(heights: Float32, extent: Extent, run: Mapping[str, Any]) -> Pictu
         to_east = np.gradient(part, across, axis=1) if columns > 1 else level
         inner = slice(strip.start - first, strip.stop - first)
         shade[strip] = multidirectional_hillshade(to_east[inner], -to_south[inner])
-    low, high = _range(shade)
-    return _ramp("hillshade", "Hillshade", shade, min(low, 120.0), max(high, 200.0), GREY, None)
+    return shade
 
 
 def _heights(heights: Float32, run: Mapping[str, Any]) -> Picture:

@@ -91,14 +91,14 @@ def problems_of(run: Run) -> list[Problem]:
     """Return all problems of a run, in the order of `SOURCES`."""
     statistics = run.get("statistics") or {}
     kind = statistics.get("survey", {}).get("survey", {}).get("kind")
-    right = {(what, *where) for what, *where in run.get("found_right", ())}
+    right = set(map(tuple, run.get("found_right", ())))
     found = []
     for problem in (problem for source in SOURCES for problem in source(run)):
         if problem.where is not None:
             chance = problem.chance
             if chance is None:
                 chance = chance_of(problem.what, kind, problem.area_m2)
-            status = OK if (problem.what, *problem.where) in right else OPEN
+            status = OK if (problem.what, problem.why, *problem.where) in right else OPEN
             problem = problem._replace(chance=chance, status=status)
         found.append(problem)
     return found

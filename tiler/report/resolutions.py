@@ -71,7 +71,7 @@ def resolutions_page(
             header.append(el("p", f"{made_text(first)}.", class_="lead"))
             terrain = written_rasters(first).get("dtm")
             if terrain and (out / folder / terrain).is_file():
-                drawn = client_map(first, (), str(out / folder / terrain))
+                drawn = client_map(out / folder, first, (), str(out / folder / terrain))
                 sections.append(section("map", "Map", drawn))
     return page(title, header, sections, maker=MAKER)
 

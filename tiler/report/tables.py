@@ -39,7 +39,8 @@ def specification(run: Run) -> Node:
     units = plan.get("units", {})
     vertical = vertical_name(plan["crs"]) or "not given"
     terrain = run.get("dtm")
-    size = f", {terrain['width']:,} x {terrain['height']:,} pixels" if terrain else ""
+    cut = "sheets cut from " if run.get("sheets") else ""
+    size = f", {cut}{terrain['width']:,} x {terrain['height']:,} pixels" if terrain else ""
     pairs: dict[str, Content] = {
         "horizontal CRS": f"{_horizontal(run)}; unit: {units.get('horizontal', 'unknown')}",
         "vertical datum": f"{vertical}; unit: {units.get('vertical', 'unknown')}",
@@ -217,7 +218,15 @@ def _surveys(run: Run) -> list[Content]:
         )
         for survey in run.get("surveys", ())
     ]
-    columns = ("survey", "days", "files", "points", "used", "area given", "height above others")
+    columns = (
+        "survey",
+        "days",
+        "files",
+        "points",
+        "used",
+        "cells with points",
+        "height above others",
+    )
     return [el("h4", "Surveys"), table(columns, rows, (2, 3, 4, 5))] if rows else []
 
 

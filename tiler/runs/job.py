@@ -12,7 +12,7 @@ from tiler.core.units import in_unit_of_crs
 from tiler.errors import ConfigError
 from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.result_folder import RUN, local_folder, written_rasters
-from tiler.observe.events import Detail, Listener, Note
+from tiler.observe.events import Detail, Listener, Note, Warned
 from tiler.plan import Plan
 from tiler.redaction import stored
 from tiler.report.notebook import run_markup
@@ -209,6 +209,11 @@ class Job:
         Call it before that. Otherwise a killed run could leave commits without their data.
         """
         self.store.uncommit(stage, *keys)
+
+    def doubt(self, text: str) -> None:
+        """Warn of a doubtful decision, which is a problem of the report as well."""
+        self.results.doubts = [*vars(self.results).get("doubts", ()), text]
+        self.listener(Warned(text))
 
     def problems(self) -> list[Problem]:
         """Return the problems that the stages found until now."""

@@ -99,7 +99,7 @@ class Results:
         Settings that the data show to be wrong.
     advice_at : list of [x, y]
         Position of each advice.
-    found_right : list of [kind, west, south, east, north]
+    found_right : list of [kind, cause, west, south, east, north]
         Problems at places that a user found to be right.
     outputs : mapping of str to int
         Files in OUT that this run wrote or found up to date, and their sizes in bytes.

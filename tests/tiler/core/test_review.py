@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiler.core.review import (
+    FAILED,
     FIXED,
     OK,
     OPEN,
@@ -102,6 +103,12 @@ def test_the_note_of_an_open_place_stays_with_it() -> None:
     earlier = decided_or_noted([row(2, note="ask"), row(50), row(60, note="it is gone")])
     assert listed([row(0), row(100)], earlier) == [row(0, note="ask"), row(100)]
     assert listed([row(0, reason="other")], earlier) == [row(0, reason="other")]
+
+
+def test_a_task_that_failed_again_is_open_and_keeps_its_note() -> None:
+    failed = row(0, reason=FAILED)
+    decided = decided_or_noted([replace(failed, status=OK, note="bad disk")])
+    assert ranked([failed], decided) == ([replace(failed, note="bad disk")], [])
 
 
 def test_a_place_without_an_outline_is_not_listed() -> None:

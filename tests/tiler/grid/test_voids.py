@@ -81,7 +81,6 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
         reads = {
             "heights": Read("pixels:dtm"),
             "cells": Read("coarse:voids"),
-            "edits": Read("edits"),
             "place": Read("place"),
         }
         return make_block(

@@ -185,10 +185,12 @@ def test_a_bad_file_is_one_clear_line(
 
 def test_only_a_regular_file_is_read(write: Write, tmp_path: Path) -> None:
     files = [write("a.las", date(2020, 1, 1))]
-    with pytest.raises(InputError, match=r"surveys\.txt: no such file; give a text file"):
+    with pytest.raises(
+        InputError, match=r"^--priority .*surveys\.txt: no such file; give a text file"
+    ):
         surveys(tmp_path / "surveys.txt", files)
     with pytest.raises(
-        InputError, match=r"^https://x/s\.txt: .* not read from a URL; download"
+        InputError, match=r"^--priority https://x/s\.txt: .* not read from a URL; download"
     ):
         surveys("https://x/s.txt", files)
     with pytest.raises(ConfigError, match="is not a regular file; give a text file"):

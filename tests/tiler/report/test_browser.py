@@ -51,6 +51,12 @@ CELLS_CUT_OFF = """() => [...document.querySelectorAll("td")].filter((cell) => {
 }).map((cell) => cell.textContent)"""
 
 
+SMALLEST_LABEL = """() => Math.min(...[...document.querySelectorAll("svg.section text")].map(
+  (label) => parseFloat(getComputedStyle(label).fontSize) * label.getScreenCTM().a
+))"""
+"""Smallest size of the labels of sections, in pixels of the screen."""
+
+
 NEXT_FRAMES = (
     "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 )
@@ -242,6 +248,7 @@ def test_places_are_decided_by_keyboard_and_saved(
     page.goto(written.as_uri())
     page.wait_for_selector(READY, state="attached")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.evaluate(SMALLEST_LABEL) >= 9
     page.keyboard.press("s")
     assert page.locator("#saved").inner_text() == "No place is decided."
     first = page.locator("#place-1")
@@ -289,6 +296,7 @@ def test_squares_are_answered_by_keyboard_and_saved(
     page.goto(Path(made.page).as_uri())
     page.wait_for_selector(READY, state="attached")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.evaluate(SMALLEST_LABEL) >= 9
     page.keyboard.press("s")
     assert page.locator("#saved").inner_text() == "No square is answered."
     for key in "n3n1nup4u":

@@ -6,7 +6,10 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyogrio
 import pytest
+import shapely
 
 from tests.tiler.report import results
 from tiler.core.products import FILLED, HOLE, MASK_VALUES, MEASURED, OUTSIDE
@@ -91,7 +94,7 @@ def test_sheets_and_voids_are_drawn_where_they_are(tmp_path: Path) -> None:
     _, markup = written(tmp_path, run(), [sheet])
     paths = re.findall(r'<path d="(.+?)"', markup)
     # A pixel of the picture is 1 m.
-    assert "M30 40L60 40L60 20L30 20L30 40Z" in paths
+    assert "M60 40L60 20L30 20L30 40L60 40Z" in paths
     assert "M10 9L13 9L13 5L10 5L10 9Z" in paths
     assert re.search(r'<text x="45" y="30"[^>]*>east_1</text>', markup)
 
@@ -154,3 +157,26 @@ def test_a_run_without_a_terrain_has_a_page(absent: tuple[str, ...], tmp_path: P
     content = {name: value for name, value in run(outputs={}).items() if name not in absent}
     page, _ = written(tmp_path, content, [entry("outline.gpkg")])
     assert "No terrain model is delivered" in page.texts["map"]
+
+
+def test_drawn_sheets_are_polygons_with_holes_on_the_map(tmp_path: Path) -> None:
+    bounds = [WEST, NORTH - 40, WEST + 60, NORTH]
+    outer = [(0, 0), (60, 0), (60, 20), (0, 40), (0, 0)]
+    hole = [(10, 5), (20, 5), (20, 15), (10, 5)]
+    rings = [[(WEST + x, NORTH - y) for x, y in ring] for ring in (outer, hole)]
+    (tmp_path / "town").mkdir()
+    shapes = shapely.to_wkb(np.array([shapely.Polygon(rings[0], rings[1:])]))
+    pyogrio.raw.write(
+        tmp_path / "town/sheets.gpkg",
+        shapes,
+        [np.array(["dtm/dtm_a.tif"], object)],
+        ["location"],
+        geometry_type="Polygon",
+        crs="EPSG:32632",
+        layer="dtm",
+    )
+    page, markup = written(tmp_path, run(), [entry("dtm/dtm_a.tif", **RASTER, bounds=bounds)])
+    assert "M0 0L60 0L60 20L0 40L0 0ZM10 5L20 5L20 15L10 5Z" in re.findall(
+        r'<path d="(.+?)"', markup
+    )
+    assert "sheets" in page.texts["map"]

@@ -87,7 +87,7 @@ def test_specification_holds_what_a_tender_asks_for(tmp_path: Path) -> None:
     text = page_of(tmp_path / "out", content).texts["specification"]
     assert text == (
         " Specification horizontal CRS WGS 84 / UTM zone 32N (EPSG:32632), data at 48.75° N, 9.00° E; unit: metre"
-        " vertical datum NAVD88 height (EPSG:5703); unit: foot pixel 1 m, 60 x 40 pixels"
+        " vertical datum NAVD88 height (EPSG:5703); unit: foot pixel 1 m, sheets cut from 60 x 40 pixels"
         " nodata -32768 (dtm); none (density); 0 (mask)"
         " sheets 12 sheets with sides of 1000 m, files named {name}_{x_km}_{y_km}, with the names dtm=MNT"
         " products dtm (float32), density (float32), mask (uint8) as cloud-optimized GeoTIFF, compression zstd;"

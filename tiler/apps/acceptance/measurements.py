@@ -32,8 +32,10 @@ from tiler.core.words import counted, listed
 
 Limit = Literal["at least", "at most", "only"]
 
-MAX_PLACES = 5
-"""Number of places and files that a row names."""
+MAX_PLACES = 1000
+"""Number of places that a row names. Texts and pages show the first of them."""
+LARGEST = 5
+"""Number of cells that the row of the largest difference names."""
 
 
 NO_CELLS = "no shared cell of swaths can be compared"
@@ -179,7 +181,7 @@ def _swath_difference_largest(found: Separation) -> Found:
     size_m = np.abs(found.difference_m)
     where = [
         f"{found.x[i]:.1f} {found.y[i]:.1f} ({_signed(found.difference_m[i])}, {found.second[i]} - {found.first[i]})"
-        for i in np.lexsort((found.x, found.y, -size_m))[:MAX_PLACES].tolist()
+        for i in np.lexsort((found.x, found.y, -size_m))[:LARGEST].tolist()
     ]
     return Found(float(size_m.max()), where)
 

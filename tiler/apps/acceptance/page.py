@@ -10,7 +10,7 @@ from tiler.core.words import counted, listed
 from tiler.report.document import Node, el, more, page, section, table
 
 MAKER = "tiler check"
-MAX_ROWS = 1000
+MAX_ROWS, MAX_PLACES = 1000, 50
 """Largest number of pairs of swaths, of clouds, and of places of a row."""
 IN_JSON = "the output of --json"
 BAD = ("fail", "not measured")
@@ -46,7 +46,7 @@ def _row(row: AcceptanceRow) -> tuple[Node | str, ...]:
     if row["state"] in BAD:
         state = el("strong", row["state"], class_="bad")
     told = [row["remark"]] if row["remark"] else []
-    told += [listed(row["where"], MAX_ROWS)] if row["where"] else []
+    told += [listed(row["where"], MAX_PLACES)] if row["where"] else []
     return (
         row["name"].replace("_", " "),
         asked_text(row),

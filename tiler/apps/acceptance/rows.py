@@ -69,6 +69,8 @@ def _of_swaths(
     """Return a function that finds the median or the least value of the swaths."""
 
     def find(cells: CellFindings, measured: Measurements) -> Found:
+        if not _n_swaths(measured):
+            return Found(None, remark=WITHOUT_SOURCES)
         if cells.n_random:
             return Found(None, remark=RANDOM_SOURCES)
         if not cells.swaths:
@@ -139,10 +141,11 @@ def _classes(measured: Measurements) -> Found:
 
 def _duplicates(measured: Measurements) -> Found:
     if len(measured.files) > 1 and measured.total(lambda file: file.outside):
-        return Found(
-            None,
-            remark="points lie outside the bounds of their file, so not all files were compared",
+        remark = (
+            f"{counted(measured.n_duplicates, 'point')} at least; points lie outside the bounds of their file, so not "
+            "all files were compared"
         )
+        return Found(None, [str(p) for p in measured.with_duplicates], remark)
     timeless = measured.paths(lambda file: file.times_kind == "none")
     remark = "same x, y, z and GPS time"
     if timeless:
@@ -327,8 +330,8 @@ ROWS = (
         "places",
         "at most",
         _number_of_places(lambda c: c.voids),
-        "places inside the survey of at least 2 x 2 cells without a first return; water and dark surfaces are not told "
-        "apart from missing data",
+        "places inside the survey of at least 4 connected cells without a first return; water and dark surfaces are "
+        "not told apart from missing data",
     ),
     Row(
         "void_area",

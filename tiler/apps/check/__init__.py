@@ -15,6 +15,7 @@ from tiler.apps.check.measuring import (
     measure,
     parse_requirements,
     terrain_in,
+    with_earlier,
 )
 from tiler.apps.check.points import Checkpoints, PointOptions, read_checkpoints
 
@@ -33,5 +34,6 @@ __all__ = [
     "seam_steps",
     "strip_differences",
     "terrain_in",
+    "with_earlier",
     "write_figures",
 ]

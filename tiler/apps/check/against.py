@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from ptd.arrays import Float64
+from ptd.arrays import Float64, Integer
 from tiler.apps.check.accuracy import between_centres, pixel_places
 from tiler.apps.difference_statistics import SpreadTally
 from tiler.apps.evaluate.heights import (
@@ -50,8 +49,6 @@ MAX_PLACES = 100
 
 CHANGE_M = 0.5
 """Default of the least difference that is a change, metres."""
-
-Labels = npt.NDArray[np.integer]
 
 
 class AgainstOptions(NamedTuple):
@@ -314,7 +311,7 @@ class _Tally:
             self._places(labels), key=lambda place: (-place["volume_m3"], place["bounds"])
         )
 
-    def _places(self, labels: Labels) -> Iterator[ChangePlace]:
+    def _places(self, labels: Integer) -> Iterator[ChangePlace]:
         t, pixel_m2 = self._transform, self._pixel**2
         for number, box in enumerate(scipy.ndimage.find_objects(labels), 1):
             inside = labels[box] == number

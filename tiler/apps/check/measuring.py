@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from tiler.apps.check.accuracy import check_dtm
 from tiler.apps.check.against import AgainstOptions, compare, pixels_of, validate_difference
@@ -25,6 +25,10 @@ from tiler.schedule import call_isolated, fork_server_running, half_of_memory
 
 SECONDS, SECONDS_PER_PIXEL = 120.0, 1e-5
 """Time that a comparison of rasters may take. It takes 0.2 to 0.6 s per million pixels."""
+
+
+MEASURED_PARTS = ("accuracy", "seams", "strips", "against")
+"""Parts of what a check measures."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,23 @@ def judge(requirements: Sequence[Requirement], measured: Measured) -> list[Judge
             {"name": requirement.name, "limit": limit, "value": value, "unit": unit, "met": met}
         )
     return judged
+
+
+def with_earlier(summary: CheckSummary, earlier: Mapping[str, Any]) -> CheckSummary:
+    """Return the measurements of a check with those of an earlier check of the same terrain that it did not repeat.
+
+    Earlier requirements remain, and are judged by the latest measurements, unless the check has a limit of its own.
+    """
+    parts = {part: earlier[part] for part in MEASURED_PARTS if part in earlier}
+    together = cast(CheckSummary, {**parts, **summary})
+    given = {requirement["name"] for requirement in summary["requirements"]}
+    kept = [
+        Requirement(asked["name"], Fraction(repr(asked["limit"])))
+        for asked in earlier.get("requirements", ())
+        if asked["name"] in METRICS.keys() - given and METRICS[asked["name"]].part in together
+    ]
+    together["requirements"] = [*judge(kept, together), *summary["requirements"]]
+    return together
 
 
 def terrain_in(out: str) -> str:

@@ -67,8 +67,11 @@ def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[Non
     try:
         yield
     except (RasterioError, CRSError, ProjError, UnicodeDecodeError) as error:
-        reason = printable(" ".join(str(error).split()))
-        raise InputError(f"{path}: {what} ({reason}); give a readable raster") from error
+        reason, remedy = printable(" ".join(str(error).split())), "give a readable raster"
+        if Path(path).is_dir():  # GDAL reads some folders, such as grids of ArcInfo.
+            reason = "the folder is not a raster"
+            remedy = "give a raster, or a folder with clouds or the results of a run"
+        raise InputError(f"{path}: {what} ({reason}); {remedy}") from error
 
 
 def raster_beside(dtm: Path | str, product: str) -> Path | None:

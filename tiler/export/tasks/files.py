@@ -166,7 +166,9 @@ def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Ta
             path = f"{product}/{values['to'].name}"
             void = 100 * (1 - record.valid / max(record.own, 1))
             sheet_files.append(
-                SheetFile(product, path, part.spec, void, record.min, record.max)
+                SheetFile(
+                    product, path, part.spec, void, record.min, record.max, values.get("clip")
+                )
             )
     if sheet_files:
         index = calling(write_sheet_index, to=OutFile(out, SHEETS), sheets=tuple(sheet_files))

@@ -9,6 +9,7 @@ from typing import Any
 import shapely
 
 from tiler.core.breaklines import area_within
+from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.results import ReviewResult
 from tiler.core.review import (
     BARE,
@@ -33,6 +34,7 @@ from tiler.io.locations import is_url, joined, state_at
 from tiler.io.overwrite_check import same_file
 from tiler.io.result_folder import REVIEW
 from tiler.io.vector import CUT, POLYGONS, Feature, read_in_crs
+from tiler.io.vector.opening import IN_USE
 from tiler.observe.events import Note, Warned
 from tiler.report.problems import AT_BORDER, INSIDE, WITHOUT_RETURNS, Problem
 from tiler.runs.found import Gridded, final_raster
@@ -109,24 +111,28 @@ def _decided(job: Job) -> list[ReviewRow]:
     """Return the rows that the user decided on or noted, of the file in OUT and of one that is given with ``--edits``.
 
     A file in OUT that cannot be read is moved, and one with columns of the user is copied, so that nothing is lost.
+    Raise InputError if another program has locked the file.
     """
     given, here = job.plan.config.edits, joined(job.products, REVIEW)
-    edits = decided_or_noted(_rows(job, given)) if given is not None else []
+    rows = decided_or_noted(_rows(job, given)) if given is not None else []
+    is_given = given is not None and same_file(given, here)
+    edits = rows if is_given else _in_survey(job, rows)
     if is_url(here) or state_at(here) is None:
         return edits
-    is_given = given is not None and same_file(given, here)
     try:
         places = _read(job, here)
         if not is_given and any(not is_place(p.layer, p.attributes) for p in places):
             raise InputError(f"{here}: has no layer of places to review")
     except InputError as error:
+        if IN_USE in str(error):
+            raise
         text = f"{error}; moved to {archive(job, [REVIEW])}/, so its statuses are not used"
         job.listener(Warned(text))
         return edits
     _keep_other_columns(job, places)
     if is_given:
         return edits
-    decided = without_copies(decided_or_noted([_row_of(place) for place in places]), edits)
+    decided = without_copies(decided_or_noted([_row_of(place) for place in places]), rows)
     unknown = sorted({row.status for row in decided} - set(STATUSES))
     if unknown:
         job.listener(
@@ -137,6 +143,21 @@ def _decided(job: Job) -> list[ReviewRow]:
         remedy = f"use --edits {here}" if given is None else f"copy them into {given}"
         job.listener(Warned(f"{here}: {number} not among the edits of this run; {remedy}"))
     return [*decided, *edits]
+
+
+def _in_survey(job: Job, rows: Sequence[ReviewRow]) -> list[ReviewRow]:
+    """Return the rows inside the extent of the clouds, with a note on the others, which are of another survey."""
+    survey = shapely.box(*(v / COUNTS_PER_UNIT for v in job.plan.inputs.extent.to_json()))
+    inside = [row for row in rows if shapely.intersects(survey, shapely.from_wkb(row.shape))]
+    if n_outside := len(rows) - len(inside):
+        number = counted(n_outside, "place")
+        verb = "lies" if n_outside == 1 else "lie"
+        job.note(
+            f"{job.plan.config.edits}: {number} of it {verb} outside the survey, so {REVIEW} does not list "
+            f"{'it' if n_outside == 1 else 'them'}",
+            Note,
+        )
+    return inside
 
 
 def _keep_other_columns(job: Job, places: Sequence[Feature]) -> None:

@@ -22,6 +22,7 @@ from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export.polygons import find_drawn_sheets, find_sheets
 from tiler.observe.events import Warned
+from tiler.plan.drawn_sheets import validate_on_clouds
 from tiler.runs.found import Gridded, Sheet, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -31,7 +32,10 @@ STAGE = "sheets"
 
 
 def cut(job: Job, context: Gridded) -> list[Sheet]:
-    """Return the sheets of a run, or an empty list if its products are not divided."""
+    """Return the sheets of a run, or an empty list if its products are not divided.
+
+    Raise InputError if the terrain has heights, but none in the polygons of the user.
+    """
     if context.plan.config.sheets is None:
         return []
     tasks = list(height_tasks(context))
@@ -43,6 +47,8 @@ def cut(job: Job, context: Gridded) -> list[Sheet]:
     stored = [record for _, record in made.values()]
     chosen = _drawn if context.plan.inputs.sheets else _in_grid
     filled, every = chosen(context, stored)
+    if tasks and not filled and not (every and context.plan.config.empty_sheets):
+        validate_on_clouds(context.plan.config, (), context.assembled.bounds)
     _warn_outside(job, context, stored)
     if context.plan.config.empty_sheets:
         return every

@@ -27,7 +27,7 @@ from tiler.core.edits import (
 )
 from tiler.core.lattice import COUNTS_PER_UNIT, Bounds, Cell, CoordFrame, Lattice
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.records import digest_of, records_of
+from tiler.core.records import digest_of
 from tiler.core.results import BreaklineCounts, BridgeResult, EditResult
 from tiler.core.units import length_text
 from tiler.core.words import counted, listed
@@ -41,7 +41,7 @@ from tiler.grid.bridges.examine import (
 )
 from tiler.grid.coarse import touching_cells
 from tiler.grid.ground import count_edited_points
-from tiler.grid.records import DeckRecord, TerrainRecord
+from tiler.grid.records import DeckRecord
 from tiler.grid.tasks.gridding import Corrections, GridContext, ground_rule
 from tiler.plan import Plan
 from tiler.runs.found import IngestResult, Labelled
@@ -164,11 +164,11 @@ def _result(edit: Edit, counts: Sequence[int]) -> EditResult:
     )
 
 
-def report_edited_pixels(job: Job, terrain: Commits) -> None:
-    """Add to run.json the number of pixels of the terrain that each edit set."""
+def report_edited_pixels(job: Job, outlined: Commits) -> None:
+    """Add to run.json the number of pixels of the delivered terrain that each edit set."""
     counts = Counter[str]()
-    for record in records_of(TerrainRecord, terrain):
-        for key, pixels in record.edited or ():
+    for _, stored in outlined.values():
+        for key, pixels in stored["edited"]:
             counts[key] += pixels
     if not job.results.edits:
         return

@@ -18,7 +18,7 @@ from ptd.matched.passes import CanopyPass
 from tiler.config import VOID_CANOPY
 from tiler.core.lattice import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
-from tiler.core.records import BlockRecord
+from tiler.core.records import BlockRecord, digest_of
 from tiler.core.results import (
     AbovePlace,
     AboveResult,
@@ -48,7 +48,7 @@ from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.voids import CELL_PIXELS
 from tiler.observe.events import Warned
 from tiler.plan import KEEP
-from tiler.runs.found import Labelled
+from tiler.runs.found import Labelled, checksums
 from tiler.runs.job import Job
 from tiler.schedule import Task, calling
 from tiler.schedule.worker import compute
@@ -73,16 +73,9 @@ def advise(
     checks_crowns = labelled.matched and CanopyPass.name not in labelled.statistics
     if not (building or checks_crowns):
         return
-    inputs = [building, checks_crowns, waters]
+    inputs = [building, checks_crowns, waters, digest_of(checksums(made))]
     advice_state = job.store.get_state("advice")
-    # The search is repeated if the terrain or the inputs changed, or if an earlier version
-    # stored no positions.
-    if (
-        job.record.stages["grid-dtm"].computed
-        or not advice_state
-        or advice_state.get("asked") != inputs
-        or "at" not in advice_state
-    ):
+    if not advice_state or advice_state.get("asked") != inputs:
         filled = tuple(
             key for key, (_, stored) in made.items() if BlockRecord.of(stored).filled
         )

@@ -356,7 +356,6 @@ def _void_steps(plan: Plan) -> list[Step]:
                 {
                     "heights": heights,
                     "cells": Read(f"coarse:{voids}"),
-                    "edits": Read("edits"),
                     "place": Read("place"),
                 },
                 _with_voids,

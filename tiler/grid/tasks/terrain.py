@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ptd.arrays import Int64
-from tiler.core.edits import OF_PIXELS
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
 from tiler.core.records import BucketRecord
@@ -83,7 +82,6 @@ class OnTin:
                 block.name,
                 calling(grid_block, work=GridBlock(block=block, max_halo=widest, **shared)),
                 context.label_digests(near),
-                corrections.edit_digests(extent, OF_PIXELS),
                 corrections.line_digests_near(extent, plan),
                 points=context.n_points(near),
                 makes=block.height * block.width,

@@ -8,6 +8,7 @@ applies them to the wrong file, or they are lost.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sqlite3
 import warnings
@@ -28,6 +29,11 @@ from tiler.io.foreign_content import excerpt, member, packing_of, parse_json_obj
 from tiler.io.locations import is_url, no_such_file, sizes_at, states_at
 from tiler.redaction import printable
 
+_SQL = re.compile(r"sqlite3_\w+\(.*?\) failed: ", re.DOTALL)
+"""Call of SQLite in a message of GDAL, which precedes the reason."""
+_DAMAGED = re.compile("malformed|file is not a database")
+IN_USE = "is in use by another program"
+"""Fault of a file that another program has locked. Such a file is not damaged."""
 _JOURNAL_SUFFIXES = ("-wal", "-journal")
 MAX_LISTED = 5
 
@@ -221,6 +227,8 @@ def reading(path: Path) -> Iterator[list[str]]:
     # pyogrio raises RuntimeErrors. Names and texts that are not UTF-8 raise
     # UnicodeDecodeErrors.
     except (RuntimeError, ValueError, OverflowError, ShapelyError, sqlite3.Error) as error:
+        if "database is locked" in str(error):
+            raise InputError(f"{path}: {IN_USE}; close it there, then run again") from error
         raise InputError(
             f"{path}: cannot be read ({_short(error)}); get the file again"
         ) from error
@@ -228,5 +236,6 @@ def reading(path: Path) -> Iterator[list[str]]:
 
 
 def _short(problem: Any) -> str:
-    """Return the message of a library, in one line and without the advice after a semicolon."""
-    return printable(" ".join(str(problem).split(";")[0].split()))[:150]
+    """Return the message of a library, in one line and without SQL and the advice after a semicolon."""
+    text = " ".join(_SQL.sub("", str(problem)).split(";")[0].split())
+    return "its database is damaged" if _DAMAGED.search(text) else printable(text)[:150]

@@ -189,9 +189,11 @@ def _layers(path: Path, source: Path, kind: Kind, every: bool) -> list[str]:
     names = [name for name, shape in listed if kind.takes_layer(name, shape)]
     if not names or (len(names) > 1 and not every):
         listing = ", ".join(f"{printable(name)} ({shape})" for name, shape in listed) or "none"
+        remedy = f"give a file with {kind.name}"
+        if names:
+            remedy = f"write one with `ogr2ogr {kind.name.split()[0]}.gpkg FILE LAYER`"
         raise InputError(
-            f"{path}: needs one layer of {kind.name}, has {len(names)} ({listing}); "
-            f"write one with `ogr2ogr {kind.name.split()[0]}.gpkg FILE LAYER`"
+            f"{path}: needs one layer of {kind.name}, has {len(names)} ({listing}); {remedy}"
         )
     return names
 

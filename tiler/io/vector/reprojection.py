@@ -97,7 +97,8 @@ def in_crs(
         return [_rebuilt(geometry, moved) for geometry in geometries]
     except _Beyond as error:
         raise InputError(
-            f"{path}: extends beyond the area of use of {run_crs.name}; clip it to the survey"
+            f"{path}: read in {named.name}, it extends beyond the area of use of {run_crs.name}; write it with its own "
+            "CRS (GeoJSON without one is in WGS 84), or clip it to the survey"
         ) from error
 
 

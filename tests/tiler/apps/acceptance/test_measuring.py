@@ -266,6 +266,17 @@ def test_random_point_source_ids_are_no_swaths(tmp_path: Path) -> None:
     assert note.startswith(f"{found_rows['swaths']['found']:,} point source ids look random")
 
 
+def test_points_without_source_ids_are_no_swath(tmp_path: Path) -> None:
+    cloud = square(60)
+    cloud.source[:] = 0
+    found_rows = rows(cloud.write(tmp_path / "a.laz"))
+    assert found_rows["pulse_density"]["found"] == pytest.approx(4)
+    remarks = {"the points have no point source ids", "the points have fewer than two swaths"}
+    for name in PER_SWATH:
+        assert found_rows[name]["found"] is None
+        assert found_rows[name]["remark"] in remarks
+
+
 @pytest.mark.parametrize("along", ["x", "y"])
 def test_many_narrow_swaths_are_not_random(tmp_path: Path, along: str) -> None:
     """150 scan lines of 10 pulses per metre, each with its own id, 1 m apart."""
@@ -571,4 +582,8 @@ def test_duplicates_outside_the_bounds_are_not_called_none(tmp_path: Path) -> No
         with path.open("r+b") as stream:
             stream.seek(179)  # highest x, after which no point of the other file is near
             stream.write(np.float64(500_001.0).tobytes())
-    assert found(paths)["duplicates"] is None
+    duplicates = rows(paths)["duplicates"]
+    assert duplicates["found"] is None
+    assert duplicates["remark"].startswith(
+        "1,600 points at least; points lie outside the bounds"
+    )
