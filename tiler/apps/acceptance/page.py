@@ -10,8 +10,10 @@ from tiler.core.words import counted, listed
 from tiler.report.document import Node, el, more, page, section, table
 
 MAKER = "tiler check"
-MAX_ROWS, MAX_PLACES = 1000, 50
-"""Largest number of pairs of swaths, of clouds, and of places of a row."""
+MAX_ROWS = 1000
+"""Largest number of pairs of swaths, and of clouds, on the page."""
+MAX_PLACES = 50
+"""Largest number of places on the page for a row of the specification."""
 IN_JSON = "the output of --json"
 BAD = ("fail", "not measured")
 """States in which a row does not meet the specification."""
