@@ -62,7 +62,7 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     """
     # Modules of the report load libraries, and `tiler --help` must be fast.
     from tiler.report.problems import kinds_text
-    from tiler.report.sections import share_with_height
+    from tiler.report.sections import share_with_height, surveyed_text
     from tiler.report.tables import COUNTED
 
     points = summary["counts"]["stored"]
@@ -99,7 +99,8 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         cut = "sheets cut from " if summary.get("sheets") else ""
         size = f"{cut}{section['width']:,} x {section['height']:,} pixels of {pixel}"
         if "voids" in summary:
-            size += f", {share_with_height(summary['voids'])} of the survey has a height"
+            share = share_with_height(summary["voids"])
+            size += f", {share} of {surveyed_text(summary)} has a height"
         lines.append(f"{product.upper():12s}{joined(out, file)}, {size}")
     if rasters[1:]:
         lines.append(f"products    {', '.join(joined(out, file) for _, file in rasters[1:])}")

@@ -373,6 +373,8 @@ def check_clouds(
     page: PathLike | None = None,
     sheets: PathLike | None = None,
     sheet_field: str | None = None,
+    workers: int | None = None,
+    memory: int | str | None = None,
 ) -> AcceptanceResult:
     """Measure density, distribution, swaths and records of clouds, and compare them, like ``tiler check CLOUDS``.
 
@@ -391,6 +393,11 @@ def check_clouds(
         File of polygons. First returns must cover half of each.
     sheet_field : str, optional
         Field of the polygons with the names of the sheets.
+    workers : int, optional
+        Number of processes that read files. By default it is the number of cores, at most 8.
+    memory : int or str, optional
+        Memory limit of each process, in bytes or as text such as ``"2GB"``. By default this process may use half of the
+        machine's memory, and so may the others together.
 
     Returns
     -------
@@ -417,8 +424,17 @@ def check_clouds(
         raise ConfigError(
             f"--sheet-field {sheet_field}: names the sheets of a file; give --sheets FILE as well"
         )
+    limits = {"workers": workers, "memory": memory}
+    config = RunConfig.from_mapping({k: v for k, v in limits.items() if v is not None})
     summary = measure_clouds(
-        _texts("clouds", clouds), specification, target, page_file, grid, field_name
+        _texts("clouds", clouds),
+        specification,
+        target,
+        page_file,
+        grid,
+        field_name,
+        config.workers,
+        config.memory,
     )
     if not summary["met"]:
         return AcceptanceResult(5, summary)

@@ -104,6 +104,18 @@ from tiler.errors import ConfigError
     metavar="NAME",
     help="field of the polygons with the names of the sheets [default: their numbers]",
 )
+@click.option(
+    "--workers",
+    type=int,
+    metavar="N",
+    help="number of processes that read clouds [default: the cores of the machine, at most 8]",
+)
+@click.option(
+    "--memory",
+    metavar="SIZE",
+    help="memory limit of each process that checks clouds [default: half of the machine's memory, divided among those "
+    "that read clouds]",
+)
 @json_option
 @click.pass_context
 def command(
@@ -114,6 +126,8 @@ def command(
     page: Path | None,
     sheets: str | None,
     sheet_field: str | None,
+    workers: int | None,
+    memory: str | None,
     as_json: bool,
     **options: Any,
 ) -> int:
@@ -132,8 +146,8 @@ def command(
 
     CLOUD is a LAS or LAZ file, a folder, a glob or a .vpc. Header, classes, flags, swaths and
     their differences, density, distribution, voids and duplicates of all clouds together are
-    measured. With clouds only --spec, --difference, --page, --sheets, --sheet-field and --json
-    have a meaning.
+    measured. With clouds only --spec, --difference, --page, --sheets, --sheet-field, --workers,
+    --memory and --json have a meaning.
     """
     from cli.checks import print_acceptance, print_report
     from tiler.api import check, check_clouds
@@ -157,13 +171,22 @@ def command(
             page=page,
             sheets=sheets,
             sheet_field=sheet_field,
+            workers=workers,
+            memory=memory,
         )
         if as_json:
             print_json(accepted.summary)
         else:
             print_acceptance(accepted.summary)
         return accepted.exit_code
-    for_clouds = {"spec": spec, "page": page, "sheets": sheets, "sheet-field": sheet_field}
+    for_clouds = {
+        "spec": spec,
+        "page": page,
+        "sheets": sheets,
+        "sheet-field": sheet_field,
+        "workers": workers,
+        "memory": memory,
+    }
     for name, value in for_clouds.items():
         if value is not None:
             raise ConfigError(

@@ -67,7 +67,7 @@ def _in_words(description: Mapping[str, Any]) -> dict[str, Any]:
     terrain = {
         "filled": "pixels with a height",
         "marked": "pixels not certified",
-        "surveyed": "of the survey has a height",
+        "surveyed": "with a height",
     }
     names = {"counts": COUNTED, "filter": LABELLED, "dtm": terrain}
     facts: dict[str, Any] = {}

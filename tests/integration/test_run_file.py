@@ -100,6 +100,10 @@ def test_what_was_left_out_is_warned_of_and_in_the_exit_code(tmp_path: Path) -> 
     content = read(out)
     assert content["exit_code"] == result.exit_code == 5
     assert [q["path"] for q in content["quarantined"]] == [broken.as_posix()]
+    bounds = content["quarantined"][0]["bounds"]
+    assert bounds == pytest.approx(
+        content["inputs"][0]["bounds"][:2] + content["inputs"][0]["bounds"][3:5]
+    )
     assert content["warnings"] == result.warnings
     assert any(text.startswith(f"{broken}: left out: ") for text in content["warnings"])
 

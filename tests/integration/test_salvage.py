@@ -77,6 +77,29 @@ def test_the_loss_is_warned_of_and_in_the_exit_code(
     assert "Nothing was left out" not in page
 
 
+def test_points_that_the_header_does_not_count_are_told_and_can_be_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = cloud(tmp_path / "t.las"), tmp_path / "out"
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<I", content, LEGACY_COUNT, N - 7)
+    struct.pack_into("<Q", content, COUNT, N - 7)
+    path.write_bytes(content)
+    given = [str(text) for text in ("run", path, "-o", out, "--in-process", "-q")]
+    assert main(given) == 5
+    line = f"{path}: 7 records behind the {N - 7:,} points of its header look like points"
+    assert (
+        f"warning: {line} and were not read; use --salvage to read them"
+        in capsys.readouterr().err
+    )
+    run = json.loads((out / "run.json").read_text())
+    assert run["counts"]["read"] == N - 7
+    assert line in run["problems"][0]["why"]
+    assert main([*given, "--salvage"]) == 0
+    run = json.loads((out / "run.json").read_text())
+    assert (run["counts"]["read"], run["problems"]) == (N, [])
+
+
 def test_a_header_that_states_no_points_is_said_to_state_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

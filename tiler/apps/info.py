@@ -169,7 +169,7 @@ def describe_result(folder: Path) -> dict[str, Any]:
     """Describe the OUT of a run from its run.json, and from its store if it still exists."""
     from tiler.report.problems import kinds_text
     from tiler.report.runfile import run_file_errors
-    from tiler.report.sections import length, share_with_height
+    from tiler.report.sections import length, share_with_height, surveyed_text
     from tiler.store import store_exists
 
     try:
@@ -193,7 +193,8 @@ def describe_result(folder: Path) -> dict[str, Any]:
         if terrain := run.get("dtm"):
             description["dtm"] = {**terrain, "pixel": length(run, terrain["resolution_m"])}
             if run.get("voids"):
-                description["dtm"]["surveyed"] = share_with_height(run["voids"])
+                share = share_with_height(run["voids"])
+                description["dtm"]["surveyed"] = f"{share} of {surveyed_text(run)}"
     store = joined(str(folder), STORE)
     if store_exists(store):
         try:

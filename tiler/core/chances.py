@@ -56,6 +56,7 @@ HOLE_M = 1.0
 
 REASONS: dict[str, Reason] = {
     "failed task": Reason(HOLE_M, is_certain=True),
+    "file left out": Reason(HOLE_M, is_certain=True),
     "terrain below all returns": Reason(HOLE_M, is_certain=True),
     "void inside the survey": Reason(HOLE_M, is_certain=True),
     # Most of them are the ragged border of the survey, which nobody changes, so they have no loss and come late.

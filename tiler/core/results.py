@@ -14,10 +14,11 @@ from tiler.core.records import Record
 
 @dataclass(frozen=True, slots=True)
 class LeftOut(Record):
-    """Input that is left out: its path, and why."""
+    """Input that is left out: its path, why, and [west, south, east, north] if its header states them."""
 
     path: str
     error: str
+    bounds: list[float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,8 +20,8 @@ NUMBERS = ("z", "stake_m", "area_m2", "chance")
 OPEN, OK, FIXED = "open", "ok", "fixed"
 """Values of the column ``status``: not looked at, right as it is, and to be changed by the edit of the row."""
 STATUSES = (OPEN, OK, FIXED)
-FAILED = "failed task"
-"""Reason of places that cannot be right, since their task failed."""
+FAILED, LEFT_OUT = "failed task", "file left out"
+"""Reasons of places that cannot be right, since their task failed or their points are missing."""
 BARE, HOLES = "bare", "holes"
 """Pixels with a height in a gap without returns, and pixels of the survey without a height."""
 SAME_SHARE = 0.5
@@ -163,7 +163,7 @@ def decided_or_noted(rows: Sequence[ReviewRow]) -> list[ReviewRow]:
 
 def _status(row: ReviewRow) -> str:
     status = row.status.strip().lower() or FIXED
-    return OPEN if (row.reason, status) == (FAILED, OK) else status
+    return OPEN if status == OK and row.reason in (FAILED, LEFT_OUT) else status
 
 
 def without_copies(rows: Sequence[ReviewRow], of: Sequence[ReviewRow]) -> list[ReviewRow]:

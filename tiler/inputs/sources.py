@@ -52,6 +52,8 @@ class SourceInfo:
     point_format, record_length, points : int
     stated_points : int
         Number of points that the header states, 0 if it states none.
+    unread_points : int
+        Number of records behind the last of them, which are not read.
     compressed, copc, has_rgb, salvaged : bool
     scales : tuple of 3 float
     georeference : Georeference
@@ -111,11 +113,13 @@ class SourceInfo:
     has_crs: bool = True
     fetched: int = 0
     stated_points: int = 0
+    unread_points: int = 0
 
     @property
     def is_incomplete(self) -> bool:
         """Whether points of a damaged file are, or may be, lost."""
-        return self.salvaged and (self.points < self.stated_points or not self.stated_points)
+        is_short = self.points < self.stated_points or not self.stated_points
+        return bool(self.unread_points) or (self.salvaged and is_short)
 
     @property
     def size(self) -> int:
@@ -195,6 +199,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         has_crs=has_crs,
         fetched=fetched_bytes() - bytes_before,
         stated_points=header.stated_points,
+        unread_points=header.unread_points,
     )
 
 

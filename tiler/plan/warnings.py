@@ -20,6 +20,7 @@ from tiler.core.units import (
     whole_length,
     written_unit,
 )
+from tiler.core.words import counted
 from tiler.plan.estimates import overlap_of, pixels_of
 from tiler.plan.memory import WIDE_TILE
 from tiler.plan.method import steps_of
@@ -61,7 +62,12 @@ def incomplete_files(plan: Plan) -> list[str]:
     """Warn about damaged files of which points are lost."""
     warnings = []
     for source in plan.inputs.sources:
-        if source.is_incomplete:
+        if source.unread_points:
+            warnings.append(
+                f"{source.path}: {counted(source.unread_points, 'record')} behind the {source.points:,} points of its "
+                "header look like points and were not read; use --salvage to read them"
+            )
+        elif source.is_incomplete:
             stated = (
                 f"{source.stated_points:,}" if source.stated_points else "an unknown number of"
             )

@@ -49,7 +49,14 @@ from tiler.report.pictures import (
 )
 from tiler.report.problems import MAX_ROWS, Run
 from tiler.report.runfile import units_of
-from tiler.report.sections import is_good, left_out, made_text, share_with_height, state_text
+from tiler.report.sections import (
+    is_good,
+    left_out,
+    made_text,
+    share_with_height,
+    state_text,
+    surveyed_text,
+)
 from tiler.report.tables import specification
 
 KINDS = ("raster", "vector", "page", "description", "cloud")
@@ -184,7 +191,7 @@ def _voids(run: Run) -> dict[str, Content]:
     at_least = "at least " if len(empty) >= MAX_ROWS else ""
     return {
         "surveyed": area_text(voids["surveyed_pixels"] * pixel_m2, metres),
-        "with a height": share_with_height(voids),
+        "with a height": f"{share_with_height(voids)} of {surveyed_text(run)}",
         "voids": text,
         "left without heights by edits": area(voids["asked_pixels"]),
         "interpolated where no return lies": (

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from tiler.core.chances import LEFT, UNSURE, chance_of
 from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
 from tiler.core.points import NOISE
-from tiler.core.review import OK, OPEN, STATUSES
+from tiler.core.review import LEFT_OUT, OK, OPEN, STATUSES
 from tiler.core.units import length_text, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, more, section, table
@@ -27,6 +27,8 @@ MAX_OF_KIND = 10
 one row."""
 SMALL_M2 = 1000.0
 """Voids at the border of the survey below this area share one row."""
+BESIDE_M = 10.0
+"""Distance to a file that was left out up to which a void at the border of the survey is blamed on it."""
 WITHOUT_RETURNS = "place without returns"
 INSIDE = "void inside the survey"
 AT_BORDER = "void at the border of the survey"
@@ -161,9 +163,28 @@ def _objects(run: Run) -> Iterator[Problem]:
 def _files(run: Run) -> Iterator[Problem]:
     for file in run.get("quarantined", ()):
         why = file["error"].removeprefix(f"{file['path']}: ")
+        where = _beside_survey(run, file.get("bounds"))
         yield Problem(
-            "file left out", None, f"{file['path']}: {why}", "repair the file, then run again"
+            LEFT_OUT, where, f"{file['path']}: {why}", "repair the file, then run again"
         )
+
+
+def _beside_survey(run: Run, bounds: Sequence[float] | None) -> Place | None:
+    """Return the part of the bounds of a file that lies in the survey or beside it, or None.
+
+    A damaged header may state any bounds, and a file may be left out because it lies far away.
+    """
+    if bounds is None:
+        return None
+    west, south, east, north = run["plan"]["extent"]
+    reach = max(east - west, north - south)
+    near = (
+        max(bounds[0], west - reach),
+        max(bounds[1], south - reach),
+        min(bounds[2], east + reach),
+        min(bounds[3], north + reach),
+    )
+    return near if near[0] < near[2] and near[1] < near[3] else None
 
 
 def _tasks(run: Run) -> Iterator[Problem]:
@@ -293,6 +314,8 @@ def _is_minor(problem: Problem) -> bool:
 
 
 def _all_voids(run: Run) -> Iterator[Problem]:
+    missing = [problem.where for problem in _files(run) if problem.where is not None]
+    reach = BESIDE_M / units_of(run)[0]
     for void in run.get("voids", {}).get("largest", ()):
         why = f"{counted(void['pixels'], 'pixel')} ({_area(run, void['area_m2'])}) without a height"
         what, remedy = INSIDE, "use --voids fill to fill it from its boundary"
@@ -300,9 +323,18 @@ def _all_voids(run: Run) -> Iterator[Problem]:
             # Filling needs a boundary on all sides.
             what = AT_BORDER
             remedy = "use --edits with action ground if land behind a wall was classified as a building"
+            if any(_are_near(void["bounds"], place, reach) for place in missing):
+                remedy = "repair the file beside it that was left out, then run again"
         remedy += ", or --edits with action void to accept it"
         where, area_m2, at = place_of(void["bounds"]), void["area_m2"], void.get("at")
         yield Problem(what, where, why, remedy, area_m2, at, rings=void.get("rings") or ())
+
+
+def _are_near(a: Sequence[float], b: Sequence[float], reach: float) -> bool:
+    return all(
+        a[low] - reach <= b[high] and b[low] - reach <= a[high]
+        for low, high in ((0, 2), (1, 3))
+    )
 
 
 def _without_returns(run: Run) -> Iterator[Problem]:

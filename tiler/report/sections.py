@@ -120,7 +120,7 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
         if "voids" in run:
             # A ragged survey covers only a part of the raster. The pixels outside are not
             # missing.
-            yield "of the survey has a height", share_with_height(run["voids"])
+            yield f"of {surveyed_text(run)} has a height", share_with_height(run["voids"])
         else:
             yield "of the pixels have a height", f"{dtm['filled'] / pixels:.1%}"
     if "seconds" in run:
@@ -145,6 +145,11 @@ def share_with_height(voids: Mapping[str, Any]) -> str:
     inside = voids["surveyed_pixels"]
     known = inside - voids["pixels"] - voids["asked_pixels"]
     return f"{1000 * known // max(inside, 1) / 10:.1f} %"
+
+
+def surveyed_text(run: Run) -> str:
+    """Return what a share of the survey is a share of. What is left out does not count."""
+    return "the area that was read" if left_out(run) else "the survey"
 
 
 def done_before(run: Run) -> int:

@@ -49,6 +49,7 @@ from tiler.core.results import (
     VoidsResult,
     WaterResult,
 )
+from tiler.io.las.headers import stated_bounds
 from tiler.io.locations import with_slashes
 from tiler.observe.events import Event, TaskFailed
 from tiler.observe.json_lines import message_of
@@ -217,7 +218,8 @@ class RunRecord:
     def leave_out(self, path: str, error: str) -> None:
         """Add an input that is left out. Its error may begin with the path."""
         named = with_slashes(path)
-        self.quarantined.append(LeftOut(named, error.replace(path, named)))
+        error, bounds = error.replace(path, named), stated_bounds(path)
+        self.quarantined.append(LeftOut(named, error, bounds))
 
     def first_error(self, stage: str) -> str:
         """Return the error of the first failed task of a stage."""

@@ -64,7 +64,7 @@ def test_the_page_says_what_the_run_says(tmp_path: Path) -> None:
         "map": ["North is up", "20 m", "water", "voids"],
         "accuracy": ["was not measured at checkpoints", "Seams between tiles were not checked"],
         "completeness": [
-            "with a height 98.0 %",
+            "with a height 98.0 % of the survey",
             "voids 2, together 20 m2; the largest has 12 m2",
             "left without heights by edits 4 m2",
             "measured: a ground point lies in the pixel 75.0 %",

@@ -285,6 +285,36 @@ EVERY_PROBLEM: dict[str, Any] = {
 """Content of run.json with which every source finds a problem."""
 
 
+def test_a_file_that_was_left_out_has_a_place_beside_the_survey() -> None:
+    west, south, east, north = results.run()["plan"]["extent"]
+    beside = [east, south, east + 50, north]
+    (known,) = found(quarantined=[{"path": "a.laz", "error": "cut off", "bounds": beside}])
+    assert known.where == tuple(beside)
+    for bounds in (None, [0.0, 0.0, 1.0, 1.0], [east + 1e6, south, east + 2e6, north]):
+        (far,) = found(quarantined=[{"path": "a.laz", "error": "cut off", "bounds": bounds}])
+        assert far.where is None
+    damaged = [-1e300, -1e300, 1e300, 1e300]
+    (wide,) = found(quarantined=[{"path": "a.laz", "error": "cut off", "bounds": damaged}])
+    side = max(east - west, north - south)
+    assert wide.where == (west - side, south - side, east + side, north + side)
+
+
+def test_a_void_beside_a_file_that_was_left_out_is_blamed_on_it() -> None:
+    west, south, east, north = results.run()["plan"]["extent"]
+    hole = {
+        "pixels": 7,
+        "bounds": [east - 4, south, east, north],
+        "area_m2": 5e3,
+        "at_border": True,
+    }
+    left = [{"path": "a.laz", "error": "cut off", "bounds": [east, south, east + 50, north]}]
+    alone = found(voids=voids(hole))[0]
+    _, beside = found(voids=voids(hole), quarantined=left)
+    assert "wall" in alone.remedy
+    assert beside.remedy.startswith("repair the file beside it")
+    assert beside.remedy.endswith("with action void to accept it")
+
+
 def test_unsure_terrain_names_its_causes() -> None:
     (place,) = EVERY_PROBLEM["unsure"]
     open_land = {**place, "slope": 0.1, "objects": 0.2}

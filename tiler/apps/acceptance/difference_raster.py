@@ -13,7 +13,6 @@ from tiler.core.units import METRE, unit_label
 from tiler.errors import write_error
 from tiler.io.atomic_files import atomic_path, write_atomic
 from tiler.io.raster_files import RasterMetadata, plain_geotiff, raster_errors
-from tiler.schedule import half_of_memory
 
 _MARK = "<!-- written by tiler check -->"
 """Comment of the styles that may be replaced."""
@@ -24,7 +23,9 @@ _COLOURS = ("#2ca02c", "#ffd92f", "#d62728")
 separation images)."""
 
 
-def write_differences(path: Path, found: Separation, wkt: str | None) -> str | None:
+def write_differences(
+    path: Path, found: Separation, wkt: str | None, memory: int
+) -> str | None:
     """Write the largest absolute difference of two swaths in each cell, or return why there is no raster.
 
     The GeoTIFF is float32, in metres.
@@ -36,6 +37,8 @@ def write_differences(path: Path, found: Separation, wkt: str | None) -> str | N
     found : Separation
     wkt : str or None
         CRS of the points. The raster has its horizontal part, because differences refer to no vertical datum.
+    memory : int
+        Memory that the raster may need, in bytes.
 
     Raises
     ------
@@ -48,8 +51,8 @@ def write_differences(path: Path, found: Separation, wkt: str | None) -> str | N
     columns = np.rint((found.x - x0) / found.side - 0.5).astype(np.int64)
     rows = np.rint((y1 - found.y) / found.side - 0.5).astype(np.int64)
     height, width = int(rows.max()) + 1, int(columns.max()) + 1
-    if height * width * 4 * _COPIES > half_of_memory():
-        return f"{width:,} x {height:,} cells are too many for this machine's memory"
+    if height * width * 4 * _COPIES > memory:
+        return f"{width:,} x {height:,} cells are too many for the memory of a process; give more with --memory"
     largest = np.full((height, width), NODATA, np.float32)
     largest[rows, columns] = np.abs(found.difference_m)
     transform = (found.side, 0.0, float(x0), 0.0, -found.side, float(y1))

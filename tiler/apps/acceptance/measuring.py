@@ -106,6 +106,8 @@ def check_clouds(
     page: Path | None = None,
     sheets: str | Path | None = None,
     sheet_field: str | None = None,
+    workers: int | None = None,
+    memory: int | None = None,
 ) -> AcceptanceSummary:
     """Measure all rows of clouds, and compare them with a specification.
 
@@ -123,6 +125,11 @@ def check_clouds(
         Polygons of the sheets that must be covered.
     sheet_field : str, optional
         Field of the polygons with the names of the sheets.
+    workers : int, optional
+        Number of processes that read files. By default it is the number of cores, at most `MAX_CHILDREN`.
+    memory : int, optional
+        Memory limit of each process in bytes. By default this process may use half of the machine's memory, and so may
+        the others together.
 
     Raises
     ------
@@ -143,11 +150,13 @@ def check_clouds(
         check_difference(difference, paths)
     if page is not None:
         validate_page(page, [*paths, *([sheets] if sheets else [])], MAKER)
-    n_children = min(len(paths), psutil.cpu_count() or 1, MAX_CHILDREN)
+    n_children = min(len(paths), workers or min(psutil.cpu_count() or 1, MAX_CHILDREN))
+    child_memory = memory or half_of_memory() // n_children
+    memory = memory or half_of_memory()
     with (
         _remedies_of_check(),
         scratch_folder() as folder,
-        ChildPool(n_children, half_of_memory() // n_children) as children,
+        ChildPool(n_children, child_memory) as children,
     ):
         infos = [look() for look in children.each(inspect_in_child, paths)]
         if not any(info.points for info in infos):
@@ -158,14 +167,14 @@ def check_clouds(
         if sheets is not None:
             grid = read_sheets(Path(sheets), sheet_field, _wkt(infos))
             notes += grid.notes
-        measured, cell_m = _measure(children, infos, specification, folder, grid)
+        measured, cell_m = _measure(children, infos, specification, folder, grid, memory)
     limits = {} if specification is None else specification.limits
     notes += _notes(measured)
     separation = measured.separation
     written: list[str] = []
     if difference is not None:
         limit_m = limits.get("swath_difference", USUAL_LIMIT_M)
-        written = _write_differences(difference, infos, separation, limit_m, notes)
+        written = _write_differences(difference, infos, separation, limit_m, memory, notes)
     rows = [
         _judged(row, row.find(measured), limits.get(row.name))
         for row in ROWS
@@ -205,6 +214,7 @@ def _write_differences(
     infos: Sequence[SourceInfo],
     separation: Separation | str,
     limit_m: float,
+    memory: int,
     notes: list[str],
 ) -> list[str]:
     """Write the raster of differences and its style, note what is not written, and return the written files."""
@@ -214,7 +224,7 @@ def _write_differences(
     if isinstance(separation, str):
         reason: str | None = separation
     else:
-        reason = write_differences(path, separation, _wkt(infos))
+        reason = write_differences(path, separation, _wkt(infos), memory)
     if reason is not None:
         older = "; the file that is there is older" if path.exists() else ""
         notes.append(f"{path}: was not written: {reason}{older}")
@@ -294,6 +304,7 @@ def _measure(
     specification: Specification | None,
     folder: Path,
     grid: Sheets | None,
+    memory: int,
 ) -> tuple[Measurements, float | None]:
     """Return the measurements, and the side of the cells in metres, None without cells.
 
@@ -318,7 +329,7 @@ def _measure(
         if cells is None:
             break
         survey = survey_of(of_cells, cells)
-        findings = _examined(survey, cells, metres, limits.get("pulse_density"))
+        findings = _examined(survey, cells, metres, limits.get("pulse_density"), memory)
         better = None if asked else _better_spacing(findings, spacing)
         if better is None or n_counts == MAX_COUNTS:
             break
@@ -327,7 +338,11 @@ def _measure(
         of_cells = _count(children, infos, cells, [None] * len(infos), metres)
     vertical_names = _different_crs(infos, 1)
     separation, precision = _of_heights(
-        of_cells, cells, metres, _reason_without_swaths(files, findings, len(vertical_names))
+        of_cells,
+        cells,
+        metres,
+        _reason_without_swaths(files, findings, len(vertical_names)),
+        memory,
     )
     measured = Measurements(
         files,
@@ -414,7 +429,7 @@ def _count(
 
 
 def _examined(
-    survey: Survey, cells: Cells, metres: float, asked: float | None
+    survey: Survey, cells: Cells, metres: float, asked: float | None, memory: int
 ) -> CellFindings | str:
     """Return what the cells of all files show, or why they cannot be examined."""
     if survey.is_apart:
@@ -422,10 +437,11 @@ def _examined(
     if not survey.keys.size:
         return "no first return that is not withheld"
     needed = needed_bytes(survey.keys)
-    if needed > half_of_memory():
+    if needed > memory:
         return (
-            f"the extent has too many cells of {cells.side * metres:.3g} m for this machine's memory "
-            f"({needed / 1e9:,.0f} GB); give parts of the survey, or withhold points far from it"
+            f"the extent has too many cells of {cells.side * metres:.3g} m for the memory of a process "
+            f"({needed / 1e9:,.1f} GB are needed); give more with --memory, give parts of the survey, or withhold "
+            "points far from it"
         )
     return examine_cells(survey.keys, survey.counts, cells, metres, asked)
 
@@ -447,19 +463,20 @@ def _of_heights(
     cells: Cells | None,
     metres: float,
     reason: str,
+    memory: int,
 ) -> tuple[Separation | str, tuple[list[Precision], list[int]] | str]:
     """Return the differences and the repeatability of the swaths of all files, or the ``reason`` why not."""
     if cells is None:
         return DIFFERENT_CRS, DIFFERENT_CRS
     keys, sums = merged((file.height_keys, file.height_sums) for file in files)
-    reason = reason or too_large(keys.size, half_of_memory())
+    reason = reason or too_large(keys.size, memory)
     if reason:
         return reason, reason
     sums = sums.reshape(-1, N_SUMS)  # There may be none.
     lattice = cells.of_heights
     surfaces = find_surfaces(keys, sums, lattice.side * metres)
     precision = repeatability(keys, sums, surfaces[1], lattice)
-    found = separate_swaths(keys, sums, cells, metres, half_of_memory(), surfaces)
+    found = separate_swaths(keys, sums, cells, metres, memory, surfaces)
     if found != NO_OVERLAP:
         return found, precision
     if n_without := sum(file.sources.get(0, 0) for file in files):

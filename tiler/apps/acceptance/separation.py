@@ -179,7 +179,10 @@ def too_large(n_cells: int, memory: float) -> str:
 
 
 def _too_large(needed: float) -> str:
-    return f"too many cells of swaths for this machine's memory ({needed / 1e9:,.1f} GB); give parts of the survey"
+    return (
+        f"too many cells of swaths for the memory of a process ({needed / 1e9:,.1f} GB are needed); give more with "
+        "--memory, or parts of the survey"
+    )
 
 
 def share_cells(keys: Keys) -> bool:

@@ -39,6 +39,9 @@ _LAS15 = struct.Struct("<ddH")
 
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
 """Length of the header by minor version, in bytes."""
+_POSITION = struct.Struct("<3i")
+_PROBED = 1000
+"""Largest number of records behind the last point that are looked at."""
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 _WKT_BIT = 0x10
 _STANDARD_TIME_BIT, _TIME_OFFSET_BIT = 0x01, 0x40
@@ -84,6 +87,8 @@ class LasHeader:
         Number of points that the file states, 0 if it states none.
     salvaged : bool
         Whether the file is damaged and is read nevertheless.
+    unread_points : int
+        Number of records behind the last point that the file states, which are only read with salvage.
     scales, offsets : tuple of 3 float
         Scales from `FINEST_SCALE` to `COARSEST_SCALE`, and finite offsets.
     mins, maxs : tuple of 3 float
@@ -137,6 +142,7 @@ class LasHeader:
     time_offset: int | None = None
     stated_points: int = 0
     salvaged: bool = False
+    unread_points: int = 0
     points_by_return: tuple[int, ...] = ()
 
     @property
@@ -206,7 +212,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
             header = _fixed_block(path, stream, state, salvage)
             header = _records(header, stream)
             if header.laz is None:
-                header = _plain_points(header, salvage)
+                header = _plain_points(header, stream, salvage)
             else:
                 header = _compressed_points(header, header.laz, stream, salvage)
             if header.point_count == 0 and header.notes and salvage:
@@ -218,6 +224,22 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
             f"cannot be read ({error.strerror or error})",
             reading_remedy(path, f"give a readable {FORMAT_NAMES} file"),
         )
+
+
+def stated_bounds(path: str) -> list[float] | None:
+    """Return west, south, east and north in the header of a LAS or LAZ file that may be damaged, or None."""
+    try:
+        if not Path(path).is_file():
+            return None
+        with open(path, "rb") as stream:
+            raw = stream.read(_BLOCK.size)
+    except (OSError, ValueError):  # The name may be none that the system knows.
+        return None
+    if raw[:4] != b"LASF" or len(raw) < _BLOCK.size:
+        return None
+    east, west, north, south = _BLOCK.unpack(raw)[-6:-2]
+    is_area = -math.inf < west < east < math.inf and -math.inf < south < north < math.inf
+    return [west, south, east, north] if is_area else None
 
 
 def read_payload(path: Path, record: Vlr, limit: int = 1 << 24) -> bytes:
@@ -386,21 +408,43 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     return replace(header, laz=layout)
 
 
-def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
+def _plain_points(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
     """Check the number of points of a LAS file against the bytes for them."""
     room = (header.points_end - header.points_offset) // header.record_length
     if header.point_count == 0 and room:
         problem = f"says 0 points, has room for {room}: it was never finished"
         return replace(_salvaged(header, problem, salvage), point_count=room)
     if header.point_count < room:
-        return header.noted(
-            f"says {header.point_count} points, has room for {room}: the rest is not read"
-        )
+        problem = f"says {header.point_count} points, has room for {room}"
+        if not _are_points(header, stream, room - header.point_count):
+            return header.noted(f"{problem}: the rest is not read")
+        if salvage:
+            return replace(_salvaged(header, problem, salvage), point_count=room)
+        header = header.noted(f"{problem}, and the rest looks like points")
+        return replace(header, unread_points=room - header.point_count)
     room = max(header.size - header.points_offset, 0) // header.record_length
     if header.point_count <= room:
         return header
     problem = f"says {header.point_count} points, has room for {room}: cut short"
     return replace(_salvaged(header, problem, salvage), point_count=room)
+
+
+def _are_points(header: LasHeader, stream: BinaryIO, n_records: int) -> bool:
+    """Return whether most records behind the last point lie in the bounds of the header or beside them.
+
+    Bytes of another meaning would be coordinates all over the earth. Records of zeros are room that was not used.
+    """
+    stream.seek(header.points_offset + header.point_count * header.record_length)
+    raw = stream.read(min(n_records, _PROBED) * header.record_length)
+    axes = list(zip(header.scales, header.offsets, header.mins, header.maxs, strict=True))
+    n_inside = 0
+    for start in range(0, len(raw), header.record_length):
+        counts = _POSITION.unpack_from(raw, start)
+        n_inside += any(raw[start : start + header.record_length]) and all(
+            2 * low - high <= count * scale + offset <= 2 * high - low
+            for count, (scale, offset, low, high) in zip(counts, axes, strict=True)
+        )
+    return 2 * n_inside * header.record_length > len(raw)
 
 
 def _compressed_points(

@@ -4,6 +4,7 @@ import bz2
 import gzip
 import lzma
 import math
+import random
 import struct
 import zipfile
 from pathlib import Path
@@ -250,9 +251,24 @@ def test_chunks_behind_the_last_point_are_refused(point_format: int, make_cloud:
 
 def test_records_behind_the_last_point_are_noted(make_cloud: Any) -> None:
     path = patch(make_cloud("c.las", n=100), 107, "<I", 90)
-    assert read_header(path).notes == (
-        "says 90 points, has room for 100: the rest is not read",
-    )
+    header = read_header(path)
+    assert header.notes == ("says 90 points, has room for 100, and the rest looks like points",)
+    assert (header.point_count, header.unread_points) == (90, 10)
+    header = read_header(path, salvage=True)
+    assert (header.point_count, header.stated_points, header.unread_points) == (100, 90, 0)
+
+
+@pytest.mark.parametrize("behind", [bytes(4096), random.Random(1).randbytes(4096)])
+def test_bytes_of_no_meaning_behind_the_last_point_are_no_points(
+    behind: bytes, make_cloud: Any
+) -> None:
+    path = make_cloud("c.las", n=100)
+    with path.open("ab") as stream:
+        stream.write(behind)
+    for salvage in (False, True):
+        header = read_header(path, salvage)
+        assert header.notes[0].endswith("the rest is not read")
+        assert (header.point_count, header.unread_points) == (100, 0)
 
 
 @pytest.mark.parametrize(
