@@ -161,7 +161,7 @@ def test_a_result_has_the_words_and_figures_of_its_report(
         "used by the filter 7",
         "label not certified 1",
         "pixels with a height 5",
-        "with a height 62.5 % of the survey",
+        "with a height 62.5 % of the area that was read",
         "problems 2: void inside the survey (2)",
         "left out b.laz: cut short",
         "failed filter 0_0: killed",

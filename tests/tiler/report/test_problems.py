@@ -254,7 +254,9 @@ def test_an_object_left_is_a_problem_with_an_outline_and_an_edit() -> None:
 BOUNDS = [1.0, 2.0, 5.0, 8.0]
 EVERY_PROBLEM: dict[str, Any] = {
     "check": {"requirements": [results.UNMET]},
-    "quarantined": [{"path": "a.laz", "error": "a.laz: cut off"}],
+    "quarantined": [{
+        "path": "a.laz", "error": "a.laz: cut off", "bounds": results.run()["plan"]["extent"],
+    }],
     "failed_tasks": [{"stage": "filter0", "key": "t", "error": "killed", "bounds": BOUNDS}],
     "implausible": [{
         "what": "terrain below all returns", "bounds": BOUNDS, "why": "hills are cut off", "remedy": "",

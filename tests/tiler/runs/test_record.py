@@ -31,7 +31,6 @@ def test_paths_have_slashes_where_the_system_has_others(
         {
             "path": "C:/job/town.laz",
             "error": r"C:/job/town.laz: no good; copy \\server\town.laz again",
-            "bounds": None,
         }
     ]
     assert content["plan"]["unreadable"] == [["C:/job/town.laz", "no good"]]
