@@ -251,6 +251,8 @@ def _picture(place: Card, heights: Float32, run: Mapping[str, Any], title: str) 
 
 def _section(section: Section, units: tuple[float, float]) -> Node:
     """Return the section: points of a strip, the terrain, and the terrain after the suggested edit."""
+    if not np.isfinite(section.before).any() and not _heights_of_points(section).size:
+        return el("p", "Nothing is known along the dashed line.", class_="quiet")
     low, high = _height_range(section, BEYOND_M / units[1])
 
     def across(along: float) -> float:

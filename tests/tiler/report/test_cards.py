@@ -18,14 +18,14 @@ from tiler.report.document import page
 ROOT = np.empty((2, 0))
 
 
-def card(ground: Any = ROOT, others: Any = ROOT) -> Card:
+def card(ground: Any = ROOT, others: Any = ROOT, terrain: float = 100.0) -> Card:
     """A slope of 1 in 4, with a pit of steep walls that the edit fills."""
     before = np.tile(np.arange(40, dtype=np.float32) / 4, (40, 1))
     before[:, 30:] = 7.5
     after = before.copy()
     before[10:20, 5:15] -= 30
     at = np.arange(40) + 0.5
-    line = np.full(40, 100.0)
+    line = np.full(40, terrain)
     return Card(
         columns={"action": "not ground"},
         middle=(20.0, 20.0),
@@ -84,3 +84,10 @@ def test_a_section_shows_the_terrain_and_not_the_tops_of_trees(metres_high: floa
 def test_points_that_are_all_shown_need_no_words() -> None:
     ground = np.stack((np.linspace(0, 40, 50), np.linspace(99.8, 100.2, 50)))
     assert "are not shown" not in markup(card(ground))
+
+
+def test_a_section_where_nothing_is_known_has_no_heights() -> None:
+    text = markup(card(terrain=np.nan))
+    assert "Nothing is known along the dashed line." in text
+    assert 'text-anchor="end"' not in text
+    assert 'text-anchor="end"' in markup(card(ROOT, np.array([[1.0], [100.0]]), np.nan))
