@@ -298,7 +298,7 @@ def test_the_remedies_for_options_of_other_programs_exist() -> None:
         assert options_in(text) <= own
 
 
-@pytest.mark.parametrize("option", ["--epsg", "--bbox", "--cores"])
+@pytest.mark.parametrize("option", ["--epsg", "--bbox", "--buffer"])
 def test_a_command_does_not_name_options_that_it_does_not_have(
     capsys: pytest.CaptureFixture[str], option: str
 ) -> None:

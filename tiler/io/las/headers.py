@@ -233,7 +233,7 @@ def stated_bounds(path: str) -> list[float] | None:
             return None
         with open(path, "rb") as stream:
             raw = stream.read(_BLOCK.size)
-    except (OSError, ValueError):  # The name may be none that the system knows.
+    except (OSError, ValueError):  # A name with a NUL.
         return None
     if raw[:4] != b"LASF" or len(raw) < _BLOCK.size:
         return None
