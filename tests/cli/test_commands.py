@@ -163,7 +163,9 @@ def test_a_summary_tells_what_was_made() -> None:
     ]
     voids = {"surveyed_pixels": 40, "pixels": 3, "asked_pixels": 0}
     lines = summary_lines({**SUMMARY, **MADE, "voids": voids}, "OUT")
-    assert lines[3].endswith("12 x 6 pixels of 2 ft, 92.5 % of the area that was read has a height")
+    assert lines[3].endswith(
+        "12 x 6 pixels of 2 ft, 92.5 % of the area that was read has a height"
+    )
     found = {"water": [{"kind": "lake"}, {"kind": "river"}, {"kind": "river"}], "bridges": [{}]}
     found["outputs"] = {"water.gpkg": 1, "bridges.gpkg": 1}
     lines = summary_lines({**SUMMARY, **found}, "OUT")
