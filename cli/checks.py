@@ -39,7 +39,7 @@ def print_acceptance(summary: AcceptanceSummary) -> None:
     ]
     print_table(summary_text(summary), ("", "asked", "found", "result"), rows)
     write_lines(filter(None, map(_details, summary["rows"])))
-    paths = (summary["difference"], summary["style"], summary["image"], summary["page"])
+    paths = (summary["difference"], summary["style"], summary["page"])
     write_lines(f"wrote   {path}" for path in paths if path is not None)
     write_lines(f"note    {note}" for note in summary["notes"])
     if summary["specification"] is not None:

@@ -24,8 +24,7 @@ def command(out: str, to: str, as_json: bool) -> int:
 
     The folder gets the rasters, clouds and vector files of OUT, the report, and index.html, a page
     for the client. Each file is compared with what the run wrote. The store and the places to
-    review are not delivered. A run with several resolutions has a folder for each, and a page that
-    lists them. manifest.json has the SHA-256 and the facts of each file. Deliver to
+    review are not delivered. manifest.json has the SHA-256 and the facts of each file. Deliver to
     the same folder again after a later run: changed files are replaced, and files that are not
     delivered any more are removed. One line names the files that no delivery wrote or somebody
     changed, which are left. Exit code 5 if the run left something out.

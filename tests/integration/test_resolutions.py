@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from tests.invariants import clouds
 from tests.invariants.runs import output_digests, settings
 from tests.scenes.drawings import ground, written
 from tiler.apps.clean import clean
-from tiler.apps.delivery import deliver, verify
 from tiler.apps.resolutions import (
     _write_page,
     folder_name,
@@ -29,7 +27,7 @@ from tiler.apps.resolutions import (
 )
 from tiler.config import RunConfig
 from tiler.core.units import US_SURVEY_FOOT, parse_length
-from tiler.errors import ConfigError, InputError, ProcessingError
+from tiler.errors import ConfigError, ProcessingError
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.pipeline import RunResult, run
 from tiler.simulate import DemoScene
@@ -152,12 +150,14 @@ def test_json_has_a_run_for_each_folder(
     assert lines[-1] == f"all         {tmp_path / 'report.html'}"
 
 
-@pytest.mark.parametrize("command", ["review", "check", "report"])
+@pytest.mark.parametrize(
+    "command", [["deliver", "--to", "D"], ["review"], ["check"], ["report"]]
+)
 def test_commands_name_the_folders(
-    command: str, made: Made, capsys: pytest.CaptureFixture[str]
+    command: list[str], made: Made, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = made[0]
-    assert main([command, str(out)]) in (2, 3)
+    assert main([command[0], str(out), *command[1:]]) in (2, 3)
     assert f"{out / '1m'}, {out / '3m'}" in capsys.readouterr().err
 
 
@@ -369,41 +369,9 @@ def test_heights_agree_with_all_settings_of_the_surface(
     assert_heights_agree(fine, coarse)
 
 
-def test_a_delivery_has_the_folder_of_each(made: Made, tmp_path: Path) -> None:
-    out, to = made[0], tmp_path / "delivery"
-    assert main(["deliver", str(out), "--to", str(to)]) == 0
-    manifest = json.loads((to / "manifest.json").read_text("utf-8"))
-    pixels = {f["path"]: f["pixel"] for f in manifest["files"] if f.get("product") == "dtm"}
-    assert pixels == {"1m/dtm.tif": 1.0, "3m/dtm.tif": 3.0}
-    assert list(manifest["resolutions"]) == ["1m", "3m"]
-    assert [r["verdicts"]["complete"] for r in manifest["resolutions"].values()] == [True, True]
-    page = (to / "index.html").read_text("utf-8")
-    assert re.findall(r'href="([^"#]*index[^"]*)"', page) == ["1m/index.html", "3m/index.html"]
-    assert "--edits" not in page
-    for path in to.rglob("*.*"):
+def test_a_delivery_does_not_name_folders_of_the_provider(made: Made, tmp_path: Path) -> None:
+    out = made[0]
+    assert main(["deliver", str(out / "3m"), "--to", str(tmp_path / "delivery")]) == 0
+    for path in (tmp_path / "delivery").glob("*.*"):
         if path.suffix in (".html", ".json"):
             assert str(out.parent) not in path.read_text("utf-8")
-
-
-def test_a_delivery_of_each_can_be_verified_and_repeated(made: Made, tmp_path: Path) -> None:
-    to = tmp_path / "delivery"
-    deliver(made[0], to)
-    whole = verify(to)
-    assert (whole.missing, whole.changed, whole.extra) == ([], [], [])
-    times = {path: path.stat().st_mtime_ns for path in to.rglob("*.html")}
-    (to / "3m/dtm.tif").unlink()
-    with (to / "1m/stac.json").open("ab") as stream:
-        stream.write(b" ")
-    assert (verify(to).missing, verify(to).changed) == (["3m/dtm.tif"], ["1m/stac.json"])
-    again = deliver(made[0], to)
-    assert (again.removed, again.left, again.files) == ([], [], whole.files)
-    assert {path: path.stat().st_mtime_ns for path in to.rglob("*.html")} == times
-
-
-def test_nothing_is_delivered_if_a_result_of_one_is_missing(made: Made, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(made[0], out, ignore=shutil.ignore_patterns("store.zarr"))
-    (out / "3m/dtm.tif").unlink()
-    with pytest.raises(InputError, match="3m.dtm.tif: missing"):
-        deliver(out, tmp_path / "delivery")
-    assert not (tmp_path / "delivery").exists()

@@ -7,8 +7,8 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -32,8 +32,8 @@ from tiler.io.result_folder import (
     OVERVIEW,
     REPORT,
     REVIEW,
+    give_results,
     read_run,
-    resolution_folders,
     written_rasters,
 )
 from tiler.observe.events import (
@@ -48,7 +48,6 @@ from tiler.observe.events import (
 )
 from tiler.report.accuracy import read_measured, seams_text
 from tiler.report.client import client_page
-from tiler.report.resolutions import resolutions_page
 from tiler.report.runfile import run_file_errors, write_whole
 from tiler.store import locked_folder
 
@@ -62,9 +61,6 @@ FORMAT = 1
 """Version of the manifest's form."""
 MAX_BYTES = 1 << 28
 """Size from which a file is not read as a manifest."""
-
-
-Entry = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -96,8 +92,7 @@ def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events)
     """Copy the results of a finished run into a folder, with a manifest.
 
     The folder gets the files that the run wrote, the report, and ``index.html``, a page for the client. It does not get
-    the store, the log and the places to review. Of a run with several resolutions it gets the folder of each, with a
-    page that lists them. A folder of an earlier delivery is brought up to date: files with the
+    the store, the log and the places to review. A folder of an earlier delivery is brought up to date: files with the
     same bytes keep their times, and files that are not delivered any more are removed unless somebody changed them.
     Other files are left. A folder to which a delivery was stopped has no manifest.
 
@@ -122,59 +117,27 @@ def deliver(out: str | Path, to: str | Path, listener: Listener = ignore_events)
         A file cannot be written, or a raster cannot be read.
     """
     source, target = _folders(out, to)
-    runs = _finished_runs(source)
-    with ExitStack() as stack:
-        for folder in runs:
-            stack.enter_context(locked_folder(str(source / folder)))
-        names = dict[str, list[str]]()
-        for folder, run in runs.items():
-            with run_file_errors(source / folder):
-                names[folder] = _names(source / folder, run)
-                _check_results(source / folder, names[folder], run)
-        every = [_below(folder, name) for folder, own in names.items() for name in own]
-        pages = dict.fromkeys((PAGE, *(_below(folder, PAGE) for folder in runs)))
+    run = _finished_run(source)
+    with locked_folder(str(source)), run_file_errors(source):
+        names = [name for name in run["outputs"] if name != REVIEW]
+        names += [REPORT] if (source / REPORT).is_file() else []
         earlier = _earlier_delivery(target)
-        check_links("--to", target, [*pages, *every, *earlier])
-        _check_foreign(target, [*pages, *every], earlier)
+        check_links("--to", target, [PAGE, *names, *earlier])
+        _check_foreign(target, [PAGE, *names], earlier)
+        _check_results(source, names, run)
         _begin(target)
-        entries, facts = list[Entry](), dict[str, Entry]()
-        with _shown(listener, "copy", "copy the files", map(source.joinpath, every)) as done:
-            for folder, run in runs.items():
-                with run_file_errors(source / folder):
-                    at = source / folder, target / folder
-                    own, facts[folder] = _deliver_run(*at, run, names[folder], done)
-                entries += [{**entry, "path": _below(folder, entry["path"])} for entry in own]
-        if "" not in runs:
-            entries.append(_page(target, resolutions_page(source, runs, report=PAGE)))
+        with _shown(listener, "copy", "copy the files", map(source.joinpath, names)) as done:
+            entries = [_copied(source, target, name, run, done) for name in sorted(names)]
+        check = read_measured(source, CHECK, run)
+        entries.append(_page(source, target, {**run, "check": check}, entries))
+        manifest = _manifest(run, check, entries)
     delivered = {entry["path"] for entry in entries}
     removed = list(_remove(target, earlier, delivered))
-    told = facts.get("", {"resolutions": facts})
-    manifest = {"format": FORMAT, **told, "files": entries}
     write_whole(target / MANIFEST, json.dumps(manifest, indent=1).encode())
     (target / UNDER_WAY).unlink(missing_ok=True)
     size, left = sum(entry["bytes"] for entry in entries), _others(target, delivered)
-    complete = all(of_run["verdicts"]["complete"] for of_run in facts.values())
+    complete = manifest["verdicts"]["complete"]
     return Delivery(str(to), len(entries), size, removed, left, complete)
-
-
-def _deliver_run(
-    source: Path, target: Path, run: Entry, names: Iterable[str], done: Callable[[], None]
-) -> tuple[list[Entry], Entry]:
-    """Copy the files of a run, write its page for the client, and return their entries and what is told of the run."""
-    check = read_measured(source, CHECK, run)
-    entries = [_copied(source, target, name, run, done) for name in sorted(names)]
-    entries.append(_page(target, client_page(source, {**run, "check": check}, entries)))
-    return entries, _facts_of_run(run, check)
-
-
-def _below(folder: str, name: str) -> str:
-    return f"{folder}/{name}" if folder else name
-
-
-def _names(source: Path, run: Mapping[str, Any]) -> list[str]:
-    """Return the files of a run that are delivered."""
-    names = [name for name in run["outputs"] if name != REVIEW]
-    return names + ([REPORT] if (source / REPORT).is_file() else [])
 
 
 def verify(folder: str | Path, listener: Listener = ignore_events) -> Verification:
@@ -234,23 +197,12 @@ def _begin(target: Path) -> None:
         raise write_error(str(target / UNDER_WAY), error, target) from error
 
 
-def _finished_runs(out: Path) -> dict[str, Entry]:
-    """Return the run of each resolution by its folder, the finest first, or the only run by an empty name."""
-    folders = (
-        [] if read_run(str(out)) else [Path(path).name for path in resolution_folders(out)]
-    )
-    runs, pixels = dict[str, Entry](), dict[str, float]()
-    for folder in folders or [""]:
-        runs[folder] = _finished_run(out / folder)
-        with run_file_errors(out / folder):
-            pixels[folder] = float(runs[folder]["plan"]["resolution_m"])
-    return {folder: runs[folder] for folder in sorted(runs, key=pixels.__getitem__)}
-
-
 def _finished_run(out: Path) -> dict[str, Any]:
     run = read_run(str(out))
     if run is None:
-        raise ConfigError(f"{out}: has no results of a run; give the OUT of a finished run")
+        raise ConfigError(
+            f"{out}: has no results of a run; {give_results(out, 'finished run')}"
+        )
     if run["state"] != "done" or not run.get("outputs"):
         raise ConfigError(f"{out}: its run is not finished; run the same command again")
     return run
@@ -346,8 +298,11 @@ def _copied(
     return {**facts, **_facts(copy, name, run)}
 
 
-def _page(target: Path, content: bytes) -> dict[str, Any]:
-    """Write a page for the client, unless it is there, and return its entry in the manifest."""
+def _page(
+    source: Path, target: Path, run: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Write the page for the client, unless it is there, and return its entry in the manifest."""
+    content = client_page(source, run, entries)
     path, sha256 = target / PAGE, hashlib.sha256(content).hexdigest()
     if not _is_file(path) or _sha256(path) != sha256:
         write_whole(path, content)
@@ -387,8 +342,10 @@ def _crs_names(wkt: str | None) -> dict[str, str | None]:
     return {"crs": code, "vertical": vertical_name(wkt)}
 
 
-def _facts_of_run(run: Mapping[str, Any], check: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the manifest tells of a run. ``check`` has what `tiler check` measured, nothing without a check."""
+def _manifest(
+    run: Mapping[str, Any], check: Mapping[str, Any], entries: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the manifest. ``check`` are the measurements of `tiler check`, empty without a check."""
     defaults = RunConfig().to_json()
     given = {
         name: value
@@ -397,6 +354,7 @@ def _facts_of_run(run: Mapping[str, Any], check: Mapping[str, Any]) -> dict[str,
     }
     current = {} if check.get("older") else check
     return {
+        "format": FORMAT,
         "software": f"tiler {run['version']}",
         "libraries": run["libraries"],
         "written": run["written"],
@@ -416,6 +374,7 @@ def _facts_of_run(run: Mapping[str, Any], check: Mapping[str, Any]) -> dict[str,
             "seams": seams_text(current["seams"]) if current.get("seams") else "not checked",
             "requirements": current.get("requirements", []),
         },
+        "files": entries,
     }
 
 

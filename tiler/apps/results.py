@@ -257,8 +257,7 @@ class AcceptanceSummary(TypedDict):
     """Check of clouds: their paths and number of points, the specification, the side of the cells, and the rows.
 
     ``swath_pairs`` are all pairs of swaths that share cells, the largest mean difference first. ``difference`` is the
-    path of the raster of differences of swaths, ``style`` that of its style, and ``image`` that of the picture over the
-    intensity, None if they were not written.
+    path of the raster of differences of swaths, and ``style`` that of its style, None if they were not written.
     ``page`` is the path of the page, None if none was asked. ``met`` tells whether no row has the state ``fail`` or
     ``not measured``. ``notes`` say what was assumed.
     """
@@ -272,7 +271,6 @@ class AcceptanceSummary(TypedDict):
     swath_pairs: list[SwathPair]
     difference: str | None
     style: str | None
-    image: str | None
     page: str | None
     notes: list[str]
 

@@ -19,7 +19,7 @@ NOT_FINISHED = "Not finished"
 
 
 def resolutions_page(
-    out: Path, runs: Mapping[str, Run | None], is_running: bool = False, report: str = REPORT
+    out: Path, runs: Mapping[str, Run | None], is_running: bool = False
 ) -> bytes:
     """Return the page.
 
@@ -30,8 +30,6 @@ def resolutions_page(
         Content of the run.json in each folder of ``out``, by the name of the folder. None if there is none.
     is_running : bool
         Whether the runs are still under way. Then the page has no map.
-    report : str
-        Page in each folder to which this page links. Only beside reports there are places to review.
 
     Returns
     -------
@@ -52,7 +50,7 @@ def resolutions_page(
     rows = []
     for name, run in shown.items():
         with run_file_errors(out / name):
-            rows.append((name, *_cells(name, run, report)))
+            rows.append((name, *_cells(name, run)))
             states |= {state_text(run): is_good(run)} if run else {}
     header = el(
         "header",
@@ -62,9 +60,10 @@ def resolutions_page(
         ),
         el("h1", title),
     )
-    text = f"All have the surface and the water of {folder}."
-    if report == REPORT:
-        text += f" Decide about places to review in {folder}/{REVIEW}, and give it to the whole run with --edits."
+    text = (
+        f"All have the surface and the water of {folder}. Decide about places to review in {folder}/{REVIEW}, and give "
+        "it to the whole run with --edits."
+    )
     columns = ("folder", "terrain", "pixels", "with a height", "problems", "report")
     sections = [section("resolutions", "Resolutions", table(columns, rows, ()), el("p", text))]
     if not is_running and first and first["state"] == "done":
@@ -77,7 +76,7 @@ def resolutions_page(
     return page(title, header, sections, maker=MAKER)
 
 
-def _cells(folder: str, run: Run | None, report: str) -> Iterator[Content]:
+def _cells(folder: str, run: Run | None) -> Iterator[Content]:
     """Yield the cells of a row after the first: the links are relative to the page."""
     if run is None or run["state"] != "done":
         yield from (NOT_FINISHED, "-", "-", "-", "-")
@@ -89,4 +88,4 @@ def _cells(folder: str, run: Run | None, report: str) -> Iterator[Content]:
     yield share_with_height(run["voids"]) if "voids" in run else "-"
     problems = run.get("problems") or ()
     yield kinds_text(problems) if problems else "none"
-    yield link(f"{folder}/{report}") if report != REPORT or run.get("report") else "none"
+    yield link(f"{folder}/{REPORT}") if run.get("report") else "none"

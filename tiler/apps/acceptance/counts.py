@@ -74,7 +74,7 @@ MAX_HEIGHT_M = 16_000
 """Largest absolute height that is summed."""
 OFFSET_STEPS = 1024
 """Steps per cell to which the position of a point inside its cell is rounded down."""
-N_SUMS = 11
+N_SUMS = 10
 """Number of sums per cell of heights."""
 
 Bounds = tuple[float, ...]
@@ -123,28 +123,27 @@ class Cells:
         return self._encoded(column, row, source)
 
     def height_sums(
-        self, x: Float64, y: Float64, height_m: Float64, source: UInt16, intensity: UInt16
+        self, x: Float64, y: Float64, height_m: Float64, source: UInt16
     ) -> tuple[Keys, Int64]:
         """Return the distinct keys of the cells of points, sorted, and sums per cell, int64, shape (n, `N_SUMS`).
 
         The sums are the number of points, those of their heights z in millimetres and of z z, those of their offsets x
-        and y from the lowest corner in `OFFSET_STEPS`, those of x x, y y, x y, x z and y z, and those of the intensity.
-        Points too far away or too high are left out. Sums beyond 2**63 wrap around.
+        and y from the lowest corner in `OFFSET_STEPS`, and those of x x, y y, x y, x z and y z. Points too far away or
+        too high are left out. Sums beyond 2**63 wrap around.
         """
         x, y = x / self.side + _EDGE - self.column, y / self.side + _EDGE - self.row
         column, row = np.floor(x), np.floor(y)
         near = _inside(column) & _inside(row) & (np.abs(height_m) <= MAX_HEIGHT_M)
         if not near.all():
             x, y, height_m, source = x[near], y[near], height_m[near], source[near]
-            column, row, intensity = column[near], row[near], intensity[near]
+            column, row = column[near], row[near]
         height = np.rint(height_m * STEPS_PER_METRE).astype(np.int64)
         offset_x = ((x - column) * OFFSET_STEPS).astype(np.int64)
         offset_y = ((y - row) * OFFSET_STEPS).astype(np.int64)
         keys = self._encoded(column, row, source)
         order, first = _grouped(keys)
         z, dx, dy = height[order], offset_x[order], offset_y[order]
-        bright = intensity[order].astype(np.int64)
-        products = (z, z * z, dx, dy, dx * dx, dy * dy, dx * dy, dx * z, dy * z, bright)
+        products = (z, z * z, dx, dy, dx * dx, dy * dy, dx * dy, dx * z, dy * z)
         sums = (np.add.reduceat(values, first) for values in products)
         return keys[order][first], np.stack((np.diff(first, append=keys.size), *sums), axis=1)
 
@@ -375,11 +374,7 @@ def count_file(
                 found.too_high += int(np.count_nonzero(np.abs(height_m) > MAX_HEIGHT_M))
                 heights.add(
                     *cells.of_heights.height_sums(
-                        x[single],
-                        y[single],
-                        height_m,
-                        of_swath[single],
-                        records["intensity"][single],
+                        x[single], y[single], height_m, of_swath[single]
                     )
                 )
             if plan is not None and own is not None and shared is not None:

@@ -171,7 +171,7 @@ def check_clouds(
     limits = {} if specification is None else specification.limits
     notes += _notes(measured)
     separation = measured.separation
-    written: dict[str, str] = {}
+    written: list[str] = []
     if difference is not None:
         limit_m = limits.get("swath_difference", USUAL_LIMIT_M)
         written = _write_differences(difference, infos, separation, limit_m, memory, notes)
@@ -188,9 +188,8 @@ def check_clouds(
         "met": all(row["state"] in ("pass", "not asked") for row in rows),
         "rows": rows,
         "swath_pairs": [] if isinstance(separation, str) else separation.pairs,
-        "difference": written.get("difference"),
-        "style": written.get("style"),
-        "image": written.get("image"),
+        "difference": written[0] if written else None,
+        "style": written[1] if len(written) > 1 else None,
         "page": None if page is None else str(page),
         "notes": notes,
     }
@@ -217,36 +216,24 @@ def _write_differences(
     limit_m: float,
     memory: int,
     notes: list[str],
-) -> dict[str, str]:
-    """Write the raster of differences, its style and the image, note what is not written, and return what is."""
+) -> list[str]:
+    """Write the raster of differences and its style, note what is not written, and return the written files."""
     # Child processes do not need its libraries.
-    from tiler.apps.acceptance.difference_raster import (
-        write_differences,
-        write_image,
-        write_style,
-    )
+    from tiler.apps.acceptance.difference_raster import write_differences, write_style
 
-    wkt = _wkt(infos)
     if isinstance(separation, str):
         reason: str | None = separation
     else:
-        reason = write_differences(path, separation, wkt, memory)
-    if isinstance(separation, str) or reason is not None:
+        reason = write_differences(path, separation, _wkt(infos), memory)
+    if reason is not None:
         older = "; the file that is there is older" if path.exists() else ""
         notes.append(f"{path}: was not written: {reason}{older}")
-        return {}
-    style, image = path.with_suffix(".qml"), path.with_name(f"{path.stem}-image.tif")
-    made = {
-        "style": (style, write_style(style, limit_m)),
-        "image": (image, write_image(image, separation, wkt, limit_m)),
-    }
-    notes += [
-        f"{file}: was kept, because it is not a{'n' if what == 'image' else ''} {what} of this command"
-        for what, (file, is_written) in made.items()
-        if not is_written
-    ]
-    files = {what: str(file) for what, (file, is_written) in made.items() if is_written}
-    return {"difference": str(path), **files}
+        return []
+    style = path.with_suffix(".qml")
+    if not write_style(style, limit_m):
+        notes.append(f"{style}: was kept, because it is not a style of this command")
+        return [str(path)]
+    return [str(path), str(style)]
 
 
 def _wkt(infos: Sequence[SourceInfo]) -> str | None:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -56,7 +55,7 @@ FAULTS = (
 """Reasons why a cell is not compared, from 1 on. If those of two swaths differ, the later one counts."""
 NO_OVERLAP = "no overlap of swaths, so nothing to compare"
 
-BYTES_PER_HEIGHT_CELL = 312
+BYTES_PER_HEIGHT_CELL = 280
 """Memory that `separate_swaths` and `find_surfaces` need per cell of a swath, if most are shared by two swaths."""
 BYTES_PER_COMPARISON = 100
 """Memory per pair of cells of one swath and all later ones."""
@@ -80,14 +79,6 @@ _PLANE_PARAMETERS = 3
 Faults = UInt8
 
 
-class Backdrop(NamedTuple):
-    """Cells of swaths with points, shape (n,) each: centres in units of the CRS, and mean intensity of the points."""
-
-    x: Float64
-    y: Float64
-    intensity: Float64
-
-
 @dataclass(frozen=True)
 class Separation:
     """Differences of swaths.
@@ -108,8 +99,6 @@ class Separation:
         Centres of the cells in units of the CRS.
     difference_m : float64, shape (n,)
         Height of the second swath minus that of the first.
-    backdrop : Backdrop
-        All cells, also those that are not compared.
     """
 
     side: float
@@ -122,7 +111,6 @@ class Separation:
     x: Float64
     y: Float64
     difference_m: Float64
-    backdrop: Backdrop
 
     @property
     def uncompared(self) -> list[str]:
@@ -173,23 +161,15 @@ def separate_swaths(
     height_m, fault = surfaces or find_surfaces(keys, sums, lattice.side * metres)
     comparison = _Comparison(
         source,
-        *_centres(column, row, lattice),
+        np.asarray((column + lattice.column + 0.5) * lattice.side, np.float64),
+        np.asarray((row + lattice.row + 0.5) * lattice.side, np.float64),
         cell,
         height_m[shared],
         fault[shared],
     )
     for first, second in _pairs(source, n_later):
         comparison.add(first, second)
-    _, column, row = decoded(keys)
-    backdrop = Backdrop(*_centres(column, row, lattice), sums[:, -1] / sums[:, 0])
-    return comparison.result(lattice.side, metres, backdrop)
-
-
-def _centres(column: Int64, row: Int64, lattice: Cells) -> tuple[Float64, Float64]:
-    """Return x and y of the centres of cells."""
-    x = (column + lattice.column + 0.5) * lattice.side
-    y = (row + lattice.row + 0.5) * lattice.side
-    return x, y
+    return comparison.result(lattice.side, metres)
 
 
 def too_large(n_cells: int, memory: float) -> str:
@@ -294,7 +274,7 @@ class _Comparison:
         self._largest_m[cell] = difference[is_larger]
         self._of_largest[:, cell] = first[is_larger], second[is_larger]
 
-    def result(self, side: float, metres: float, backdrop: Backdrop) -> Separation:
+    def result(self, side: float, metres: float) -> Separation:
         """Return the differences of all pairs, in cells with a side in units of the CRS."""
         judged = self._judged
         if self._small:
@@ -315,7 +295,6 @@ class _Comparison:
             self._x[first],
             self._y[first],
             self._largest_m[known],
-            backdrop,
         )
 
 
@@ -551,7 +530,7 @@ def _variances(sums: Int64) -> Float64:
     The median of these variances is that of the heights: the median of a variance of few points is below its mean by
     the cube of 1 - 2 / 9 per degree of freedom (Wilson and Hilferty 1931, PNAS).
     """
-    n, z, zz, x, y, xx, yy, xy, xz, yz, _ = sums.T
+    n, z, zz, x, y, xx, yy, xy, xz, yz = sums.T
     # Products that wrap around wrap back in the differences.
     xx, yy, zz = n * xx - x * x, n * yy - y * y, n * zz - z * z
     xy, xz, yz = n * xy - x * y, n * xz - x * z, n * yz - y * z

@@ -28,7 +28,7 @@ def summary(*rows: AcceptanceRow, clouds: int = 1) -> AcceptanceSummary:
     return {
         "clouds": [f"/data/{number}.laz" for number in range(clouds)], "points": 1234567, "specification": "contract",
         "cell_m": 1.4, "met": False, "rows": list(rows), "swath_pairs": [], "difference": None, "style": None,
-        "image": None, "page": None, "notes": ["a note"],
+        "page": None, "notes": ["a note"],
     }  # fmt: skip
 
 

@@ -92,7 +92,7 @@ def test_deviations_are_those_of_planes_of_least_squares() -> None:
     x, y = random.uniform(0, 60, (2, n))
     z = np.round(100 + 0.1 * x - 0.05 * y + random.normal(0, 0.02, n), 3)
     cells = Cells.around(30.0, 30.0, lattice_side)
-    keys, sums = cells.of_heights.height_sums(x, y, z, *np.full((2, n), 7, np.uint16))
+    keys, sums = cells.of_heights.height_sums(x, y, z, np.full(n, 7, np.uint16))
     [found], others = repeatability(keys, sums, np.zeros(keys.size, np.uint8), cells.of_heights)
     variances = []
     for column in range(30):

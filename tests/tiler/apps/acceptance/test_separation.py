@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import laspy
 import numpy as np
 import pytest
 import rasterio
@@ -271,9 +270,7 @@ def sums_of(heights: list[np.ndarray], side: float = 2.0) -> tuple[Any, Any, Cel
         row, column, _ = np.indices(height.shape)
         x, y = ((index.ravel() + 0.5) * side for index in (column, row))
         of_swath = np.full(x.size, source, np.uint16)
-        found_keys, found_sums = cells.of_heights.height_sums(
-            x, y, height.ravel(), of_swath, of_swath
-        )
+        found_keys, found_sums = cells.of_heights.height_sums(x, y, height.ravel(), of_swath)
         keys.append(found_keys)
         sums.append(found_sums)
     return np.concatenate(keys), np.concatenate(sums), cells
@@ -395,7 +392,7 @@ def test_differences_are_those_of_planes_of_least_squares() -> None:
     source = np.repeat([4, 9], n).astype(np.uint16)
     cells = Cells.around(20.0, 20.0, side / 2)
     separation = separate_swaths(
-        *cells.of_heights.height_sums(x, y, z, source, source), cells, 1.0, 1e9
+        *cells.of_heights.height_sums(x, y, z, source), cells, 1.0, 1e9
     )
     assert isinstance(separation, Separation)
     assert separation.difference_m.size > 300
@@ -444,40 +441,6 @@ def test_the_raster_has_the_differences_of_the_cells(tmp_path: Path) -> None:
     x, y = map(float, largest["where"][0].split()[:2])
     with rasterio.open(target) as raster:
         assert next(raster.sample([(x, y)]))[0] == known.max()
-
-
-def test_the_image_has_colours_over_the_intensity(tmp_path: Path) -> None:
-    """The intensity doubles from south to north, and the second strip is 0.1 m higher: above 0.08 m, below 0.16 m."""
-    path = two(plane(0), 0.1).write(tmp_path / "a.laz")
-    las = laspy.read(path)
-    las.intensity[:] = np.where(las.y < 5_000_030, 1000, 2000)
-    las.write(path)
-    target, image = tmp_path / "swaths.tif", tmp_path / "swaths-image.tif"
-    summary = check_clouds([path], ASKED, target)
-    assert summary["image"] == str(image)
-    with rasterio.open(target) as raster, rasterio.open(image) as picture:
-        assert (picture.bounds, picture.crs, picture.nodata) == (raster.bounds, raster.crs, 255)
-        table, known = picture.colormap(1), raster.read(1) != -9999
-        colours = np.array([table[n][:3] for n in range(256)])[picture.read(1)]
-    south, north = colours[-3][known[-3]], colours[3][known[3]]
-    yellow = np.array([255, 217, 47]) // 2
-    assert (south.size > 0, north.size > 0) == (True, True)
-    assert np.abs(south - yellow).max() <= 1
-    assert np.abs(north - yellow - 127).max() <= 1
-
-
-@pytest.mark.parametrize("content", [b"mine", None])
-def test_an_image_of_somebody_else_is_kept(tmp_path: Path, content: bytes | None) -> None:
-    path, image = two(plane(0)).write(tmp_path / "a.laz"), tmp_path / "swaths-image.tif"
-    if content is None:
-        check_clouds([path], ASKED, tmp_path / "swaths.tif")
-        content = (tmp_path / "swaths.tif").read_bytes()
-    image.write_bytes(content)
-    summary = check_clouds([path], ASKED, tmp_path / "swaths.tif")
-    assert (image.read_bytes(), summary["image"]) == (content, None)
-    assert summary["notes"] == [
-        f"{image}: was kept, because it is not an image of this command"
-    ]
 
 
 def test_the_style_has_the_limits_and_only_a_users_one_is_kept(tmp_path: Path) -> None:
