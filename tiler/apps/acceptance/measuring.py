@@ -68,7 +68,7 @@ from tiler.apps.results import AcceptanceRow, AcceptanceSummary
 from tiler.core.crs import crs_name, same_horizontal, split_wkt
 from tiler.core.units import METRE
 from tiler.core.words import counted, listed
-from tiler.errors import InputError
+from tiler.errors import ConfigError, InputError
 from tiler.inputs import (
     SourceInfo,
     find_inputs,
@@ -78,12 +78,16 @@ from tiler.inputs import (
 )
 from tiler.io.las.headers import AGAIN, SALVAGE
 from tiler.io.overwrite_check import check_difference
+from tiler.observe.progress import size_text
 from tiler.report.document import validate_page
 from tiler.report.runfile import write_whole
 from tiler.schedule import ChildPool, ChildProcess, half_of_memory
+from tiler.schedule.guard import ChildMemoryError
 
 MAX_CHILDREN = 8
 """Maximum number of processes that read files at the same time."""
+LEAST_MEMORY = 256 << 20
+"""Least memory limit in bytes. With half of it, a process may hang instead of failing."""
 SIDE_TOLERANCE = 1.25
 """Ratio of the sides of cells, by the headers and by the measured density, above which the points are counted again."""
 MAX_COUNTS = 6
@@ -136,12 +140,16 @@ def check_clouds(
     ConfigError
         A path does not exist. Or ``difference`` is an input, or not the name of a GeoTIFF in a folder. Or ``page`` is
         an input, a file that is not an earlier page, or not the name of an HTML file in a folder. Or ``sheets`` is a
-        length.
+        length. Or ``memory`` is below `LEAST_MEMORY`.
     InputError
         A file cannot be read, its CRS has angles, no file has points, or the sheets do not have the field.
     ProcessingError
         The GeoTIFF or the page cannot be written.
     """
+    if memory is not None and memory < LEAST_MEMORY:
+        raise ConfigError(
+            f"memory {memory}: a process that checks clouds needs {size_text(LEAST_MEMORY)} or more; give more"
+        )
     notes: list[str] = []
     paths = find_inputs(inputs, note=notes.append, results=True)
     if sheets is not None:
@@ -200,13 +208,17 @@ def check_clouds(
 
 @contextmanager
 def _remedies_of_check() -> Iterator[None]:
-    """Leave out the remedy to salvage a damaged file, which a check does not do: its points would be judged as all."""
+    """Name the remedies of a check: more memory, and no salvage, whose points would be judged as all of a file."""
     try:
         yield
     except InputError as error:
-        if SALVAGE not in str(error):
+        if isinstance(error.__cause__, ChildMemoryError):
+            given, remedy = AGAIN, "give more with --memory"
+        elif SALVAGE in str(error):
+            given, remedy = SALVAGE, AGAIN
+        else:
             raise
-        raise InputError(str(error).replace(SALVAGE, AGAIN)) from error
+        raise InputError(str(error).replace(given, remedy)) from error
 
 
 def _write_differences(

@@ -14,7 +14,9 @@ import pytest
 from tests.tiler.apps.acceptance.pulses import ALL, Pulses, lattice
 from tiler.apps.acceptance import Specification, check_clouds, read_specification
 from tiler.apps.acceptance.counts import count_file
-from tiler.errors import InputError
+from tiler.apps.acceptance.measuring import _remedies_of_check
+from tiler.errors import ConfigError, InputError
+from tiler.schedule.guard import ChildMemoryError
 
 ASKED = Specification("made", {"pulse_spacing": 0.5, "pulse_density": 4})
 FEET = 0.3048
@@ -601,3 +603,18 @@ def test_cells_that_need_more_than_the_memory_are_not_examined(tmp_path: Path) -
     density = next(row for row in summary["rows"] if row["name"] == "pulse_density")
     assert density["found"] is None
     assert "more with --memory" in density["remark"]
+
+
+def test_too_little_memory_is_refused(tmp_path: Path) -> None:
+    path = square().write(tmp_path / "a.laz")
+    with pytest.raises(ConfigError, match="needs 256.0 MiB or more"):
+        check_clouds([path], memory=100_000_000)
+
+
+def test_a_process_that_needs_more_memory_can_get_it() -> None:
+    told = "a.laz: the process that reads it needs more than the 256 MiB; get the file again"
+    with (
+        pytest.raises(InputError, match="256 MiB; give more with --memory$"),
+        _remedies_of_check(),
+    ):
+        raise InputError(told) from ChildMemoryError()
